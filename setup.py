@@ -1,11 +1,12 @@
 """The metadata that depends on where the project lives: addresses, and the README with links that lead there.
 
-A package index shows the README without the files that it links. So a release says the project's home, from which the
-links and images of the README are made absolute, those of this version:
+A package index shows the README without the files that it links. So a release says the project's home, from
+which the links and images of the README are made absolute, those of this version:
 
     RHI_HOME=https://HOST/OWNER/NAME python -m build
 
-Without `RHI_HOME` the README is taken as it is, and no addresses are written. All other metadata is in pyproject.toml.
+Without `RHI_HOME` the README is taken as it is, and no addresses are written. All other metadata is in
+pyproject.toml.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ IMAGE_SUFFIXES = (".webp", ".png")
 
 
 def link_absolutely(text: str, home: str, version: str) -> str:
-    """Return Markdown whose links to files of the project, and images, lead to the home's files of a version."""
+    """Return Markdown whose links to files of the project, and images, lead to the home's files of a
+    version."""
 
     def lead(link: re.Match[str]) -> str:
         kind = "raw" if link[1].endswith(IMAGE_SUFFIXES) else "blob"

@@ -1,10 +1,11 @@
-"""Costs of animations with nothing, half or all of the scene drawn: run everywhere, or only where they are drawn.
+"""Costs of animations with nothing, half or all of the scene drawn: run everywhere, or only where they are
+drawn.
 
-The scene is a row of boxes that turn, each on a node of its own. In one variant their animation has no bounds, so it
-runs in every frame and its objects' bounds follow; in the other it has, so it runs for what is drawn. The camera sees
-none of the boxes, half of them, or all; they are culled by the frustum, and the image is small. The variants take
-turns, round by round, in one process; times are medians over the rounds, from the frame's begin until the device is
-finished.
+The scene is a row of boxes that turn, each on a node of its own. In one variant their animation has no
+bounds, so it runs in every frame and its objects' bounds follow; in the other it has, so it runs for what is
+drawn. The camera sees none of the boxes, half of them, or all; they are culled by the frustum, and the image
+is small. The variants take turns, round by round, in one process; times are medians over the rounds, from the
+frame's begin until the device is finished.
 
     python benchmarks/animation.py [--backend null] [--objects 2000] [--rounds 25] [--json]
 """
@@ -28,8 +29,12 @@ SPACING = 3.0
 VIEWS = {"nothing": 0.0, "half": 0.5, "everything": 1.0}
 """The share of the boxes that each view sees."""
 COLUMNS: dict[str, Column] = {
-    "calls": average(1), "computed": average(1), "bytes": average(1), "milliseconds": time(), "ratio": ratio(),
-}  # fmt: skip
+    "calls": average(1),
+    "computed": average(1),
+    "bytes": average(1),
+    "milliseconds": time(),
+    "ratio": ratio(),
+}
 """The columns of a frame's cost; the ratio is to running everywhere."""
 
 
@@ -61,7 +66,9 @@ def make_scene(count: int, *, bounded: bool) -> Scene:
     nodes = builder.add_nodes(translation(positions), dynamic=True)
     builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
     half = np.array([0.75, 0.5, 0.75])
-    builder.animate(nodes, RotatingBoxes(positions), (positions - half, positions + half) if bounded else None)
+    builder.animate(
+        nodes, RotatingBoxes(positions), (positions - half, positions + half) if bounded else None
+    )
     return builder.build()
 
 
@@ -107,9 +114,13 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
             for name, variant in variants.items():
                 variant.camera = make_camera(arguments.objects, share)
                 subjects.append(
-                    Subject({"drawn": view, "run": name}, variant.draw, variant.prepare, variant.count, device)
+                    Subject(
+                        {"drawn": view, "run": name}, variant.draw, variant.prepare, variant.count, device
+                    )
                 )
-            yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=2)  # these upload what was left
+            yield from compare(
+                subjects, COLUMNS, range(arguments.rounds), warm_ups=2
+            )  # these upload what was left
         for variant in variants.values():
             variant.renderer.destroy()
 

@@ -3,15 +3,18 @@
 - triangles: a sheet of equal triangles that fills the image, depth only, with 2,048 to 2,097,152 triangles.
 - pixels: a lit city, at 160×90 to 2560×1440.
 - lights: a full-screen triangle whose fragments sum 1 to 256 point lights.
-- draws: the depth of a city in one draw (0 in the column of sizes), and in 1,936 draws, one for each object (1).
-- taps, taps_srgb, taps_half, taps_float: a full-screen triangle that takes 4 bilinear samples of a 512×512 texture:
-  RGBA8, RGBA8_SRGB, RGBA16F and RGBA32F.
+- draws: the depth of a city in one draw (0 in the column of sizes), and in 1,936 draws, one for each object
+  (1).
+- taps, taps_srgb, taps_half, taps_float: a full-screen triangle that takes 4 bilinear samples of a 512×512
+  texture: RGBA8, RGBA8_SRGB, RGBA16F and RGBA32F.
 
-Images have 1280×720 pixels in all series but `pixels`. The backends take turns, round by round; times are medians,
-and the ratio is gl's time divided by cl's. A slope is the exponent p in `time = c · n^p`: with 1, twice the work
-takes twice as long. The one or two smallest sizes of a series aren't fitted, since fixed costs dominate them.
+Images have 1280×720 pixels in all series but `pixels`. The backends take turns, round by round; times are
+medians, and the ratio is gl's time divided by cl's. A slope is the exponent p in `time = c · n^p`: with 1,
+twice the work takes twice as long. The one or two smallest sizes of a series aren't fitted, since fixed costs
+dominate them.
 
-    python benchmarks/backends.py [--json] [--plot docs/images/backends.png] [--rounds 9] [--only lights,draws]
+    python benchmarks/backends.py [--json] [--plot docs/images/backends.png] [--rounds 9] [--only
+    lights,draws]
 """
 
 from __future__ import annotations
@@ -147,13 +150,17 @@ def draw_lights(device: Device, count: int) -> Work:
 
 def draw_taps(format: Format, device: Device, _: int) -> Work:
     texels = encode(format, np.random.default_rng(0).random((512, 512, 4)))
-    return draw_screen(device, Taps, image=device.texture(texels, format), scale=device.uniform(Scale(factor=2.0)))
+    return draw_screen(
+        device, Taps, image=device.texture(texels, format), scale=device.uniform(Scale(factor=2.0))
+    )
 
 
 def draw_city(device: Device, pixels: int) -> Work:
     width = round((pixels * 16 / 9) ** 0.5)
     scene = load_scene("city:blocks=16")
-    passes = BackendPasses(device, scene, parse_camera_path("ground", scene).camera(900), (width, width * 9 // 16))
+    passes = BackendPasses(
+        device, scene, parse_camera_path("ground", scene).camera(900), (width, width * 9 // 16)
+    )
     return passes.work("lit")
 
 
@@ -168,9 +175,11 @@ def draw_city_depth(device: Device, split_material_texel: int) -> Work:
         program, parts = device.program(DepthShader), []
         for draw in resources.draws:
             part = resources.mesh.view(
-                int(draw["first"]), int(draw["count"]), base_vertex=int(draw["base_vertex"]),
+                int(draw["first"]),
+                int(draw["count"]),
+                base_vertex=int(draw["base_vertex"]),
                 base_instance=int(draw["base_instance"]),
-            )  # fmt: skip
+            )
             parts.append(part)
     else:
         program = device.program(DepthOnly)
@@ -194,7 +203,9 @@ def merge_city(device: Device, passes: BackendPasses) -> Mesh:
     for mesh, node in zip(scene.objects.mesh, scene.objects.node, strict=True):
         part = scene.meshes.ranges[mesh]
         first = int(part["first_index"])
-        rows = scene.meshes.indices[first : first + int(part["index_count"])].astype(int) + int(part["base_vertex"])
+        rows = scene.meshes.indices[first : first + int(part["index_count"])].astype(int) + int(
+            part["base_vertex"]
+        )
         low, high = int(rows.min()), int(rows.max()) + 1
         world = scene.nodes.world[node]
         relative = positions[low:high] @ world[:3, :3].T + (world[:3, 3] - camera.position)
@@ -256,7 +267,9 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
 def plot(figure: Any, rows: Sequence[Record]) -> None:
     """Draw the times of the series that grow, with their slopes."""
     slopes = {row["slopes of"]: row for row in rows if "slopes of" in row}
-    for axes, (name, slope) in zip(figure.subplots(1, len(slopes), squeeze=False)[0], slopes.items(), strict=True):
+    for axes, (name, slope) in zip(
+        figure.subplots(1, len(slopes), squeeze=False)[0], slopes.items(), strict=True
+    ):
         mine = [row for row in rows if row.get("series") == name]
         for backend in BACKENDS:
             times = [row[backend] for row in mine]

@@ -1,15 +1,16 @@
 """The cost of command buffers: recording draws and replaying them, compared with drawing directly.
 
-Each draw has constants of its own, so it is two commands (bind_uniform, draw). The triangles have no area, so none is
-rasterised. The variants take turns, round by round, in one process; the figures are medians in microseconds per draw.
+Each draw has constants of its own, so it is two commands (bind_uniform, draw). The triangles have no area, so
+none is rasterised. The variants take turns, round by round, in one process; the figures are medians in
+microseconds per draw.
 
 - `drawn at once`: the draws are issued on the device.
 - `recorded`: the draws are recorded into a new command buffer, which isn't submitted.
-- `first submission`: a new command buffer is submitted. This includes what is created once: the calls with their
-  arguments, and the buffer of transient constants.
+- `first submission`: a new command buffer is submitted. This includes what is created once: the calls with
+  their arguments, and the buffer of transient constants.
 - `replayed`: a command buffer that was submitted before is submitted again.
-- `recorded on 4 threads, together`: each of 4 threads records a quarter of the draws; the wall time is divided by the
-  number of all draws.
+- `recorded on 4 threads, together`: each of 4 threads records a quarter of the draws; the wall time is
+  divided by the number of all draws.
 
 With `transient constants` each draw allocates its constants from transient memory.
 
@@ -44,7 +45,10 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
 
         recorded, fresh = record(scene.draw), [record(scene.draw)]
         device.submit(recorded)
-        recorded_anew = {"first submission": scene.draw, "first submission, transient constants": scene.draw_transient}
+        recorded_anew = {
+            "first submission": scene.draw,
+            "first submission, transient constants": scene.draw_transient,
+        }
 
         def prepare(name: str) -> None:
             if name in recorded_anew:

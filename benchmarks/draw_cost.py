@@ -1,27 +1,33 @@
-"""The cost of a draw through rhi, compared with bare moderngl doing the same OpenGL work with the same GL objects.
+"""The cost of a draw through rhi, compared with bare moderngl doing the same OpenGL work with the same GL
+objects.
 
-- `bare moderngl`: a loop that binds a range of a uniform buffer and renders a vertex array. It is the reference.
-- `device.draw`, `program.draw`: the same draws through rhi. Each has its own vertex buffer and its own constants.
-- `device.draw, one mesh`, `scope around device.draw`: the same with one vertex buffer for all, and with a state each.
+- `bare moderngl`: a loop that binds a range of a uniform buffer and renders a vertex array. It is the
+  reference.
+- `device.draw`, `program.draw`: the same draws through rhi. Each has its own vertex buffer and its own
+  constants.
+- `device.draw, one mesh`, `scope around device.draw`: the same with one vertex buffer for all, and with a
+  state each.
 - `device.draw_many`: as many draws of one shared mesh in one call, with the constants as instance attributes.
-- `bare, constants set`, `device.draw, value`: each draw's two constants are numbers of Python. The bare loop sets two
-  uniforms of its program, ours passes a struct that is made for the draw; the first is the reference of the second.
+- `bare, constants set`, `device.draw, value`: each draw's two constants are numbers of Python. The bare loop
+  sets two uniforms of its program, ours passes a struct that is made for the draw; the first is the reference
+  of the second.
 - `scope of 3 states`: entering and leaving `device.states` with 3 states, without a draw.
 
-With --wgpu the same draws on wgpu take turns with these, and with `bare wgpu-py`: its public calls, with objects of its
-own. They are timed until the pass ends, without its submission.
+With --wgpu the same draws on wgpu take turns with these, and with `bare wgpu-py`: its public calls, with
+objects of its own. They are timed until the pass ends, without its submission.
 
-The rows on `null` have what a scope of each kind costs around nothing, its creation included, on a device without a
-recorder, so that no driver hides it. Their reference is `empty block`: a Python `with` block that does nothing. `ratio`
-is the cost in such blocks. Timing is off, except in `timed event`.
+The rows on `null` have what a scope of each kind costs around nothing, its creation included, on a device
+without a recorder, so that no driver hides it. Their reference is `empty block`: a Python `with` block that
+does nothing. `ratio` is the cost in such blocks. Timing is off, except in `timed event`.
 
-The target has 64×64 pixels. The variants take turns, round by round, in one process. A figure is the time of all draws
-of a round divided by their number, the median over the rounds; `ratio` is the median of the ratios to the bare loop of
-the same round. The device is finished between rounds, outside of the measured time, because llvmpipe runs the GPU's
-work on the same cores. Triangles stop before the rasteriser unless --rasterize is given: filling pixels costs all
-variants the same, and would hide the differences.
+The target has 64×64 pixels. The variants take turns, round by round, in one process. A figure is the time of
+all draws of a round divided by their number, the median over the rounds; `ratio` is the median of the ratios
+to the bare loop of the same round. The device is finished between rounds, outside of the measured time,
+because llvmpipe runs the GPU's work on the same cores. Triangles stop before the rasteriser unless
+--rasterize is given: filling pixels costs all variants the same, and would hide the differences.
 
-    python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize] [--wgpu]
+    python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize]
+    [--wgpu]
 """
 
 from __future__ import annotations
@@ -87,7 +93,8 @@ class CornerOfObject(Corner):
 
 
 class FlatMany(Shader):
-    """Reads its per-object constants from instance attributes, which each draw selects by its base instance."""
+    """Reads its per-object constants from instance attributes, which each draw selects by its base
+    instance."""
 
     camera: Uniform[Camera]
 
@@ -128,7 +135,10 @@ class Work:
             padded[name] = self.rows[name]
         self.objects.write(padded)
         self.camera = device.uniform(Camera(scale=(1, 1, 1, 1)))
-        self.program, self.meshes = device.program(Flat), [device.mesh({"position": part}) for part in self.corners]
+        self.program, self.meshes = (
+            device.program(Flat),
+            [device.mesh({"position": part}) for part in self.corners],
+        )
         self.ranges = [self.objects[i] for i in range(draws)]
         self.pairs = list(zip(self.meshes, self.ranges, strict=True))
         self.image = device.texture((64, 64), rhi.Format.RGBA8)
@@ -213,7 +223,9 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     from rhi.backends.wgpu.wgpu_backend import WgpuBackend
 
     device: Any = work.device.backend_as(WgpuBackend).device
-    stages = {stage: compile_shader(Flat).emit("wgsl", stage).text for stage in (Stage.VERTEX, Stage.FRAGMENT)}
+    stages = {
+        stage: compile_shader(Flat).emit("wgsl", stage).text for stage in (Stage.VERTEX, Stage.FRAGMENT)
+    }
     modules = {stage: device.create_shader_module(code=text) for stage, text in stages.items()}
     uniform = {"type": "uniform", "has_dynamic_offset": True}
     visible = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
@@ -224,25 +236,37 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     pipeline = device.create_render_pipeline(
         layout=device.create_pipeline_layout(bind_group_layouts=[layout]),
         vertex={
-            "module": modules[Stage.VERTEX], "entry_point": "main",
+            "module": modules[Stage.VERTEX],
+            "entry_point": "main",
             "buffers": [{"array_stride": 8, "attributes": [attribute]}],
         },
         fragment={
-            "module": modules[Stage.FRAGMENT], "entry_point": "main", "targets": [{"format": "rgba8unorm"}]
+            "module": modules[Stage.FRAGMENT],
+            "entry_point": "main",
+            "targets": [{"format": "rgba8unorm"}],
         },
-    )  # fmt: skip
+    )
     usage = wgpu.BufferUsage
     camera = device.create_buffer_with_data(data=np.ones(4, np.float32), usage=usage.UNIFORM)
     padded = np.zeros((len(work.pairs), 64), np.float32)
     padded[:, :8] = work.rows.view(np.float32).reshape(-1, 8)
     objects = device.create_buffer_with_data(data=padded, usage=usage.UNIFORM)
     sizes = {0: (camera, 16), 1: (objects, 32)}
-    entries = [{"binding": n, "resource": {"buffer": b, "offset": 0, "size": s}} for n, (b, s) in sizes.items()]
+    entries = [
+        {"binding": n, "resource": {"buffer": b, "offset": 0, "size": s}} for n, (b, s) in sizes.items()
+    ]
     group = device.create_bind_group(layout=layout, entries=entries)
     buffers = [device.create_buffer_with_data(data=part, usage=usage.VERTEX) for part in work.corners]
     pairs = [(each, 256 * number) for number, each in enumerate(buffers)]
-    view = device.create_texture(size=(64, 64, 1), format="rgba8unorm", usage=wgpu.TextureUsage.RENDER_ATTACHMENT)
-    target = {"view": view.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
+    view = device.create_texture(
+        size=(64, 64, 1), format="rgba8unorm", usage=wgpu.TextureUsage.RENDER_ATTACHMENT
+    )
+    target = {
+        "view": view.create_view(),
+        "load_op": "clear",
+        "store_op": "store",
+        "clear_value": (0, 0, 0, 1),
+    }
     passes: list[Any] = []
 
     def open_pass() -> None:
@@ -297,7 +321,9 @@ def measure_draws(arguments: argparse.Namespace) -> Iterator[Record]:
 
         def compare_all(subjects: list[Subject]) -> list[Record]:
             return compare(
-                subjects, {"microseconds": time(1e6 / arguments.draws), "ratio": ratio()}, range(arguments.rounds)
+                subjects,
+                {"microseconds": time(1e6 / arguments.draws), "ratio": ratio()},
+                range(arguments.rounds),
             )
 
         if not arguments.rasterize:

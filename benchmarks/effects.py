@@ -1,10 +1,11 @@
 """Costs that effects add to a frame: processor time and time, as ratios to the same frame without them.
 
-The frames with nothing, fog, bloom and both take turns in one process, of the same view, after all shaders are built.
-So do those of a box on the ground, with and without an object behind the eye that has an effect (`--behind`), after the
-shaders have become those of what is in view. Figures are medians over the rounds.
+The frames with nothing, fog, bloom and both take turns in one process, of the same view, after all shaders
+are built. So do those of a box on the ground, with and without an object behind the eye that has an effect
+(`--behind`), after the shaders have become those of what is in view. Figures are medians over the rounds.
 
-    python benchmarks/effects.py [--behind] [--backend gl] [--size 960x540] [--technique forward] [--rounds 15] [--json]
+    python benchmarks/effects.py [--behind] [--backend gl] [--size 960x540] [--technique forward] [--rounds
+    15] [--json]
 """
 
 from __future__ import annotations
@@ -30,11 +31,23 @@ from renderer.techniques import TECHNIQUES
 EFFECTS = {"nothing": "", "fog": ",fog=0.015", "bloom": ",bloom=0.1", "both": ",fog=0.015,bloom=0.1"}
 VIEWS = {"night:lights=256": ("ground", 900), "hall:lights=96": ("overview", 0)}
 COLUMNS = {
-    "milliseconds": time(digits=2), "time": ratio(), "processor time": ratio(processor=True), "interval": interval()
-}  # fmt: skip
+    "milliseconds": time(digits=2),
+    "time": ratio(),
+    "processor time": ratio(processor=True),
+    "interval": interval(),
+}
 
 
-DISTANT_OBJECTS: Final = ("nothing", "images", "normal map", "mask", "metal", "all of these", "bloom", "terrain")
+DISTANT_OBJECTS: Final = (
+    "nothing",
+    "images",
+    "normal map",
+    "mask",
+    "metal",
+    "all of these",
+    "bloom",
+    "terrain",
+)
 
 OPTIONS: Final = (
     options.BACKEND,
@@ -50,7 +63,9 @@ def make_distant_object(name: str) -> Scene:
     builder = SceneBuilder(name)
     builder.lights.add_directional((0.8, -1.0, 0.3))
     mesh, is_all = builder.add_mesh(BUILT_IN["box"]()), name == "all of these"
-    placed: list[tuple[NDArray[np.float64], Any]] = [(np.diag([7.0, 0.3, 5.0, 1.0]), {"base_color": (0.6, 0.6, 0.6)})]
+    placed: list[tuple[NDArray[np.float64], Any]] = [
+        (np.diag([7.0, 0.3, 5.0, 1.0]), {"base_color": (0.6, 0.6, 0.6)})
+    ]
     placed += [(translation((-0.9, 0.6, -0.5)), {"base_color": (0.6, 0.5, 0.4)})]
     image = builder.add_image(np.full((64, 64, 4), (128, 128, 255, 255), np.uint8))
     features: dict[str, Any] = {

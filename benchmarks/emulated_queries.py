@@ -1,12 +1,13 @@
-"""Emulated occlusion queries (thesis 4.4.2): what they count on a GPU whose counter the CPU reads, and what they cost.
+"""Emulated occlusion queries (thesis 4.4.2): what they count on a GPU whose counter the CPU reads, and what
+they cost.
 
-The simulated GPU draws 1,000 samples inside a query and ten times 1,000 after it. Its sample counter is read by a
-command, or by an interrupt handler 30 µs after an event, while the GPU halts or runs on; between the query's begin and
-its draw the CPU works for 50 µs. For each way: the samples that the query reports, how long the GPU halted, and the
-hazards that the device reports, with those that happened.
+The simulated GPU draws 1,000 samples inside a query and ten times 1,000 after it. Its sample counter is read
+by a command, or by an interrupt handler 30 µs after an event, while the GPU halts or runs on; between the
+query's begin and its draw the CPU works for 50 µs. For each way: the samples that the query reports, how long
+the GPU halted, and the hazards that the device reports, with those that happened.
 
-On each backend that draws, native and emulated queries of boxes take turns: many that are issued and then read, and
-one after the other, each waited for.
+On each backend that draws, native and emulated queries of boxes take turns: many that are issued and then
+read, and one after the other, each waited for.
 
     python benchmarks/emulated_queries.py [--json] [--queries 200] [--rounds 20]
 """
@@ -80,7 +81,8 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
         box = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32) / 16})
         kinds = KINDS if device.capabilities.sample_counter else KINDS[:1]
         query_lists = {
-            kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)] for kind in kinds
+            kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)]
+            for kind in kinds
         }
 
         def ask(kind: str, waits: bool, _: int = 0) -> list[int]:
@@ -95,7 +97,9 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
 
         assert ask(kinds[0], False) == ask(kinds[-1], True)
         subjects = [
-            Subject({"backend": backend, "read": read, "queries": kind}, partial(ask, kind, waits), device=device)
+            Subject(
+                {"backend": backend, "read": read, "queries": kind}, partial(ask, kind, waits), device=device
+            )
             for read, waits in (("together", False), ("one by one", True))
             for kind in kinds
         ]

@@ -1,17 +1,23 @@
-"""The same city drawn by other engines of Python and by this one, as glTF from `save_scene`, seen from above the roofs.
+"""The same city drawn by other engines of Python and by this one, as glTF from `save_scene`, seen from above
+the roofs.
 
-Each engine loads the file by its own loader, shades it by its own means, and runs in a process and in an environment of
-its own (`out/engines`), which is installed when it is asked for. The programs are in `benchmarks/engines`. All draw
-`--size` pixels, one sample each, and read the image back. Mesa's cache of shaders is off, and ours begins empty.
+Each engine loads the file by its own loader, shades it by its own means, and runs in a process and in an
+environment of its own (`out/engines`), which is installed when it is asked for. The programs are in
+`benchmarks/engines`. All draw `--size` pixels, one sample each, and read the image back. Mesa's cache of
+shaders is off, and ours begins empty.
 
 - `load_s`: from the start of the process until the scene is there. `first_ms`: the first frame after that.
-- `ms`: a frame, once each engine has drawn for `--warm-up` seconds; the engines take turns, and times are medians.
-- `ratio`: that time, compared with the first row's in the same round. `memory_mib`: the most that the process has held.
+- `ms`: a frame, once each engine has drawn for `--warm-up` seconds; the engines take turns, and times are
+  medians.
+- `ratio`: that time, compared with the first row's in the same round. `memory_mib`: the most that the process
+  has held.
 
-What they leave out differs, so no two images are the same; `--images` shows all of them. Ours has haze, which glTF
-can't say. Panda3D's fixed pipeline lights vertices, by eight lights, and its own rasteriser filters no textures.
+What they leave out differs, so no two images are the same; `--images` shows all of them. Ours has haze, which
+glTF can't say. Panda3D's fixed pipeline lights vertices, by eight lights, and its own rasteriser filters no
+textures.
 
-    python benchmarks/engines.py [--only gl,pygfx] [--scene city] [--rounds 9] [--pictures engines.png] [--json]
+    python benchmarks/engines.py [--only gl,pygfx] [--scene city] [--rounds 9] [--pictures engines.png]
+    [--json]
 """
 
 from __future__ import annotations
@@ -49,9 +55,14 @@ PACKAGES: Final[dict[str, tuple[str, ...]]] = {
 }
 """What the environment of each program of `benchmarks/engines` has; ours is the present one."""
 ENGINES: Final = {
-    "gl": "rhi", "cl": "rhi", "wgpu": "rhi", "pygfx": "pygfx", "panda3d": "panda3d", "panda3d_software": "panda3d",
+    "gl": "rhi",
+    "cl": "rhi",
+    "wgpu": "rhi",
+    "pygfx": "pygfx",
+    "panda3d": "panda3d",
+    "panda3d_software": "panda3d",
     "vtk": "vtk",
-}  # fmt: skip
+}
 """The program of each row."""
 COLUMNS: Final = {"ms": time(digits=1), "ratio": ratio(2)}
 FAR: Final = 4000.0
@@ -73,9 +84,15 @@ class Worker:
         self._log = Path(f"{cache}/{engine}.log")
         with self._log.open("w") as log:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True,
-                env=os.environ | variables | {"PYTHONPATH": str(FOLDER.parents[1]) if program == "rhi" else ""},
-            )  # fmt: skip
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env=os.environ
+                | variables
+                | {"PYTHONPATH": str(FOLDER.parents[1]) if program == "rhi" else ""},
+            )
         self.device = str(self._read()["device"])
         self.load_s = perf_counter() - begin
         begin = perf_counter()
@@ -121,15 +138,25 @@ def make_job(scene: Scene, path: str, size: tuple[int, int]) -> dict[str, Any]:
     """Return what `benchmarks/engines/serving.py` calls a job: the scene's first view."""
     eye = next(iter(scene.views.values()))
     return {
-        "path": path, "width": size[0], "height": size[1], "eye": eye.position.tolist(),
-        "ahead": eye.forward.tolist(), "fov": float(np.degrees(eye.projection.fov)), "near": eye.projection.near,
-        "far": FAR, "background": list(scene.background), "ambient": list(scene.lights.sky),
-        "sun": scene.lights.directional["color"][0].tolist() if len(scene.lights.directional) else [1.0, 1.0, 1.0],
-    }  # fmt: skip
+        "path": path,
+        "width": size[0],
+        "height": size[1],
+        "eye": eye.position.tolist(),
+        "ahead": eye.forward.tolist(),
+        "fov": float(np.degrees(eye.projection.fov)),
+        "near": eye.projection.near,
+        "far": FAR,
+        "background": list(scene.background),
+        "ambient": list(scene.lights.sky),
+        "sun": scene.lights.directional["color"][0].tolist()
+        if len(scene.lights.directional)
+        else [1.0, 1.0, 1.0],
+    }
 
 
 def join(images: Mapping[str, Any]) -> Any:
-    """Return images (h, w, 3) by their engines' names, of half their size in rows of two, with the names on them."""
+    """Return images (h, w, 3) by their engines' names, of half their size in rows of two, with the names on
+    them."""
     height, width = (size // 2 for size in next(iter(images.values())).shape[:2])
     montage = Image.new("RGB", (2 * width, height * -(-len(images) // 2)), "white")
     pen = ImageDraw.Draw(montage)
@@ -141,7 +168,9 @@ def join(images: Mapping[str, Any]) -> Any:
 
 
 OPTIONS: Final = (
-    options.names("--only", ENGINES, "no engine that is compared", [name for name in ENGINES if name != "wgpu"]),
+    options.names(
+        "--only", ENGINES, "no engine that is compared", [name for name in ENGINES if name != "wgpu"]
+    ),
     options.option("--scene", "what is drawn", "city"),
     options.size((1280, 720)),
     options.rounds("rounds", 9),
@@ -169,9 +198,10 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
                 pixels = np.fromfile(f"{folder}/{engine}.rgb", np.uint8)
                 images[engine] = pixels.reshape(job["height"], job["width"], 3)
                 return {
-                    "first_ms": round(worker.first_ms), "load_s": round(worker.load_s, 2),
+                    "first_ms": round(worker.first_ms),
+                    "load_s": round(worker.load_s, 2),
                     "memory_mib": round(answer["memory"]),
-                }  # fmt: skip
+                }
 
             labels = {"engine": engine, "device": worker.device}
             subjects.append(Subject(labels, lambda _, worker=worker: worker.send("frame"), summarize=finish))

@@ -1,13 +1,15 @@
 """Costs of a frame of one batch for the CPU: recorded once and submitted, compared with drawn at once.
 
-The processor time of the main thread in `Renderer.render`, in microseconds, and the median of the ratios. Both variants
-render the same frames in turns, on one device; the GPU is idle when a frame begins. `still`: the camera rests.
-`walking`: it follows the scene's path, so that the order of the objects and (`frustum`) their number change.
+The processor time of the main thread in `Renderer.render`, in microseconds, and the median of the ratios.
+Both variants render the same frames in turns, on one device; the GPU is idle when a frame begins. `still`:
+the camera rests. `walking`: it follows the scene's path, so that the order of the objects and (`frustum`)
+their number change.
 
-    python benchmarks/frame_batch.py [--backend gl] [--scene city:blocks=8,detail=2] [--rounds 200] [--timers] [--json]
+    python benchmarks/frame_batch.py [--backend gl] [--scene city:blocks=8,detail=2] [--rounds 200] [--timers]
+    [--json]
 
-With `--timers` it shows how many frames begin before the GPU has ended the one before, when none is waited for and when
-all are, and prints the last timer trees on stderr.
+With `--timers` it shows how many frames begin before the GPU has ended the one before, when none is waited
+for and when all are, and prints the last timer trees on stderr.
 """
 
 from __future__ import annotations
@@ -27,9 +29,18 @@ from renderer.content import load_scene
 from renderer.lab.comparison import Column, Record, Subject, compare, count_ratio, median_of
 from renderer.renderer import Renderer
 from renderer.scene import Camera, CameraPath, Scene
-from renderer.visibility import CallbackDrawer, SceneDrawer, VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.visibility import (
+    CallbackDrawer,
+    SceneDrawer,
+    VisibilityAlgorithm,
+    VisibilityStatistics,
+    make_visibility,
+)
 
-COLUMNS: Final[dict[str, Column]] = {"microseconds": median_of(digits=1), "ratio": count_ratio("microseconds")}
+COLUMNS: Final[dict[str, Column]] = {
+    "microseconds": median_of(digits=1),
+    "ratio": count_ratio("microseconds"),
+}
 _WARM_UPS: Final = 5
 
 
@@ -82,7 +93,8 @@ def measure_frames(backend: str, scene: Scene, name: str, rounds: int, *, walks:
 
 
 def count_overlapping_frames(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> Record:
-    """Return how many of some frames began before the GPU had ended the one before; print their last timer trees."""
+    """Return how many of some frames began before the GPU had ended the one before; print their last timer
+    trees."""
     trees: list[list[rhi.TimerNode]] = []
     with (
         rhi.create_device(backend, timing=True) as device,
@@ -100,14 +112,20 @@ def count_overlapping_frames(backend: str, scene: Scene, *, waits: bool, frames:
     spans = [(before.gpu_span, node.cpu_span) for (before,), (node,) in pairwise(trees)]
     early = [gpu and cpu and cpu[0] < gpu[1] for gpu, cpu in spans]
     dated = None not in early  # timestamps of some devices have no date
-    return {"frames are waited for": waits, "overlap": sum(map(bool, early)) if dated else None, "of": len(spans)}
+    return {
+        "frames are waited for": waits,
+        "overlap": sum(map(bool, early)) if dated else None,
+        "of": len(spans),
+    }
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the rows of all algorithms, cameras and ways to draw; or of what timers find."""
     scene = load_scene(arguments.scene)
     if arguments.timers:
-        yield from (count_overlapping_frames(arguments.backend, scene, waits=waits) for waits in (False, True))
+        yield from (
+            count_overlapping_frames(arguments.backend, scene, waits=waits) for waits in (False, True)
+        )
         return
     for name in ("none", "frustum"):
         for walks in (False, True):

@@ -1,10 +1,12 @@
-"""The cost of frustum culling through the bounding volume hierarchy, compared with testing every box with NumPy.
+"""The cost of frustum culling through the bounding volume hierarchy, compared with testing every box with
+NumPy.
 
-The scene is 100,000 boxes on a plain, like a city, seen along a camera path of 200 frames; about 5 % of the boxes are
-visible. The reference, "every box", is the fastest plain NumPy form that was found: for each plane it tests the
-p-vertex of every box (the corner farthest along the plane's normal), with contiguous columns. Each other method
-alternates with it, frame by frame, in one process. Times are medians over the frames, and a ratio is the median of the
-frames' ratios. "cold" is the same measurement with 64 MB of other memory read before each call, as in a busy frame.
+The scene is 100,000 boxes on a plain, like a city, seen along a camera path of 200 frames; about 5 % of the
+boxes are visible. The reference, "every box", is the fastest plain NumPy form that was found: for each plane
+it tests the p-vertex of every box (the corner farthest along the plane's normal), with contiguous columns.
+Each other method alternates with it, frame by frame, in one process. Times are medians over the frames, and a
+ratio is the median of the frames' ratios. "cold" is the same measurement with 64 MB of other memory read
+before each call, as in a busy frame.
 
     python benchmarks/frustum.py [--json] [--boxes 100000] [--cube]
 """
@@ -31,8 +33,8 @@ COLUMNS = {"microseconds": time(1e6, 1), "ratio": ratio(4)}
 
 
 def make_boxes(count: int, cube: bool) -> tuple[Floats, Floats]:
-    """Return the lower and upper corners (count, 3) of boxes of .4 to 6 m in a square of 1 km, 60 m high, or in a cube
-    of 1 km."""
+    """Return the lower and upper corners (count, 3) of boxes of .4 to 6 m in a square of 1 km, 60 m high, or
+    in a cube of 1 km."""
     rng = np.random.default_rng(0)
     centre = rng.uniform(-500.0, 500.0, (count, 3))
     if not cube:
@@ -93,7 +95,9 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
         for name, way in ways.items():  # in pairs: what else runs in a round decides what is in the caches
             visible: list[Indices] = []
 
-            def run(number: int, way: Callable[[Floats], Indices] = way, visible: list[Indices] = visible) -> None:
+            def run(
+                number: int, way: Callable[[Floats], Indices] = way, visible: list[Indices] = visible
+            ) -> None:
                 visible[:] = [way(frames[number])]
 
             def rounds(name: str = name, visible: list[Indices] = visible) -> Iterator[int]:

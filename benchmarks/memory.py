@@ -1,9 +1,9 @@
 """The memory that a process keeps of what it has made and destroyed or dropped, beside meshes that live on.
 
-Each row repeats one thing, after a tenth as many repetitions to warm up, and shows by how much the resident memory of
-the process has grown. Each row runs in a process of its own, so that no row reuses memory that another has freed.
-Kernels are optimised from the beginning: quick ones are replaced after thousands of draws, which costs some megabytes
-once and isn't growth.
+Each row repeats one thing, after a tenth as many repetitions to warm up, and shows by how much the resident
+memory of the process has grown. Each row runs in a process of its own, so that no row reuses memory that
+another has freed. Kernels are optimised from the beginning: quick ones are replaced after thousands of draws,
+which costs some megabytes once and isn't growth.
 
     python benchmarks/memory.py [--json] [--backend gl --backend cl] [--only programs] [--scale 0.1]
 """
@@ -92,7 +92,8 @@ DROPPED: Final[dict[str, Callable[[rhi.Device], object]]] = {
 
 
 class Repetitions:
-    """The calls that are repeated, on one device: a method for each row, which takes the number of the repetition."""
+    """The calls that are repeated, on one device: a method for each row, which takes the number of the
+    repetition."""
 
     def __init__(self, device: rhi.Device) -> None:
         self.device = device
@@ -203,7 +204,8 @@ ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
 
 
 def resident_bytes() -> int:
-    """Return the resident memory of this process, without what the C library keeps of memory that was freed."""
+    """Return the resident memory of this process, without what the C library keeps of memory that was
+    freed."""
     trim_heap()
     lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
@@ -234,12 +236,16 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
         grown = {}
         for backend in arguments.backend or ["gl", "cl"]:
             with ProcessPoolExecutor(1, get_context("spawn")) as alone:
-                grown[f"{backend}, MiB"] = alone.submit(measure_here, backend, row, arguments.scale).result() / 2**20
+                grown[f"{backend}, MiB"] = (
+                    alone.submit(measure_here, backend, row, arguments.scale).result() / 2**20
+                )
         yield {"repeated": row, "times": max(10, round(ROWS[row][0] * arguments.scale)), **grown}
 
 
 OPTIONS: Final = (
-    options.option("--backend", "repeatable", None, "gl and cl", action="append", choices=rhi.backend_names()),
+    options.option(
+        "--backend", "repeatable", None, "gl and cl", action="append", choices=rhi.backend_names()
+    ),
     options.option("--only", "repeatable", None, "all", action="append", choices=list(ROWS)),
     options.option("--scale", "repetitions, as a part of those in the table", 1.0, type=options.parse_bound),
 )

@@ -1,12 +1,13 @@
 """The CPU cost of CHC++ without the device's calls: microseconds per visited node.
 
-The camera follows the city's ground path for 60 frames. Queries go to an oracle instead of a device, and are answered
-at once: an object is visible if it is within 150 m of the eye, which is about as much as is visible from a street. The
-update of all nodes for the camera (`update_milliseconds`: NumPy, over all nodes) is timed apart from the traversal
-(`walk_microseconds_per_node`: Python, node by node).
+The camera follows the city's ground path for 60 frames. Queries go to an oracle instead of a device, and are
+answered at once: an object is visible if it is within 150 m of the eye, which is about as much as is visible
+from a street. The update of all nodes for the camera (`update_milliseconds`: NumPy, over all nodes) is timed
+apart from the traversal (`walk_microseconds_per_node`: Python, node by node).
 
-On a backend that draws, the benchmark also measures how frame time grows when the scene has twice as many objects but
-the same number are visible: boxes behind a wall, and 40 in front of it. The frames of the two scenes take turns.
+On a backend that draws, the benchmark also measures how frame time grows when the scene has twice as many
+objects but the same number are visible: boxes behind a wall, and 40 in front of it. The frames of the two
+scenes take turns.
 
     python benchmarks/occlusion.py [--json] [--scene city] [--backend gl] [--boxes 10000]
 """
@@ -36,9 +37,11 @@ TARGET = 4.0
 COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(digits=2), "ratio": ratio()}
 """The columns of the frames' costs; the goal of the ratio is 1.2."""
 WALK: Final[dict[str, Column]] = {
-    "visited_per_frame": average(1), "queries_per_frame": average(1), "walk_microseconds_per_node": median_of(digits=2),
+    "visited_per_frame": average(1),
+    "queries_per_frame": average(1),
+    "walk_microseconds_per_node": median_of(digits=2),
     "update_milliseconds": median_of(),
-}  # fmt: skip
+}
 """The columns of the traversal, by clocks of its own."""
 VISIBLE_DISTANCE = 150.0
 
@@ -112,7 +115,9 @@ def measure_walk(text: str) -> Record:
         )
 
     labels = {"scene": scene.name, "nodes": len(forest)}
-    subject = Subject(labels, walk, count=counts.copy, summarize=lambda: {"target_microseconds_per_node": TARGET})
+    subject = Subject(
+        labels, walk, count=counts.copy, summarize=lambda: {"target_microseconds_per_node": TARGET}
+    )
     return compare([subject], WALK, range(600, 600 + FRAMES), warm_ups=0)[0]
 
 

@@ -1,8 +1,8 @@
 """The rate at which commands are recorded on the null device, with call sites, and the memory that they use.
 
-Each draw has constants of its own, so it is two commands (bind_uniform, draw). The variants take turns, round by
-round, in one process, with the garbage collector on, as in a program. The figures are medians over the rounds.
-`executed` includes the null backend's execution of the commands, which a fence causes.
+Each draw has constants of its own, so it is two commands (bind_uniform, draw). The variants take turns, round
+by round, in one process, with the garbage collector on, as in a program. The figures are medians over the
+rounds. `executed` includes the null backend's execution of the commands, which a fence causes.
 
     python benchmarks/recording.py [--json] [--draws 5000] [--rounds 15]
 """
@@ -82,7 +82,8 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
 
 
 def bytes_per_command(stream: rhi.CommandStream) -> float:
-    """Return the bytes of the list and of the instruction offsets in it; arguments are the caller's own objects."""
+    """Return the bytes of the list and of the instruction offsets in it; arguments are the caller's own
+    objects."""
     offsets = sum(sys.getsizeof(command.offset) for command in stream)
     return (sys.getsizeof(stream.data) + offsets) / len(stream)
 

@@ -1,8 +1,8 @@
 """Times that glTF files of some 60 MB take to load: one large mesh, many meshes and nodes, and many images.
 
-The files are written by this program into a temporary folder; images are JPEG files beside the third one. Times are
-processor time of all threads and by the clock, medians of the rounds, in which the files take turns. "decoding" is
-that of the images alone, without the rest of the file.
+The files are written by this program into a temporary folder; images are JPEG files beside the third one.
+Times are processor time of all threads and by the clock, medians of the rounds, in which the files take
+turns. "decoding" is that of the images alone, without the rest of the file.
 
     python benchmarks/scene_files.py [--rounds 5] [--json]
 """
@@ -42,7 +42,8 @@ def make_grid(side: int, seed: int) -> MeshGeometry:
 
 
 def write_scene(path: Path, meshes: int, side: int, nodes: int) -> None:
-    """Write a scene of so many different meshes and nodes, and a material with a texture for each image to come."""
+    """Write a scene of so many different meshes and nodes, and a material with a texture for each image to
+    come."""
     builder = SceneBuilder("measured")
     material = builder.add_material(base_color=(0.5, 0.5, 0.5), metallic=0.0)
     rows = [builder.add_mesh(make_grid(side, number)) for number in range(meshes)]
@@ -57,7 +58,9 @@ def add_images(path: Path) -> list[bytes]:
     document = json.loads(path.read_text())
     encoded = []
     for number in range(IMAGES):
-        blocks = np.random.default_rng(number).integers(0, 256, (IMAGE_SIZE // 8, IMAGE_SIZE // 8, 3), np.uint8)
+        blocks = np.random.default_rng(number).integers(
+            0, 256, (IMAGE_SIZE // 8, IMAGE_SIZE // 8, 3), np.uint8
+        )
         noise = np.random.default_rng(number).integers(0, 24, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
         file = io.BytesIO()
         Image.fromarray(blocks.repeat(8, 0).repeat(8, 1) // 2 + noise).save(file, "JPEG", quality=92)

@@ -1,5 +1,5 @@
-"""The scene of the benchmarks of commands: many triangles, each drawn with constants of its own, so that a draw is two
-commands (bind_uniform, draw)."""
+"""The scene of the benchmarks of commands: many triangles, each drawn with constants of its own, so that a
+draw is two commands (bind_uniform, draw)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Costs of shadows: processor times of frames without and with them, with each filter, while the eye rests and moves.
+"""Costs of shadows: processor times of frames without and with them, with each filter, while the eye rests
+and moves.
 
     python benchmarks/shadows.py [--backend gl] [--rounds 9] [--json]
 
-In each round all variants draw the same frame, in turn. While the eye rests all maps are kept; while it moves, the
-cascades are drawn again, and maps of lights are kept unless their width changes.
+In each round all variants draw the same frame, in turn. While the eye rests all maps are kept; while it
+moves, the cascades are drawn again, and maps of lights are kept unless their width changes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
 
 SCENES = {"city:blocks=8": "street", "night:blocks=6,lights=64": "crossing"}
-COLUMNS = {"processor_milliseconds": time(digits=1, processor=True), "processor_ratio": ratio(2, processor=True)}
+COLUMNS = {
+    "processor_milliseconds": time(digits=1, processor=True),
+    "processor_ratio": ratio(2, processor=True),
+}
 
 
 OPTIONS: Final = (options.BACKEND, options.size((480, 270)), options.rounds("rounds", 9))
@@ -47,10 +51,14 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
                     renderer = opened.enter_context(own.open(device, scene, arguments.size))
                     eye = own.adapt_camera(scene.views[view])
                     positions = (
-                        eye.position + np.arange(1, arguments.rounds + 1)[:, None] * (0.4, 0.0, 0.0) + (0.0, 0.0, 0.1)
+                        eye.position
+                        + np.arange(1, arguments.rounds + 1)[:, None] * (0.4, 0.0, 0.0)
+                        + (0.0, 0.0, 0.1)
                     )
                     rest = Frames(renderer, eye)
-                    move = Frames(renderer, *(replace(eye, position=eye_position) for eye_position in positions))
+                    move = Frames(
+                        renderer, *(replace(eye, position=eye_position) for eye_position in positions)
+                    )
                     labels = {"scene": name, "shadows": variant}
                     resting.append(Subject(labels | {"eye": "rests"}, rest))
                     moving.append(Subject(labels | {"eye": "moves"}, move, before=lambda rest=rest: rest(0)))

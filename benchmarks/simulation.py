@@ -1,7 +1,8 @@
-"""The rate at which the simulated GPU processes commands, compared with the null device, which only executes them.
+"""The rate at which the simulated GPU processes commands, compared with the null device, which only executes
+them.
 
-Each draw has constants of its own, so it is two commands (bind_uniform, draw). A frame is recorded, presented and
-waited for. The variants take turns, round by round, in one process; figures are medians over the rounds.
+Each draw has constants of its own, so it is two commands (bind_uniform, draw). A frame is recorded, presented
+and waited for. The variants take turns, round by round, in one process; figures are medians over the rounds.
 
     python benchmarks/simulation.py [--json] [--draws 5000] [--rounds 9]
 """
@@ -29,7 +30,8 @@ def make(draws: int, simulation: Simulation | None) -> Scene:
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
-    """Yield the commands per second of each variant, with constants in a uniform array or in transient memory."""
+    """Yield the commands per second of each variant, with constants in a uniform array or in transient
+    memory."""
     subjects, scenes = [], []
     for suffix, transient in (("", False), (", transient", True)):
         for name, simulation in (("executed", None), ("simulated", Simulation())):

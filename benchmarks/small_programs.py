@@ -7,15 +7,17 @@
 - particles: 20,000 blended points.
 - text: 2,000 blended quads, whose alpha is a texture.
 
-Both backends take turns, round by round, in one process, with the shaders' default precision and with FAST. A time
-runs from the first command until the device is finished; figures are medians over the rounds. `ratio` is gl's time
-divided by cl's, by the clock; `processor` is the same of the processor time of all threads. Above 1, cl is faster.
-`empty` is a pass that only clears: what a frame costs before anything is drawn.
+Both backends take turns, round by round, in one process, with the shaders' default precision and with FAST. A
+time runs from the first command until the device is finished; figures are medians over the rounds. `ratio` is
+gl's time divided by cl's, by the clock; `processor` is the same of the processor time of all threads. Above
+1, cl is faster. `empty` is a pass that only clears: what a frame costs before anything is drawn.
 
-`--kernels optimised`, the default, measures the kernels that a program draws with after some frames, and from the start
-if they are in the cache. `--kernels quick` measures those that it draws with until then, in an empty cache.
+`--kernels optimised`, the default, measures the kernels that a program draws with after some frames, and from
+the start if they are in the cache. `--kernels quick` measures those that it draws with until then, in an
+empty cache.
 
-    python benchmarks/small_programs.py [--json] [--rounds 21] [--size 640x360] [--only julia,blur] [--kernels quick]
+    python benchmarks/small_programs.py [--json] [--rounds 21] [--size 640x360] [--only julia,blur] [--kernels
+    quick]
 """
 
 from __future__ import annotations
@@ -245,8 +247,9 @@ class Bench:
 
         def draw_blur() -> None:
             for source, goal, direction in (
-                (self.image, self.median_of, self.frames[0]), (self.median_of, target, self.frames[1]),
-            ):  # fmt: skip
+                (self.image, self.median_of, self.frames[0]),
+                (self.median_of, target, self.frames[1]),
+            ):
                 with device.render_pass(goal), flat:
                     device.draw(program, self.screen, frame=direction, image=source)
 

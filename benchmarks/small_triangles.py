@@ -1,9 +1,10 @@
-"""Gain of Deferred+ on clustered forward shading where triangles are small (GPU Zen 2017, Deferred+, Table 1.2).
+"""Gain of Deferred+ on clustered forward shading where triangles are small (GPU Zen 2017, Deferred+, Table
+1.2).
 
-A rough ground with textures and a normal map, 256 lights above it. Its triangles are chosen for the view, with edges of
-32 pixels to 1; the techniques take turns. "gain" is the median ratio of the processor times of clustered forward
-shading and of the technique in the same round. A fragment stage runs in blocks of pixels, for those beside the triangle
-too; the smaller triangles are, the more of them.
+A rough ground with textures and a normal map, 256 lights above it. Its triangles are chosen for the view,
+with edges of 32 pixels to 1; the techniques take turns. "gain" is the median ratio of the processor times of
+clustered forward shading and of the technique in the same round. A fragment stage runs in blocks of pixels,
+for those beside the triangle too; the smaller triangles are, the more of them.
 
     python benchmarks/small_triangles.py [--backend cl] [--size 640x360] [--rounds 5] [--json | --markdown]
 """

@@ -1,9 +1,9 @@
 """The cost of `software_depth` on its own OpenCL device: building the depth, and testing boxes against it.
 
-The camera stands at the middle of each path of the scene. `depth_milliseconds` is the time to draw the depth of the
-occluders that the algorithm chooses and to reduce it to the farthest depth of each tile. `test_milliseconds` is the
-time to test `--boxes` boxes in one batch, including the upload and the readback; the boxes are those of the objects
-in the frustum, repeated. Times are medians.
+The camera stands at the middle of each path of the scene. `depth_milliseconds` is the time to draw the depth
+of the occluders that the algorithm chooses and to reduce it to the farthest depth of each tile.
+`test_milliseconds` is the time to test `--boxes` boxes in one batch, including the upload and the readback;
+the boxes are those of the objects in the frustum, repeated. Times are medians.
 
     python benchmarks/software_depth.py [--json] [--scene city] [--boxes 10000] [--size 960x540] [--rounds 60]
 """

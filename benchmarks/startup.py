@@ -1,19 +1,19 @@
 """The time that `import rhi` takes in a new process, and that a program takes to its first images.
 
-Each run is a new interpreter, and the interpreter's own start isn't counted. Modules are loaded from cached bytecode,
-as those of an installed package are: a first run writes it and isn't counted.
+Each run is a new interpreter, and the interpreter's own start isn't counted. Modules are loaded from cached
+bytecode, as those of an installed package are: a first run writes it and isn't counted.
 
 - import: `import numpy` is timed for comparison, because `import rhi` includes it.
 - triangle: from `import rhi` until the pixels of a lit and textured triangle are read.
 - sines: a triangle whose fragment stage computes five `sin` of a vec3.
 - lit: 30 shaders with different lights, one triangle each, into one image.
 - prepared: the same 30, after `device.prepare` has finished for all of them.
-- states: in a process that has drawn with a program before, the longest and the median time of a draw and its end with
-  each of 20 new combinations of blending, depth test and formats.
+- states: in a process that has drawn with a program before, the longest and the median time of a draw and its
+  end with each of 20 new combinations of blending, depth test and formats.
 
-"cold" begins with an empty cache of compiled kernels (`RHI_CACHE`), "warm" with what a first run left. gl has no such
-cache in this comparison: Mesa's is switched off for "cold". "processor" is the time of all threads, but not that of
-other processes that compile in the background.
+"cold" begins with an empty cache of compiled kernels (`RHI_CACHE`), "warm" with what a first run left. gl has
+no such cache in this comparison: Mesa's is switched off for "cold". "processor" is the time of all threads,
+but not that of other processes that compile in the background.
 
     python benchmarks/startup.py [--json] [--runs 15] [--only import,triangle,…] [--backends gl,wgpu]
 """
@@ -36,7 +36,11 @@ from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record, Subject, compare, median_of
 
 ROOT: Final = Path(__file__).parents[1]
-IMPORTS: Final = {"numpy": "import numpy", "rhi": "import rhi", "rhi.shading": "from rhi.shading import Shader, vec4"}
+IMPORTS: Final = {
+    "numpy": "import numpy",
+    "rhi": "import rhi",
+    "rhi.shading": "from rhi.shading import Shader, vec4",
+}
 SHADER_COUNT: Final = 30
 HEAD: Final = """
 import json, sys, time
@@ -119,7 +123,10 @@ SCENES: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "triangle": (LIT_IMAGE.format(number=1), ()),
     "sines": (SINES, ()),
     "lit": ("".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)), ()),
-    "prepared": ("".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)), ("prepare",)),
+    "prepared": (
+        "".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)),
+        ("prepare",),
+    ),
     "states": (LIT_IMAGE.format(number=1), ("states",)),
 }
 """The shaders of each scene, and the arguments of its program."""
@@ -128,7 +135,9 @@ SCENES: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
 def environment() -> dict[str, str]:
     """Return the environment of a run."""
     left_out = ("POCL_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
-    return {name: value for name, value in os.environ.items() if name not in left_out} | {"PYTHONPATH": str(ROOT)}
+    return {name: value for name, value in os.environ.items() if name not in left_out} | {
+        "PYTHONPATH": str(ROOT)
+    }
 
 
 def run_alone(*arguments: str, **variables: str) -> Any:
@@ -145,7 +154,8 @@ def time_import(name: str) -> dict[str, float]:
 
 
 def time_scene(scene: str, backend: str) -> dict[str, float]:
-    """Return the figures of a scene, drawn in new interpreters with empty caches and with what the first one left."""
+    """Return the figures of a scene, drawn in new interpreters with empty caches and with what the first one
+    left."""
     shaders, arguments = SCENES[scene]
     figures = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -161,7 +171,10 @@ def time_scene(scene: str, backend: str) -> dict[str, float]:
 def list_names(scene: str) -> dict[str, str]:
     """Return what the two figures of a scene are, by the names that its program prints."""
     is_states = scene == "states"
-    return {"seconds": "longest" if is_states else "seconds", "processor": "median" if is_states else "processor"}
+    return {
+        "seconds": "longest" if is_states else "seconds",
+        "processor": "median" if is_states else "processor",
+    }
 
 
 def make_subject(description: Record, run: Callable[[], dict[str, float]]) -> Subject:
@@ -184,7 +197,9 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
             for backend in arguments.backends
         ]
         names = [f"{name}, {state}" for state in ("cold", "warm") for name in list_names(scene).values()]
-        yield from compare(subjects, dict.fromkeys(names, median_of()), range(arguments.cold_runs), warm_ups=0)
+        yield from compare(
+            subjects, dict.fromkeys(names, median_of()), range(arguments.cold_runs), warm_ups=0
+        )
 
 
 OPTIONS: Final = (

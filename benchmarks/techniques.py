@@ -1,16 +1,17 @@
 """The techniques, compared with forward shading and with each other, and what `auto` chooses of them.
 
-Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; `grid:16` to `grid:128`, 64
-objects with so many point lights, each object with its own list; and `floor:16` to `floor:512`, one object, whose list
-has all of them. `@` and the name of a view or `@path#frame` choose another camera than the path `ground`'s.
+Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; `grid:16` to
+`grid:128`, 64 objects with so many point lights, each object with its own list; and `floor:16` to
+`floor:512`, one object, whose list has all of them. `@` and the name of a view or `@path#frame` choose
+another camera than the path `ground`'s.
 
-The columns are those of `compare techniques`, the ratios of times to forward shading's, the point and spot lights in
-view, and how often a light is looked at for each pixel with geometry. With `--auto`
-there is one row for a scene: what `auto` has chosen, what is the fastest, how long the choice takes in the time of the
+The columns are those of `compare techniques`, the ratios of times to forward shading's, the point and spot
+lights in view, and how often a light is looked at for each pixel with geometry. With `--auto` there is one
+row for a scene: what `auto` has chosen, what is the fastest, how long the choice takes in the time of the
 fastest, and how long `auto` takes in that of its choice.
 
-    python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes hall,night@crossing,…]
-    python benchmarks/techniques.py --auto [--backend cl] [--size 960x540]
+    python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes
+    hall,night@crossing,…] python benchmarks/techniques.py --auto [--backend cl] [--size 960x540]
 """
 
 from __future__ import annotations
@@ -41,12 +42,20 @@ AUTO_SCENES: Final = (
     "grid@overview,grid:count=256,lights=128@field"
 )
 VARIANTS: Final[dict[str, Technique]] = {
-    "deferred, stencil": Deferred(stencil=True), "light_pre_pass, 1 channel": LightPrePass(specular_channels=1),
-}  # fmt: skip
+    "deferred, stencil": Deferred(stencil=True),
+    "light_pre_pass, 1 channel": LightPrePass(specular_channels=1),
+}
 RIVALS: Final = (
-    "forward", "deferred", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus",
-)  # fmt: skip
-"""The techniques that `auto` is compared with: each other one draws more than one of these for the same light."""
+    "forward",
+    "deferred",
+    "forward_plus",
+    "clustered",
+    "tiled_deferred",
+    "clustered_deferred",
+    "deferred_plus",
+)
+"""The techniques that `auto` is compared with: each other one draws more than one of these for the same
+light."""
 COLUMNS: Final = {**lab.COLUMNS, "ratio": ratio(), "processor_ratio": ratio(processor=True)}
 
 
@@ -99,26 +108,42 @@ def measure_scene(device: Device, text: str, arguments: argparse.Namespace) -> I
         settle(renderer, camera)
         base = auto.current_name if arguments.auto else "forward"
         techniques = {base: techniques[base]} | techniques | {"auto": auto}
-        subjects = [lab.make_subject(renderer, name, technique, camera) for name, technique in techniques.items()]
+        subjects = [
+            lab.make_subject(renderer, name, technique, camera) for name, technique in techniques.items()
+        ]
         if arguments.auto:
             subjects = [replace(technique, summarize=dict) for technique in subjects]
         rows = compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=3)
         light_count = renderer.plan(camera)[0].local_lights_in_view
         pixels = (
-            max(int(np.count_nonzero(renderer.render(camera).depth.read())), 1) if device.capabilities.renders else 1
+            max(int(np.count_nonzero(renderer.render(camera).depth.read())), 1)
+            if device.capabilities.renders
+            else 1
         )
     if not arguments.auto:
         for row in rows:
             lights = row["light_evaluations"]
-            seen = {"lights in view": light_count, "lights a pixel": None if lights is None else lights / pixels}
-            yield {"scene": text, **row, **seen, "auto": auto.current_name if row["technique"] == "auto" else None}
+            seen = {
+                "lights in view": light_count,
+                "lights a pixel": None if lights is None else lights / pixels,
+            }
+            yield {
+                "scene": text,
+                **row,
+                **seen,
+                "auto": auto.current_name if row["technique"] == "auto" else None,
+            }
         return
     *others, last = rows
     fastest, thriftiest = (min(others, key=lambda row: row[name]) for name in ("ratio", "processor_ratio"))
     yield {
-        "scene": text, "auto": base, "fastest": fastest["technique"], "auto / fastest": 1 / fastest["ratio"],
-        "by the processor": 1 / thriftiest["processor_ratio"], "auto / its technique": last["processor_ratio"],
-    }  # fmt: skip
+        "scene": text,
+        "auto": base,
+        "fastest": fastest["technique"],
+        "auto / fastest": 1 / fastest["ratio"],
+        "by the processor": 1 / thriftiest["processor_ratio"],
+        "auto / its technique": last["processor_ratio"],
+    }
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:

@@ -1,9 +1,10 @@
 """Costs and errors of the length of edges: triangles, time, and how far they are from the full height field.
 
-For each length, frames along a path of the terrain are drawn. The lengths take turns in one process; each round starts
-with another one. "choose" is the time of choosing the triangles, "draw" that of a frame without it, both in
-milliseconds of processor time, all threads together (medians). The error of a vertex of the full field is its distance
-on screen from the chosen triangles, of those in the frustum and above the sea, hidden ones included.
+For each length, frames along a path of the terrain are drawn. The lengths take turns in one process; each
+round starts with another one. "choose" is the time of choosing the triangles, "draw" that of a frame without
+it, both in milliseconds of processor time, all threads together (medians). The error of a vertex of the full
+field is its distance on screen from the chosen triangles, of those in the frustum and above the sea, hidden
+ones included.
 
     python benchmarks/tessellation.py [--backend cl] [--scene terrain] [--rounds 5] [--json]
 """
@@ -35,8 +36,8 @@ FRAMES: Final = range(0, 1800, 300)
 
 
 def interpolate_heights(field: HeightField, triangles: NDArray[np.int64]) -> Floats:
-    """Return the heights of triangles at all vertices of the full field: where they don't use a vertex, it lies on the
-    edge between the two that it is the middle of."""
+    """Return the heights of triangles at all vertices of the full field: where they don't use a vertex, it
+    lies on the edge between the two that it is the middle of."""
     side = len(field.heights)
     heights = field.heights.reshape(-1).astype(np.float64)
     is_used = np.zeros(side * side, bool)

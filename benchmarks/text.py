@@ -1,8 +1,9 @@
-"""The cost of text: glyphs laid out, recorded and drawn in a millisecond, on the null device and on those that draw.
+"""The cost of text: glyphs laid out, recorded and drawn in a millisecond, on the null device and on those
+that draw.
 
-A text is laid out (`lay out`), or laid out and added to a canvas (`text`), or a frame of it is uploaded, drawn and
-waited for (`draw`). The variants take turns, round by round, in one process. Figures are medians over the rounds of
-the processor's time, of all threads: that of a device on the CPU is part of it.
+A text is laid out (`lay out`), or laid out and added to a canvas (`text`), or a frame of it is uploaded,
+drawn and waited for (`draw`). The variants take turns, round by round, in one process. Figures are medians
+over the rounds of the processor's time, of all threads: that of a device on the CPU is part of it.
 
     python benchmarks/text.py [--json] [--backends null,gl,cl] [--rounds 41]
 """

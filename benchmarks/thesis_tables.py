@@ -1,15 +1,18 @@
-"""The tables of the thesis's chapter 7 over a whole camera path, its figures beside ours, and its Figure 7.7 or 7.8.
+"""The tables of the thesis's chapter 7 over a whole camera path, its figures beside ours, and its Figure 7.7
+or 7.8.
 
-The frames are 60, 30 apart, of the path's 1,800: the same ones on all our platforms, each after some that aren't
-counted. On each platform all algorithms draw each frame in turn, with native and with emulated queries, and CHC++ also
-with the platform's own parameters (`benchmarks/settings`, written by `python -m renderer tune`).
+The frames are 60, 30 apart, of the path's 1,800: the same ones on all our platforms, each after some that
+aren't counted. On each platform all algorithms draw each frame in turn, with native and with emulated
+queries, and CHC++ also with the platform's own parameters (`benchmarks/settings`, written by `python -m
+renderer tune`).
 
-    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into docs/visibility-tables.md]
+    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into
+    docs/visibility-tables.md]
 
-It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and query, and
-for each platform its counts, each beside the thesis's, and which kernels drew. `--into` also replaces the page's
-section between the path's two markers, and writes the figure beside the page. `--save` keeps the results; `--load`
-prints kept ones.
+It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and
+query, and for each platform its counts, each beside the thesis's, and which kernels drew. `--into` also
+replaces the page's section between the path's two markers, and writes the figure beside the page. `--save`
+keeps the results; `--load` prints kept ones.
 """
 
 from __future__ import annotations
@@ -45,21 +48,30 @@ TIMES: Final[dict[str, dict[str, list[float | None]]]] = _THESIS["milliseconds"]
 COUNTED: Final = ("triangles", "draws", "queries", "software_state_changes", "hardware_state_changes")
 
 COUNTS: Final[dict[str, dict[str, list[int]]]] = _THESIS["counts"]
-"""The thesis's counts on its PC (Table 7.1), and of optimized CHC++ on its Xbox 360 (Table 7.2): on the PC there are
-none."""
+"""The thesis's counts on its PC (Table 7.1), and of optimized CHC++ on its Xbox 360 (Table 7.2): on the PC
+there are none."""
 
 
 def measure(arguments: argparse.Namespace, backend: str) -> dict[str, Any]:
-    """Compare the algorithms on one backend, as `compare visibility` does, and return what it reports as JSON."""
+    """Compare the algorithms on one backend, as `compare visibility` does, and return what it reports as
+    JSON."""
     stride = FRAME_COUNT // arguments.frames
     asked = {
-        "camera-path": arguments.path, "frame": (stride - 1 - arguments.warm_up) // 2, "frames": arguments.frames,
-        "stride": stride, "warm-up": arguments.warm_up, "size": "{}x{}".format(*arguments.size), "backend": backend,
-        "queries": "native,emulated", "settings": SETTINGS / f"{backend}.json",
-    }  # fmt: skip
+        "camera-path": arguments.path,
+        "frame": (stride - 1 - arguments.warm_up) // 2,
+        "frames": arguments.frames,
+        "stride": stride,
+        "warm-up": arguments.warm_up,
+        "size": "{}x{}".format(*arguments.size),
+        "backend": backend,
+        "queries": "native,emulated",
+        "settings": SETTINGS / f"{backend}.json",
+    }
     parser = Parser()
     add_options(parser, COMMAND.options)
-    report = measure_visibility(parser.parse_args(["city", *(f"--{name}={value}" for name, value in asked.items())]))
+    report = measure_visibility(
+        parser.parse_args(["city", *(f"--{name}={value}" for name, value in asked.items())])
+    )
     return {**report.metadata, "rows": report.rows}
 
 
@@ -81,7 +93,8 @@ RATIOS: Final = (
 
 
 def format_ratios(path: str, reports: list[dict[str, Any]]) -> str:
-    """Return the table of an algorithm's counts as shares of another's, on our platforms and in the thesis."""
+    """Return the table of an algorithm's counts as shares of another's, on our platforms and in the
+    thesis."""
     header = ["share", *(report["backend"] + mark for report in reports for mark in MARKS), "thesis"]
     cells = []
     for counter, name, other in RATIOS:
@@ -99,7 +112,9 @@ def format_ratios(path: str, reports: list[dict[str, Any]]) -> str:
 
 def format_times(path: str, reports: list[dict[str, Any]]) -> str:
     """Return the table of times, as ratios to no culling, on our platforms and on the thesis's."""
-    names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in rows_by_algorithm(report)))
+    names = list(
+        dict.fromkeys(name.partition(" ")[0] for report in reports for name in rows_by_algorithm(report))
+    )
     header, cells = ["algorithm"], [[name] for name in names]
     for report in reports:
         for mark in MARKS:
@@ -111,7 +126,9 @@ def format_times(path: str, reports: list[dict[str, Any]]) -> str:
     base = TIMES[path]["none"]
     for name, line in zip(names, cells, strict=True):
         published = TIMES[path].get(name, [None] * len(PLATFORMS))
-        line += ["" if time is None else f"{time / of:.2f}" for time, of in zip(published, base, strict=True) if of]
+        line += [
+            "" if time is None else f"{time / of:.2f}" for time, of in zip(published, base, strict=True) if of
+        ]
     return format_table(header, cells, markdown=True)
 
 
@@ -128,7 +145,13 @@ def format_counts(path: str, report: dict[str, Any]) -> str:
         for column, counted in enumerate(COUNTED):
             line += [row[counted], published[column] if column < len(published) else ""]
         cells.append(
-            [*line, row["wrong_pixels"], row["tied_pixels"], row["stalled_milliseconds"], row["kernels"] or ""]
+            [
+                *line,
+                row["wrong_pixels"],
+                row["tied_pixels"],
+                row["stalled_milliseconds"],
+                row["kernels"] or "",
+            ]
         )
     return format_table(header, cells, markdown=True)
 
@@ -148,12 +171,21 @@ def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
         groups.append((platform, [float("nan") if time is None else time / times[0] for time in times[1:]]))
     with draw_chart(file, f"{path} level: time as a ratio to no culling") as figure:
         axes = figure.add_subplot()
-        for index, (name, color) in enumerate(zip(algorithms, ("#bbbbbb", "#4477aa", "#66ccee"), strict=True)):
-            bars = axes.bar([at + 0.27 * index for at in range(len(groups))], [g[1][index] for g in groups], 0.25,
-                            label=name, color=color)  # fmt: skip
+        for index, (name, color) in enumerate(
+            zip(algorithms, ("#bbbbbb", "#4477aa", "#66ccee"), strict=True)
+        ):
+            bars = axes.bar(
+                [at + 0.27 * index for at in range(len(groups))],
+                [g[1][index] for g in groups],
+                0.25,
+                label=name,
+                color=color,
+            )
             axes.bar_label(bars, fmt=lambda value: f"{value:.2f}" if value == value else "", fontsize="small")
         axes.axhline(1.0, color="grey", linewidth=0.8)
-        axes.set_xticks([at + 0.27 for at in range(len(groups))], [name.replace(" (", "\n(") for name, _ in groups])
+        axes.set_xticks(
+            [at + 0.27 for at in range(len(groups))], [name.replace(" (", "\n(") for name, _ in groups]
+        )
         axes.margins(y=0.15)
         axes.legend(fontsize="small")
 
@@ -164,7 +196,8 @@ def describe(path: str, reports: list[dict[str, Any]]) -> str:
     width, height = first["size"]
     intro = (
         f"City, {width} × {height}, {first['frames']} frames of the path, {first['stride']} apart from frame "
-        f"{first['first_frame']} on, each after {first['warm_up']} that aren't counted. Times are ratios to no culling:"
+        f"{first['first_frame']} on, each after {first['warm_up']} that aren't counted. Times are ratios to "
+        "no culling:"
     )
     parts = [
         fill(intro, 118),
@@ -196,11 +229,17 @@ def main() -> None:
     parser = Parser(prog="thesis_tables.py", description=__doc__)
     parser.add_argument("path", choices=TIMES)
     parser.add_argument("--backends", default="gl,cl", help="our platforms (default: %(default)s)")
-    parser.add_argument("--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)")
-    parser.add_argument("--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)")
+    parser.add_argument(
+        "--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
+    )
     parser.add_argument("--size", **size().keywords)
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
-    parser.add_argument("--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page")
+    parser.add_argument(
+        "--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page"
+    )
     parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
     parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
     arguments = parser.parse_args()

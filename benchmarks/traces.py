@@ -1,8 +1,8 @@
 """The speed of traces: replayed on the null device, compared, saved and loaded.
 
-The trace is frames of draws in labelled passes, each object with a binding of its own. `replay` includes everything
-that the null device does, the recording of the replayed commands included; `replay, not recorded` is the same on a
-device without a recorder. The variants take turns, round by round; figures are medians.
+The trace is frames of draws in labelled passes, each object with a binding of its own. `replay` includes
+everything that the null device does, the recording of the replayed commands included; `replay, not recorded`
+is the same on a device without a recorder. The variants take turns, round by round; figures are medians.
 
     python benchmarks/traces.py [--commands N] [--rounds N] [--json]
 """
@@ -26,8 +26,8 @@ from rhi.trace import Trace, diff, load, replay, save
 
 
 def record(commands: int, changed: int = -1) -> Trace:
-    """Return a trace of at least `commands` commands. The draw with the number `changed` has two instances, all others
-    have one."""
+    """Return a trace of at least `commands` commands. The draw with the number `changed` has two instances,
+    all others have one."""
     with rhi.create_device("null") as device:
         scene = Scene(device, 64)
         drawn = 0

@@ -1,9 +1,10 @@
 """Exactness of triangles: coverage, depth and varyings of random triangles against float64.
 
 Run `python benchmarks/triangles.py`; `--triangles 1000000` takes some minutes. The families are those of
-`rhi.conformance.triangles`, drawn in the whole view and, where they are cut, in the middle of a viewport of 16,384
-texels. For each family: the triangles, the texels drawn, the texels that are wrong (farther than 1/256 texel from every
-edge and cut), and the worst errors: of depth against float64 and beyond the corners' depths, of weights likewise.
+`rhi.conformance.triangles`, drawn in the whole view and, where they are cut, in the middle of a viewport of
+16,384 texels. For each family: the triangles, the texels drawn, the texels that are wrong (farther than 1/256
+texel from every edge and cut), and the worst errors: of depth against float64 and beyond the corners' depths,
+of weights likewise.
 """
 
 from __future__ import annotations
@@ -30,11 +31,13 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
             results = [examine(device, family, arguments.seed + number, wide) for number in range(batches)]
             errors = ("depth_error", "depth_beyond", "weight_error", "weight_beyond")
             yield {
-                "family": family.__name__, "viewport": round(wide), "triangles": batches * BATCH,
+                "family": family.__name__,
+                "viewport": round(wide),
+                "triangles": batches * BATCH,
                 "texels": sum(result.drawn for result in results),
                 "wrong": sum(int(np.sum(result.wrong)) for result in results),
                 **{name: f"{max(getattr(result, name) for result in results):.1e}" for name in errors},
-            }  # fmt: skip
+            }
 
 
 OPTIONS: Final = (

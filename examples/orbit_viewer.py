@@ -1,10 +1,11 @@
-"""An orbit viewer: spheres that are drawn with several samples, and turned by dragging, in a window of any size.
+"""An orbit viewer: spheres that are drawn with several samples, and turned by dragging, in a window of any
+size.
 
     pip install "rhi[viewer]"
     python examples/orbit_viewer.py [--backend cl] [--canvas page] [--frames N] [--immediate]
 
-Drag to turn, scroll to zoom; F11 fills the display, F12 saves an image. It runs in a Qt widget, a browser page and a
-notebook, too.
+Drag to turn, scroll to zoom; F11 fills the display, F12 saves an image. It runs in a Qt widget, a browser
+page and a notebook, too.
 """
 
 from __future__ import annotations
@@ -108,14 +109,18 @@ class Viewer:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", default="gl", help="gl, cl or wgpu")
     parser.add_argument("--canvas", default="window", choices=sorted(CANVASES))
     parser.add_argument("--frames", type=int, default=0, help="how many; 0: until the window is closed")
     parser.add_argument("--immediate", action="store_true", help="don't wait for the display's refresh")
     options = parser.parse_args()
     try:
-        with open_screen(options.backend, canvas=options.canvas, title="orbit", vsync=not options.immediate) as screen:
+        with open_screen(
+            options.backend, canvas=options.canvas, title="orbit", vsync=not options.immediate
+        ) as screen:
             screen.run(Viewer(screen, options.frames).draw)
             print(f"{screen.counter.frames} frames, {screen.counter.describe()}")
     except rhi.DeviceError as error:

@@ -1,4 +1,5 @@
-"""A small renderer on `rhi`: boxes as instances, a sun with a shadow map, 192 lights, MSAA, culling by queries.
+"""A small renderer on `rhi`: boxes as instances, a sun with a shadow map, 192 lights, MSAA, culling by
+queries.
 
     python examples/tiled_lights.py [--backend NAME] [--frames N] [--output FILE.png]
 
@@ -8,7 +9,8 @@ The passes of a frame, and the part of the interface that each one shows:
 2. `queries`: the bounds of every cell, tested against that depth: one `draw_counted`, read in the next frame.
 3. `shadows`: all boxes as the sun sees them: one instanced draw with a slope-scaled depth bias.
 4. `lights`: a compute shader finds, for each tile of 16×16 pixels, the lights that reach the depths in it.
-5. `view`: the visible boxes again, with four samples a pixel, each lit by the lights of its tile, and resolved.
+5. `view`: the visible boxes again, with four samples a pixel, each lit by the lights of its tile, and
+   resolved.
 
 The same lines run on every backend that draws (tests/examples compares their images), and on the null device.
 """
@@ -96,8 +98,8 @@ class Shadow(Depth):
 
 
 class CullLights(sl.Shader):
-    """A work-group for each tile finds the range of depths in it, then the lights that reach the box around that
-    range."""
+    """A work-group for each tile finds the range of depths in it, then the lights that reach the box around
+    that range."""
 
     work_group = (TILE, TILE)
     view: sl.Uniform[View]
@@ -105,12 +107,16 @@ class CullLights(sl.Shader):
     depth: sl.Texture2D
     counts: sl.StorageRW[int]
     lists: sl.StorageRW[int]
-    depths = sl.shared(int, 2)  # bits of the nearest and the farthest depth: positive floats are ordered like ints
+    depths = sl.shared(
+        int, 2
+    )  # bits of the nearest and the farthest depth: positive floats are ordered like ints
     light_count = sl.shared(int, 1)
 
     def unproject(self, pixel: sl.vec2, depth: float) -> sl.vec3:
         size = sl.vec2(self.view.size)
-        point = self.view.to_world @ sl.vec4(pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0)
+        point = self.view.to_world @ sl.vec4(
+            pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0
+        )
         return point.xyz / point.w
 
     def compute(self) -> None:
@@ -141,7 +147,10 @@ class CullLights(sl.Shader):
                 i = first + sl.local_index()
                 if i < len(self.lights):
                     point_light = self.lights[i]
-                    if sl.distance(sl.clamp(point_light.position, low, high), point_light.position) < point_light.reach:
+                    if (
+                        sl.distance(sl.clamp(point_light.position, low, high), point_light.position)
+                        < point_light.reach
+                    ):
                         self.lists[tile * LIGHTS + sl.atomic_add(self.light_count[0], 1)] = i
         sl.barrier()
         if sl.local_index() == 0:
@@ -160,7 +169,9 @@ class Lit(sl.Shader):
     def vertex(self, v: Vertex) -> Surface:
         box = self.boxes[sl.instance_index()]
         world = v.position * box.half + box.center
-        return Surface(clip=self.view.from_world @ sl.vec4(world, 1.0), world=world, normal=v.normal, color=box.color)
+        return Surface(
+            clip=self.view.from_world @ sl.vec4(world, 1.0), world=world, normal=v.normal, color=box.color
+        )
 
     def sunlight(self, world: sl.vec3) -> float:
         """Return the fraction of sunlight that arrives: the mean of four filtered comparisons."""
@@ -182,14 +193,18 @@ class Lit(sl.Shader):
             light += sl.vec3(0.95, 0.55, 0.30) * (facing * self.sunlight(s.world + 0.04 * normal))
         shine = sl.vec3(0.0)
         at = sl.ivec2(sl.fragment_coordinate().xy) // TILE
-        tile = sl.uniform(at.y * self.view.tiles.x + at.x)  # a block of pixels lies in one tile: its list is read once
+        tile = sl.uniform(
+            at.y * self.view.tiles.x + at.x
+        )  # a block of pixels lies in one tile: its list is read once
         for k in range(self.counts[tile]):
             point_light = self.lights[self.lists[tile * LIGHTS + k]]
             to_light = point_light.position - s.world
             far = sl.length(to_light)
             direction = to_light / max(far, 1e-3)
             window = sl.saturate(1.0 - (far / point_light.reach) ** 4)
-            power = point_light.color * (window * window / (far * far + 0.05) * sl.saturate(sl.dot(normal, direction)))
+            power = point_light.color * (
+                window * window / (far * far + 0.05) * sl.saturate(sl.dot(normal, direction))
+            )
             light += power
             shine += power * sl.saturate(sl.dot(normal, sl.normalize(direction + to_eye))) ** 32
         color = s.color * light + 0.6 * shine
@@ -213,7 +228,9 @@ class Renderer:
         self.shadow_map = device.texture((SHADOW_SIZE, SHADOW_SIZE), rhi.Format.D32F, label="shadow map")
         border = rhi.Wrap.BORDER  # its depth is 0, the farthest one: points outside of the map are lit
         self.shadow = self.shadow_map.sampled(
-            rhi.SamplerDescriptor(compare=rhi.Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border)
+            rhi.SamplerDescriptor(
+                compare=rhi.Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border
+            )
         )
         self.cube = device.mesh(*make_cube(), label="cube")
         boxes, self.first = make_boxes()
@@ -250,7 +267,9 @@ class Renderer:
             )
         )
         cells = np.flatnonzero(self.visible)
-        draws = self.cube.draws(np.zeros(len(cells), int), instances=self.count[cells], base_instance=self.first[cells])
+        draws = self.cube.draws(
+            np.zeros(len(cells), int), instances=self.count[cells], base_instance=self.first[cells]
+        )
         with device.event("depth"), device.render_pass(depth=self.depth, clear_depth=0.0):
             device.draw_many(self.depth_only, self.cube, draws, view=view, boxes=self.boxes)
         every = self.cube.draws(np.zeros(len(self.count), int), base_instance=np.arange(len(self.count)))
@@ -266,17 +285,29 @@ class Renderer:
             device.draw(self.shadow_only, self.cube, len(self.boxes), view=view, boxes=self.boxes)
         with device.event("lights"):
             device.dispatch(
-                self.cull_lights, self.tiles,
-                view=view, lights=self.lights, depth=self.depth, counts=self.counts, lists=self.lists,
-            )  # fmt: skip
+                self.cull_lights,
+                self.tiles,
+                view=view,
+                lights=self.lights,
+                depth=self.depth,
+                counts=self.counts,
+                lists=self.lists,
+            )
         with (
             device.event("view"),
             device.render_pass(self.colors, self.depths, clear=self.sky, clear_depth=0.0, resolve=self.image),
         ):
             device.draw_many(
-                self.lit, self.cube, draws, view=view, boxes=self.boxes, shadow=self.shadow,
-                lights=self.lights, counts=self.counts, lists=self.lists,
-            )  # fmt: skip
+                self.lit,
+                self.cube,
+                draws,
+                view=view,
+                boxes=self.boxes,
+                shadow=self.shadow,
+                lights=self.lights,
+                counts=self.counts,
+                lists=self.lists,
+            )
         device.present(self.image)
 
 
@@ -295,8 +326,8 @@ def make_cube() -> tuple[NDArray[np.void], NDArray[np.uint16]]:
 
 
 def make_boxes() -> tuple[NDArray[np.void], NDArray[np.intp]]:
-    """Make cells of 5×5 boxes on a plate; return the boxes sorted by cell, and the index of each cell's first box,
-    followed by the number of boxes."""
+    """Make cells of 5×5 boxes on a plate; return the boxes sorted by cell, and the index of each cell's first
+    box, followed by the number of boxes."""
     rng = np.random.default_rng(7)
     boxes = np.zeros((CELLS, CELLS, 26), Box.dtype)
     x, z = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
@@ -331,7 +362,9 @@ def make_lights(boxes: NDArray[np.void]) -> NDArray[np.void]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Render frames along a short path and write the last one to a file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", help="gl, cl, null (default: RHI_BACKEND, or the first that works)")
     parser.add_argument("--frames", type=int, default=8, help="number of frames (default: 8)")
     parser.add_argument(

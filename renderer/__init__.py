@@ -7,8 +7,8 @@ from typing import Any
 
 
 def view(scene: Any, backend: str | None = None, **options: Any) -> Any:
-    """Show a scene, or the one that a text names: in a notebook return a widget, else open a window and return when it
-    is closed. See `renderer.viewer.viewer_screen.view`."""
+    """Show a scene, or the one that a text names: in a notebook return a widget, else open a window and
+    return when it is closed. See `renderer.viewer.viewer_screen.view`."""
     from renderer.viewer.viewer_screen import view  # it needs everything
 
     return view(scene, backend, **options)

@@ -8,7 +8,10 @@ import rhi
 def run() -> int:
     """Run the command that the process was given, and return its exit status."""
     if not hasattr(rhi, "__path__"):
-        print(f"error: {rhi.__file__} hides the package rhi: rhi-renderer, or python -P -m renderer", file=sys.stderr)
+        print(
+            f"error: {rhi.__file__} hides the package rhi: rhi-renderer, or python -P -m renderer",
+            file=sys.stderr,
+        )
         return 2
     from rhi.errors.pipes import run_until_pipe_closes
 

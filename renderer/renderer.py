@@ -1,7 +1,7 @@
 """The renderer: draws a scene frame by frame with a technique and a visibility algorithm.
 
-A frame is planned from what it needs: the effects that its scene has and its view shows. The technique declares the
-passes of these effects, and their plan is kept for as long as the effects are the same.
+A frame is planned from what it needs: the effects that its scene has and its view shows. The technique
+declares the passes of these effects, and their plan is kept for as long as the effects are the same.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class FrameStatistics:
         triangles: number of triangles of the objects drawn.
         draws: number of objects drawn; one call may draw many.
         queries: number of occlusion queries.
-        software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device; with
-            layers these include setting back what the last frame's layers changed.
+        software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device;
+            with layers these include setting back what the last frame's layers changed.
         upload_bytes: bytes written to the device.
         simulation_steps: steps taken by the simulations of drawn objects, counted for each member.
         skipped_simulations: number of simulated or animated objects that weren't drawn.
@@ -85,13 +85,13 @@ class FrameStatistics:
 class FrameResult:
     """A submitted frame.
 
-    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. All but
-    `image` have the size at which the frame was drawn (`Renderer.scale`). `visibility` is the cost of finding the
-    visible objects, None if the technique didn't do so. Where the device decides what is drawn, the first use of
-    `visible` or `statistics` waits for the device; they can be read until the next frame.
+    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. All
+    but `image` have the size at which the frame was drawn (`Renderer.scale`). `visibility` is the cost of
+    finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
+    the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
 
-    With two eyes, `image` shows both, and `eye_images` and `frames` are the left and the right one's; `depth`,
-    `targets` and `visibility` are the left one's, and `statistics` are those of both together.
+    With two eyes, `image` shows both, and `eye_images` and `frames` are the left and the right one's;
+    `depth`, `targets` and `visibility` are the left one's, and `statistics` are those of both together.
     """
 
     image: Texture
@@ -124,10 +124,11 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending`, `precision` and `bloom` may be exchanged between any two
-    frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the scene
-    first. With `simulates_hidden`, by default off, what an absence would change, such as cloth, is simulated in every
-    frame. `show` ends a frame with its image: by default it is `Device.present`; a window puts its own in that place.
+    The attributes `technique`, `visibility`, `blending`, `precision` and `bloom` may be exchanged between any
+    two frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the
+    scene first. With `simulates_hidden`, by default off, what an absence would change, such as cloth, is
+    simulated in every frame. `show` ends a frame with its image: by default it is `Device.present`; a window
+    puts its own in that place.
     """
 
     def __init__(
@@ -147,16 +148,18 @@ class Renderer:
         """Create the targets and upload the scene.
 
         Args:
-            technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one is the
-                fastest; its image may change by 2 of 255 levels when it changes its mind.
-            visibility: an algorithm made for `scene`, or the name of one; `auto` measures which one is the fastest.
+            technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one
+                is the fastest; its image may change by 2 of 255 levels when it changes its mind.
+            visibility: an algorithm made for `scene`, or the name of one; `auto` measures which one is the
+                fastest.
             size: (width, height) of the image in pixels.
             blending: how transparent surfaces that cover each other are put together.
-            precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT themselves.
+            precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT
+                themselves.
             textures: how well the scene's textures are read.
             bloom: how exactly bloom is computed.
-            validation: whether to check samples of what is simulated: each batch has one object whose vertices must
-                be inside its bounds (`scene-left-bounds`)."""
+            validation: whether to check samples of what is simulated: each batch has one object whose
+                vertices must be inside its bounds (`scene-left-bounds`)."""
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
@@ -189,8 +192,8 @@ class Renderer:
 
     @property
     def animation_step(self) -> float:
-        """The interval in seconds at which animations advance; 0 advances them in every frame. It may be exchanged
-        between any two frames.
+        """The interval in seconds at which animations advance; 0 advances them in every frame. It may be
+        exchanged between any two frames.
 
         In the frames between, simulations, transforms and the shadows of what moves stay as they are.
         """
@@ -203,11 +206,11 @@ class Renderer:
 
     @property
     def animation_lag(self) -> float:
-        """How far in pixels the animation of small objects may lag behind; 0 allows no lag. It may be exchanged
-        between any two frames.
+        """How far in pixels the animation of small objects may lag behind; 0 allows no lag. It may be
+        exchanged between any two frames.
 
-        What would move by less than that in some frames, at `MAX_EXPECTED_SPEED` of its diameters a second, moves on
-        only then. What is no larger rests. Animations without bounds move on in every frame.
+        What would move by less than that in some frames, at `MAX_EXPECTED_SPEED` of its diameters a second,
+        moves on only then. What is no larger rests. Animations without bounds move on in every frame.
         """
         return self._animation_lag
 
@@ -218,10 +221,11 @@ class Renderer:
 
     @property
     def light_cutoff(self) -> float:
-        """Irradiance below which a local light is cut off; 0 cuts none. It may be exchanged between any two frames.
+        """Irradiance below which a local light is cut off; 0 cuts none. It may be exchanged between any two
+        frames.
 
-        Local lights end where less of their light arrives; 1 is what a directional light of intensity 1 gives. So fewer
-        local lights reach a surface, and up to 1.1 times as much of each is missing."""
+        Local lights end where less of their light arrives; 1 is what a directional light of intensity 1
+        gives. So fewer local lights reach a surface, and up to 1.1 times as much of each is missing."""
         return self._resources.light_cutoff
 
     @light_cutoff.setter
@@ -231,7 +235,8 @@ class Renderer:
 
     @property
     def view(self) -> View:
-        """The view that the image is drawn from, with what techniques keep for it; with two eyes the left one."""
+        """The view that the image is drawn from, with what techniques keep for it; with two eyes the left
+        one."""
         return self._view
 
     @property
@@ -255,8 +260,8 @@ class Renderer:
 
     @property
     def scale(self) -> float:
-        """The size at which frames are drawn, in that of the image: 0.1 to 2. It may be exchanged between any two
-        frames. Layers are drawn at the image's size, unless they are a `SceneLayer`."""
+        """The size at which frames are drawn, in that of the image: 0.1 to 2. It may be exchanged between any
+        two frames. Layers are drawn at the image's size, unless they are a `SceneLayer`."""
         return self._scale
 
     @scale.setter
@@ -283,7 +288,8 @@ class Renderer:
             pair.stereo = stereo
 
     def _resize(self, size: tuple[int, int], stereo: Stereo | None, scale: float) -> None:
-        """Create what is needed for images of `size` with one eye or two. If it can't be, all stays as it was."""
+        """Create what is needed for images of `size` with one eye or two. If it can't be, all stays as it
+        was."""
         pair = None if stereo is None else EyePair(self.device, stereo, size, self._view, scale)
         try:
             self._targets.resize(size if stereo is None else eye_image_size(stereo.output, size), scale)
@@ -324,8 +330,8 @@ class Renderer:
     def simulator(self) -> Simulator:
         """Runs the simulations of what is drawn.
 
-        It may be exchanged for another one of the same scene (`Scene.make_simulator`), whose members may have taken
-        other steps.
+        It may be exchanged for another one of the same scene (`Scene.make_simulator`), whose members may have
+        taken other steps.
         """
         return self._resources.simulator
 
@@ -335,8 +341,8 @@ class Renderer:
         self._resources.simulator = simulator
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
-        """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the
-        GPU, unless something `is_trying`."""
+        """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for
+        the GPU, unless something `is_trying`."""
         auto = self.technique
         if not isinstance(auto, AutoTechnique):
             return self._draw(camera, seconds)[0]
@@ -354,8 +360,8 @@ class Renderer:
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is on trial: the visibility algorithm or the technique measures which of several is
-        the fastest."""
+        """Whether the next frame is on trial: the visibility algorithm or the technique measures which of
+        several is the fastest."""
         technique = self.technique
         return self._is_trying_visibility or (isinstance(technique, AutoTechnique) and technique.is_trying)
 
@@ -380,7 +386,9 @@ class Renderer:
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
         resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
-        resources.simulate_expected(around, expected, self.simulator.diverging if self.simulates_hidden else None)
+        resources.simulate_expected(
+            around, expected, self.simulator.diverging if self.simulates_hidden else None
+        )
         effects = self._collect_effects(around, self._recent_features.choose_shader_features(around))
         plan = self._plan(effects)
         if plan is not self._last_plan:
@@ -418,7 +426,9 @@ class Renderer:
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.drawn_count
-        result = FrameResult(image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters)
+        result = FrameResult(
+            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
+        )
         return result, effects
 
     def _aim(self, camera: Camera) -> Camera:
@@ -456,9 +466,15 @@ class Renderer:
     def _collect_effects(self, camera: Camera, recent_features: frozenset[str] | None = None) -> FrameEffects:
         resources = self._resources
         self._effects = collect_frame_effects(
-            self.scene, camera, reaches=resources.reaching, blending=self.blending, bloom=self.bloom,
-            visible_features=recent_features, lights=resources.lights, last=self._effects,
-        )  # fmt: skip
+            self.scene,
+            camera,
+            reaches=resources.reaching,
+            blending=self.blending,
+            bloom=self.bloom,
+            visible_features=recent_features,
+            lights=resources.lights,
+            last=self._effects,
+        )
         return self._effects
 
     def _plan(self, effects: FrameEffects) -> Plan[Frame]:
@@ -472,13 +488,16 @@ class Renderer:
         plan = self._plans.get(effects.key)
         if plan is None:
             is_lit = not isinstance(technique, Inspection) or technique.is_lit
-            before = [*tessellation_passes(effects), *(shadow_passes(effects, bind_depth_programs) if is_lit else ())]
+            before = [
+                *tessellation_passes(effects),
+                *(shadow_passes(effects, bind_depth_programs) if is_lit else ()),
+            ]
             plan = self._plans[effects.key] = make_plan([*before, *technique.declare(effects)])
         return plan
 
     def destroy(self) -> None:
-        """Destroy all resources on the device, except those of layers and of a visibility algorithm that was passed
-        in."""
+        """Destroy all resources on the device, except those of layers and of a visibility algorithm that was
+        passed in."""
         for visibility in self._owned_algorithms:
             visibility.destroy()
         self._owned_algorithms.clear()

@@ -1,7 +1,7 @@
 """The renderer's rules in one table, ordered by package from the scene upwards.
 
-A rule is an id (stable: tests compare it), a sentence and a tip; `refuse` of `rhi.errors` raises it. `refuse_name` is
-the one way to refuse a name: it lists the allowed names and suggests the nearest one.
+A rule is an id (stable: tests compare it), a sentence and a tip; `refuse` of `rhi.errors` raises it.
+`refuse_name` is the one way to refuse a name: it lists the allowed names and suggests the nearest one.
 """
 
 from __future__ import annotations
@@ -43,9 +43,12 @@ BAD_VERTICES: Final = Rule(
     "a mesh needs finite vertices",
     "remove vertices with NaN or infinity, then export again",
 )
-BAD_MESH: Final = Rule("scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices")
+BAD_MESH: Final = Rule(
+    "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
+)
 BAD_HEIGHTS: Final = Rule(
-    "scene-bad-heights", "a height field is a map of finite heights over a rectangle, with a limit of triangles"
+    "scene-bad-heights",
+    "a height field is a map of finite heights over a rectangle, with a limit of triangles",
 )
 SHARED_HEIGHTS: Final = Rule(
     "scene-shared-heights",
@@ -57,7 +60,9 @@ BAD_TRANSFORM: Final = Rule(
 )
 BAD_INDEX: Final = Rule("scene-bad-index", "an id must name something that was added before")
 BAD_MATERIAL: Final = Rule("scene-bad-material", "a material's value is out of its range")
-BAD_IMAGE: Final = Rule("scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty")
+BAD_IMAGE: Final = Rule(
+    "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
+)
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
 BAD_EFFECT: Final = Rule("scene-bad-effect", "a value of fog or bloom is out of its range")
 BAD_BLOOM: Final = Rule("bloom-bad-settings", "a setting of bloom is out of its range")
@@ -85,7 +90,9 @@ NO_TANGENTS: Final = Rule(
     "build the scene with an object of this mesh and this material: then the mesh gets them",
 )
 NO_ROOM: Final = Rule(
-    "scene-no-room", "all objects that were reserved are in use", "reserve more of them before the scene is built"
+    "scene-no-room",
+    "all objects that were reserved are in use",
+    "reserve more of them before the scene is built",
 )
 REMOVED_OBJECT: Final = Rule("scene-removed-object", "a handle of an object that was removed names nothing")
 SHARED_MESH: Final = Rule(
@@ -103,7 +110,9 @@ BAD_SIMULATION: Final = Rule(
     "scene-bad-simulation",
     "a simulation has a policy of catching up, the methods that the policy calls, and one for its result",
 )
-BAD_CLIP: Final = Rule("scene-bad-clip", "the weight of a clip and the length of a fade are 0 or more, and finite")
+BAD_CLIP: Final = Rule(
+    "scene-bad-clip", "the weight of a clip and the length of a fade are 0 or more, and finite"
+)
 LEFT_BOUNDS: Final = Rule(
     "scene-left-bounds",
     "a simulated object left the bounds that were declared to hold at all times",
@@ -114,12 +123,15 @@ BAD_CLOTH: Final = Rule(
     "a cloth is a grid of points apart from each other, some of them pinned, in a wind of finite speed",
 )
 BAD_WATER: Final = Rule(
-    "scene-bad-water", "a pool is a grid of points with shallow water, whose waves cross at most a cell in a step"
+    "scene-bad-water",
+    "a pool is a grid of points with shallow water, whose waves cross at most a cell in a step",
 )
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text
-UNKNOWN_SCENE: Final = Rule("scene-unknown-scene", "the text names neither a scene generator nor a model file")
+UNKNOWN_SCENE: Final = Rule(
+    "scene-unknown-scene", "the text names neither a scene generator nor a model file"
+)
 SPEC_SYNTAX: Final = Rule("scene-spec-syntax", "the options of a scene are written name:key=value,key=value")
 UNKNOWN_KEY: Final = Rule("scene-unknown-key", "the scene generator has no option of this name")
 BAD_VALUE: Final = Rule("scene-bad-value", "the value of a scene's option is not allowed")
@@ -139,10 +151,14 @@ BAD_STEREO: Final = Rule("stereo-bad-value", "a value of a pair of eyes is out o
 NO_STEREO: Final = Rule(
     "stereo-one-eye", "one eye has no distance from another", "add --stereo dubois, or another output"
 )
-UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two images in one")
+UNKNOWN_STEREO: Final = Rule(
+    "stereo-unknown-output", "there is no way of this name to show two images in one"
+)
 
 # Visibility
-BAD_BOUNDS: Final = Rule("visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper")
+BAD_BOUNDS: Final = Rule(
+    "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"
+)
 UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algorithm has this name")
 CANNOT_RUN: Final = Rule(
     "visibility-cannot-run",
@@ -169,7 +185,9 @@ STALE_LIST: Final = Rule(
     "a list of draws made on the device can be read only until the next frame replaces it",
     "read `result.visible` and `result.statistics` before the next frame",
 )
-BAD_PARAMETER: Final = Rule("visibility-bad-parameter", "a visibility algorithm's parameter is out of its range")
+BAD_PARAMETER: Final = Rule(
+    "visibility-bad-parameter", "a visibility algorithm's parameter is out of its range"
+)
 BAD_SETTINGS: Final = Rule(
     "visibility-bad-settings",
     "the file holds no settings of visibility algorithms",
@@ -191,7 +209,9 @@ DRAWN_OVER_TWICE: Final = Rule(
     "contents of a frame are drawn over by one pass",
     "let the second pass draw over the first one's result",
 )
-UNWRITTEN: Final = Rule("plan-unwritten", "contents that a pass or the frame needs are written by one of its passes")
+UNWRITTEN: Final = Rule(
+    "plan-unwritten", "contents that a pass or the frame needs are written by one of its passes"
+)
 UNKNOWN_RESOURCE: Final = Rule("plan-unknown-resource", "no texture of the frame's plan has these contents")
 PLAN_CYCLE: Final = Rule("plan-cycle", "the passes of a frame don't wait for each other in a circle")
 
@@ -212,7 +232,9 @@ MISSING_BINDING: Final = Rule(
     "a shader binds by name what its frame has",
     "pass what only this shader has with the draw (own={name: ...}), or add it to `FrameBindings`",
 )
-NO_WIREFRAME: Final = Rule("technique-no-wireframe", "a wireframe needs a device that draws the edges of triangles")
+NO_WIREFRAME: Final = Rule(
+    "technique-no-wireframe", "a wireframe needs a device that draws the edges of triangles"
+)
 BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
 BAD_LAG: Final = Rule("animation-lag", "what is small on the screen may be late by some pixels")
 BAD_CUTOFF: Final = Rule("light-cutoff", "local lights end where less than an amount of their light arrives")
@@ -239,21 +261,29 @@ BAD_ARGUMENT: Final = Rule(
     "viewer-bad-argument", "a command's argument is not one that it takes", "Tab in the console lists them"
 )
 NO_SCREENSHOT: Final = Rule(
-    "viewer-no-screenshot", "the device draws nothing, so there is no image", "choose another one: --backend gl or cl"
+    "viewer-no-screenshot",
+    "the device draws nothing, so there is no image",
+    "choose another one: --backend gl or cl",
 )
 CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "the port can't be listened to", "choose another one")
 
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
-TOO_FEW_LIGHTS: Final = Rule("measure-too-few-lights", "the scene has fewer point and spot lights than are compared")
+TOO_FEW_LIGHTS: Final = Rule(
+    "measure-too-few-lights", "the scene has fewer point and spot lights than are compared"
+)
 FIXED_SCENE: Final = Rule(
     "measure-fixed-scene",
     "a scene without an option for it can't be compared with another number of objects or lights",
     "leave out --objects or --lights: the scene is compared as it is",
 )
-UNKNOWN_QUALITY_SETTING: Final = Rule("accuracy-unknown-setting", "no choice between accuracy and time has this name")
-OUT_OF_REACH: Final = Rule("accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that")
+UNKNOWN_QUALITY_SETTING: Final = Rule(
+    "accuracy-unknown-setting", "no choice between accuracy and time has this name"
+)
+OUT_OF_REACH: Final = Rule(
+    "accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that"
+)
 NO_QUALITY_SETTINGS: Final = Rule(
     "accuracy-no-settings", "none of these quality settings matters for this scene and device"
 )
@@ -299,7 +329,8 @@ def check_scale(call: str, value: float) -> None:
 
 
 def check_types(settings: Any, rule: Rule) -> None:
-    """Refuse settings, a dataclass, with a value of another type than its field's. NumPy's numbers become Python's."""
+    """Refuse settings, a dataclass, with a value of another type than its field's. NumPy's numbers become
+    Python's."""
     owner: type = type(settings)
     for name, kinds in _list_types(owner):
         value = getattr(settings, name)
@@ -320,9 +351,17 @@ def _list_types(owner: type) -> tuple[tuple[str, tuple[type, ...]], ...]:
 def _is_instance(value: object, kind: type) -> bool:
     if kind is int:
         return to_integer(value) is not None
-    return isinstance(value, Real) and not isinstance(value, bool) if kind is float else isinstance(value, kind)
+    return (
+        isinstance(value, Real) and not isinstance(value, bool) if kind is float else isinstance(value, kind)
+    )
 
 
 def _describe_type(kind: type) -> str:
-    words = {bool: "True or False", int: "a whole number", float: "a number", str: "a text", type(None): "None"}
+    words = {
+        bool: "True or False",
+        int: "a whole number",
+        float: "a number",
+        str: "a text",
+        type(None): "None",
+    }
     return describe_choices(kind) if issubclass(kind, Enum) else words.get(kind, f"a {kind.__name__}")

@@ -1,7 +1,7 @@
 """Everything that decides how a scene is drawn, in one value: the settings objects of the renderer's parts.
 
-Nothing is set here that isn't set there. What this adds is a file that keeps all of them, and the renderer that has
-them. A file may lack any part, and any setting of a part: those have their defaults.
+Nothing is set here that isn't set there. What this adds is a file that keeps all of them, and the renderer
+that has them. A file may lack any part, and any setting of a part: those have their defaults.
 """
 
 from __future__ import annotations
@@ -37,12 +37,14 @@ class RenderSettings:
         parameters.
         shadows: the choices of shadow maps. textures: how well textures are read.
         tessellation: how small the triangles of height fields are.
-        blending: how transparent surfaces that cover each other are blended. bloom: how exactly bloom is computed.
+        blending: how transparent surfaces that cover each other are blended. bloom: how exactly bloom is
+            computed.
         precision: that of the techniques' shaders. depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
         light_cutoff: the light of a light that is too faint to matter, 0 for none.
-        simulates_hidden: whether what an absence would change, such as cloth, is simulated where it isn't drawn.
+        simulates_hidden: whether what an absence would change, such as cloth, is simulated where it isn't
+            drawn.
         reprojects: whether a second eye's image is made from the first one's.
         scale: the size at which frames are drawn, in that of the image that is shown: 0.1 to 2.
     """
@@ -126,7 +128,9 @@ class RenderSettings:
         check_algorithm(self.algorithm, device, "RenderSettings.open")
         visibility = make_visibility(self.algorithm, scene, device, self.visibility)
         try:
-            with Renderer(device, scene, visibility=visibility, size=size, textures=self.textures) as renderer:
+            with Renderer(
+                device, scene, visibility=visibility, size=size, textures=self.textures
+            ) as renderer:
                 self.apply_to(renderer, technique)
                 if rig is not None:
                     renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
@@ -135,8 +139,8 @@ class RenderSettings:
             visibility.destroy()
 
     def apply_to(self, renderer: Renderer, technique: Technique | None = None) -> None:
-        """Give a renderer those of these settings that may be exchanged between two frames: all but how textures are
-        read, and which objects are found. `technique` draws instead of that of the settings."""
+        """Give a renderer those of these settings that may be exchanged between two frames: all but how
+        textures are read, and which objects are found. `technique` draws instead of that of the settings."""
         renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision, renderer.bloom = self.blending, self.precision, self.bloom
         renderer.shadows.settings = self.shadows
@@ -146,7 +150,8 @@ class RenderSettings:
         renderer.scale = self.scale
 
     def save(self, path: Path, **metadata: Any) -> None:
-        """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores it."""
+        """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores
+        it."""
         parts = {setting.name: to_json(getattr(self, setting.name)) for setting in fields(self)}
         path.write_text(
             json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **metadata}, indent=2) + "\n"
@@ -157,8 +162,8 @@ class RenderSettings:
         """Read a file that `save` or `python -m renderer tune` has written.
 
         Raises:
-            ValidationError: `visibility-bad-settings` if the file holds no settings, or the rule that one of them
-                breaks.
+            ValidationError: `visibility-bad-settings` if the file holds no settings, or the rule that one of
+                them breaks.
             OSError: the file can't be read.
         """
         call = f"RenderSettings.load({str(path)!r})"
@@ -207,8 +212,8 @@ def to_json(value: Any) -> Any:
 
 
 def from_json(kind: Any, value: Any, call: str, default: Any = None) -> Any:
-    """Return settings of a type from the output of `to_json`; missing values are those of `default`, or of the
-    type if that is None."""
+    """Return settings of a type from the output of `to_json`; missing values are those of `default`, or of
+    the type if that is None."""
     alternatives = [element for element in get_args(kind) if element is not type(None)]
     if alternatives:
         return None if value is None else from_json(alternatives[0], value, call, default)
@@ -225,6 +230,7 @@ def from_json(kind: Any, value: Any, call: str, default: Any = None) -> Any:
         if name not in hints:
             rules.refuse_name(rules.BAD_SETTINGS, call, name, hints)
     arguments = {
-        name: from_json(hints[name], element, call, getattr(default, name, None)) for name, element in value.items()
+        name: from_json(hints[name], element, call, getattr(default, name, None))
+        for name, element in value.items()
     }
     return kind(**arguments) if default is None else replace(default, **arguments)

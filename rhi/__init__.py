@@ -1,7 +1,7 @@
 """A render hardware interface for Python.
 
-Write a renderer once against `Device`, and run it on OpenGL, on OpenCL, or on the null device, which records every
-command.
+Write a renderer once against `Device`, and run it on OpenGL, on OpenCL, or on the null device, which records
+every command.
 
     with rhi.create_device() as device:
         program = device.program(Triangle)

@@ -1,4 +1,5 @@
-"""`python -m rhi` lists the backends that work on this machine, what they support, and what to install for the others.
+"""`python -m rhi` lists the backends that work on this machine, what they support, and what to install for
+the others.
 
 `python -m rhi trace` inspects traces, `python -m rhi shading accuracy` measures built-in functions,
 `python -m rhi new` starts a project, and `python -m rhi new-backend` a port.
@@ -40,8 +41,8 @@ of OpenCL.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report, or run `trace …`, `shading …`, `new …` or `new-backend …`. Return 0 if a backend that renders
-    works, else 1."""
+    """Print the report, or run `trace …`, `shading …`, `new …` or `new-backend …`. Return 0 if a backend that
+    renders works, else 1."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["trace"]:
         return trace_cli.main(given[1:])
@@ -79,7 +80,9 @@ def _new(arguments: Sequence[str]) -> int:
     parser.add_argument("name", metavar="NAME", help="of the project and its module, such as paint")
     parser.add_argument("--folder", type=Path, default=Path(), help="where to write it (default: here)")
     options = parser.parse_args(arguments)
-    return _write(lambda: write_project(options.kind, options.name, options.folder), "its README.md says how to begin")
+    return _write(
+        lambda: write_project(options.kind, options.name, options.folder), "its README.md says how to begin"
+    )
 
 
 def _write(make: Callable[[], Path], hint: str) -> int:
@@ -127,7 +130,9 @@ def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
                 "usable": r.usable,
                 "reason": r.reason,
                 "tip": r.tip,
-                "capabilities": None if r.capabilities is None else _plain(dataclasses.asdict(r.capabilities)),
+                "capabilities": None
+                if r.capabilities is None
+                else _plain(dataclasses.asdict(r.capabilities)),
             }
             for r in reports
         ],
@@ -157,7 +162,8 @@ def _as_text(reports: list[BackendReport]) -> str:
             f"{r.name:<6} {limits.device}",
             f"       {limits.driver}",
             f"       textures to {limits.max_texture_size}, {limits.max_color_targets} targets, "
-            f"{'/'.join(map(str, limits.sample_counts))} samples, work-groups to {limits.max_work_group_invocations}",
+            f"{'/'.join(map(str, limits.sample_counts))} samples, work-groups to "
+            f"{limits.max_work_group_invocations}",
             f"       lacks: {', '.join(lacking) or 'nothing'}",
             *(f"       disabled: {what}" for what in limits.disabled_features),
             *(f"       rejected: {device}" for device in limits.rejected_devices),
@@ -180,7 +186,11 @@ def _choice_text(reports: list[BackendReport]) -> str:
     named = os.environ.get("RHI_BACKEND")
     if named:
         usable = ":" in named or any(r.name == named and r.usable for r in reports)
-        return f"{named}, as RHI_BACKEND says" if usable else f"nothing: RHI_BACKEND names {named}, which can't be used"
+        return (
+            f"{named}, as RHI_BACKEND says"
+            if usable
+            else f"nothing: RHI_BACKEND names {named}, which can't be used"
+        )
     renderers = {r.name: r.capabilities.device for r in reports if r.capabilities and r.capabilities.renders}
     backend = next(iter(renderers), "nothing; see the reasons above")
     if "llvmpipe" in renderers.get(backend, "") and "cl" in renderers:

@@ -8,12 +8,13 @@
         screen.canvas.add_event_handler(on_event, "pointer_move", "key_down")
         screen.run(draw)
 
-- A **canvas** is one of rendercanvas: events, scheduling, sizes and pacing are its contract, so what is written for
-  one canvas works on all. `Window` is a canvas of our own; the others are rendercanvas's.
-- A **screen** is a canvas with a device whose images it shows. A `gl` device draws beside the window's context, and its
-  images are copied on the GPU; images of other devices, and images on other canvases, are read back and uploaded once.
-- This package uses only rhi's public names. rendercanvas and GLFW are imported when a screen is opened; what is missing
-  then is named, with what to install.
+- A **canvas** is one of rendercanvas: events, scheduling, sizes and pacing are its contract, so what is
+  written for one canvas works on all. `Window` is a canvas of our own; the others are rendercanvas's.
+- A **screen** is a canvas with a device whose images it shows. A `gl` device draws beside the window's
+  context, and its images are copied on the GPU; images of other devices, and images on other canvases, are
+  read back and uploaded once.
+- This package uses only rhi's public names. rendercanvas and GLFW are imported when a screen is opened; what
+  is missing then is named, with what to install.
 """
 
 from rhi_screen.cameras import FlyCamera, OrbitCamera
@@ -26,6 +27,15 @@ from rhi_screen.time_steps import FixedSteps
 from rhi_screen.video import VideoWriter
 
 __all__ = [
-    "CANVASES", "FixedSteps", "FlyCamera", "FrameCounter", "OrbitCamera", "Screen", "ScreenTargets", "VideoWriter",
-    "open_canvas", "open_screen", "save_image",
-]  # fmt: skip
+    "CANVASES",
+    "FixedSteps",
+    "FlyCamera",
+    "FrameCounter",
+    "OrbitCamera",
+    "Screen",
+    "ScreenTargets",
+    "VideoWriter",
+    "open_canvas",
+    "open_screen",
+    "save_image",
+]

@@ -5,8 +5,8 @@
         seen = camera.update()                       # a rhi.math.Camera of the screen's proportions
         device.draw(program, mesh, camera=Camera(view_projection=seen.view_projection))
 
-Left button or one finger: turn. Right button, or left with Shift: drag. Wheel or two fingers: zoom. W A S D Q E and the
-arrows move as long as they are held, faster with Shift. What a handler before them has stopped
+Left button or one finger: turn. Right button, or left with Shift: drag. Wheel or two fingers: zoom. W A S D Q
+E and the arrows move as long as they are held, faster with Shift. What a handler before them has stopped
 (`event["stop_propagation"]`), as widgets do, doesn't move a camera.
 """
 

@@ -1,6 +1,7 @@
 """The kinds of canvases by name, and what to install for each.
 
-A canvas is a `BaseRenderCanvas` of rendercanvas: https://rendercanvas.readthedocs.io has its methods and events.
+A canvas is a `BaseRenderCanvas` of rendercanvas: https://rendercanvas.readthedocs.io has its methods and
+events.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class CanvasKind:
 
 CANVASES: Final = {
     "window": CanvasKind("rhi_screen.window", "Window"),
-    "qt": CanvasKind("rendercanvas.pyside6", required_module="PySide6", install=f"pip install pyside6; {INSTALL}"),
+    "qt": CanvasKind(
+        "rendercanvas.pyside6", required_module="PySide6", install=f"pip install pyside6; {INSTALL}"
+    ),
     "page": CanvasKind("rhi_screen.page", "Page", required_module="websockets"),
     "jupyter": CanvasKind(
         "rendercanvas.jupyter", required_module="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"

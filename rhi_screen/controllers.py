@@ -1,9 +1,9 @@
 """Controllers: they turn gestures and held keys into cameras, flying freely or circling a point.
 
-A controller knows no events: it is turned by angles, dragged by parts of the image's height, zoomed by notches, and
-pushed along its axes for some seconds. Positions and angles are float64. Motion depends on time and not on frames: the
-speed approaches what the keys ask for exponentially, and the way is that speed's integral, so a second in one step ends
-where a second in sixty steps does.
+A controller knows no events: it is turned by angles, dragged by parts of the image's height, zoomed by
+notches, and pushed along its axes for some seconds. Positions and angles are float64. Motion depends on time
+and not on frames: the speed approaches what the keys ask for exponentially, and the way is that speed's
+integral, so a second in one step ends where a second in sixty steps does.
 """
 
 from __future__ import annotations
@@ -159,7 +159,8 @@ class Fly(_GlidingController):
 
     @property
     def angle(self) -> float:
-        """The angle between the image's top and bottom; with a parallel projection, that of a usual projection."""
+        """The angle between the image's top and bottom; with a parallel projection, that of a usual
+        projection."""
         return self._projection.fov if isinstance(self._projection, Perspective) else pi / 3
 
     def drag(self, right: float, up: float) -> None:
@@ -191,7 +192,9 @@ class Orbit(_GlidingController):
     def __init__(self, camera: Camera, target: Floats, speed: float) -> None:
         """`target` (3,) is the point in the middle; the camera keeps its place and turns towards it."""
         away = camera.position - target
-        aimed = Camera.look_at(camera.position, target, projection=camera.projection) if away.any() else camera
+        aimed = (
+            Camera.look_at(camera.position, target, projection=camera.projection) if away.any() else camera
+        )
         super().__init__(aimed, speed)
         self.target: Floats = np.array(target, np.float64)
         self.distance = max(float(np.linalg.norm(away)), MIN_DISTANCE)
@@ -228,7 +231,8 @@ class Orbit(_GlidingController):
 
 
 def zoom_projection(projection: Projection, notches: float) -> Projection:
-    """Return the projection that shows less after some notches of the wheel; one with perspective stays as it is."""
+    """Return the projection that shows less after some notches of the wheel; one with perspective stays as it
+    is."""
     return (
         replace(projection, height=projection.height * NOTCH**-notches)
         if isinstance(projection, Orthographic)

@@ -1,4 +1,5 @@
-"""Gestures: pointer, wheel, touch and key events, as rendercanvas submits them, turned into motion of a controller."""
+"""Gestures: pointer, wheel, touch and key events, as rendercanvas submits them, turned into motion of a
+controller."""
 
 from __future__ import annotations
 
@@ -17,7 +18,12 @@ _PUSHES: Final = {
     "w": (0, 0, -1), "s": (0, 0, 1), "a": (-1, 0, 0), "d": (1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0),
     "pageup": (0, 1, 0), "pagedown": (0, -1, 0),
 }  # fmt: skip
-_TURNS: Final = {"arrowleft": (1, 0, 0), "arrowright": (-1, 0, 0), "arrowup": (0, 1, 0), "arrowdown": (0, -1, 0)}
+_TURNS: Final = {
+    "arrowleft": (1, 0, 0),
+    "arrowright": (-1, 0, 0),
+    "arrowup": (0, 1, 0),
+    "arrowdown": (0, -1, 0),
+}
 MOVEMENT_KEYS: Final = frozenset({*_PUSHES, *_TURNS})
 """The keys that move as long as they are held, in lower case."""
 
@@ -31,7 +37,8 @@ class Gestures:
     """Knows which keys are held and where fingers and the pointer are.
 
     - Left button, or one finger: turn. Right or middle button, or left with Shift: drag.
-    - Wheel, or two fingers on a touch pad up and down: zoom. Sideways: drag. A pinch on a touch pad is a wheel, too.
+    - Wheel, or two fingers on a touch pad up and down: zoom. Sideways: drag. A pinch on a touch pad is a
+      wheel, too.
     - Two fingers on a touch screen: drag and zoom.
     """
 
@@ -56,7 +63,9 @@ class Gestures:
         """Return how held keys push (3,) and turn (3,)."""
         fast = FAST_FACTOR if "shift" in self._pressed else 1.0
         push, turn = (
-            np.sum([way for key, way in ways.items() if key in self._pressed] or [(0, 0, 0)], axis=0).astype(float)
+            np.sum([way for key, way in ways.items() if key in self._pressed] or [(0, 0, 0)], axis=0).astype(
+                float
+            )
             for ways in (_PUSHES, _TURNS)
         )
         return np.clip(push, -1.0, 1.0) * fast, turn
@@ -117,7 +126,9 @@ class Gestures:
         else:
             controller.drag(right / height, -down / height)
 
-    def _move_fingers(self, fingers: list[tuple[float, float]], controller: Controller, height: float) -> None:
+    def _move_fingers(
+        self, fingers: list[tuple[float, float]], controller: Controller, height: float
+    ) -> None:
         before, self._fingers = self._fingers, fingers
         self._pointer = None  # when one finger is lifted, the other doesn't jump
         if len(before) != 2:

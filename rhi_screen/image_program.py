@@ -26,7 +26,9 @@ def save_image(
         arguments: `--backend NAME`, `--size WxH` and `--output FILE`; None: those of the program.
     """
     parser = argparse.ArgumentParser(description=sys.modules["__main__"].__doc__)
-    parser.add_argument("--backend", help="gl, cl or the name of another backend (default: the first that draws)")
+    parser.add_argument(
+        "--backend", help="gl, cl or the name of another backend (default: the first that draws)"
+    )
     parser.add_argument("--size", default="640x480", metavar="WxH", help="pixels (default: 640x480)")
     parser.add_argument(
         "--output", type=Path, default=Path(f"{Path(sys.argv[0]).stem}.png"), help="default: %(default)s"

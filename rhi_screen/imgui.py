@@ -10,10 +10,12 @@
             imgui.end()
         screen.show(targets.image)
 
-`imgui` is that of imgui-bundle (`pip install "rhi[imgui]"`). ImGui's arrays are read where they are, without a copy of
-their own: one transient mesh for all windows, and one call for each run of commands with the same texture.
+`imgui` is that of imgui-bundle (`pip install "rhi[imgui]"`). ImGui's arrays are read where they are, without
+a copy of their own: one transient mesh for all windows, and one call for each run of commands with the same
+texture.
 
-- Events that widgets take (`wants` the pointer or the keys) reach no handlers after this one, such as cameras.
+- Events that widgets take (`wants` the pointer or the keys) reach no handlers after this one, such as
+  cameras.
 - Positions are logical pixels; widgets and fonts are drawn with the screen's pixel ratio.
 - `ImGuiRenderer` alone draws what ImGui wants drawn, without a screen.
 """
@@ -48,17 +50,39 @@ _SMOOTH: Final = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None)
 _FIRST_TEXTURE_ID: Final = 1 << 30  # above all numbers of ImGui's own textures
 _BUTTONS: Final = {1: 0, 2: 1, 3: 2}
 _EVENTS: Final = (
-    "pointer_move", "pointer_down", "pointer_up", "pointer_leave", "wheel", "key_down", "key_up", "char",
-)  # fmt: skip
+    "pointer_move",
+    "pointer_down",
+    "pointer_up",
+    "pointer_leave",
+    "wheel",
+    "key_down",
+    "key_up",
+    "char",
+)
 _KEYS: Final = {
-    "ArrowLeft": "left_arrow", "ArrowRight": "right_arrow", "ArrowUp": "up_arrow", "ArrowDown": "down_arrow",
-    "PageUp": "page_up", "PageDown": "page_down", "Home": "home", "End": "end", "Insert": "insert",
-    "Delete": "delete", "Backspace": "backspace", " ": "space", "Enter": "enter", "Escape": "escape", "Tab": "tab",
-    "Shift": "mod_shift", "Control": "mod_ctrl", "Alt": "mod_alt", "Meta": "mod_super",
+    "ArrowLeft": "left_arrow",
+    "ArrowRight": "right_arrow",
+    "ArrowUp": "up_arrow",
+    "ArrowDown": "down_arrow",
+    "PageUp": "page_up",
+    "PageDown": "page_down",
+    "Home": "home",
+    "End": "end",
+    "Insert": "insert",
+    "Delete": "delete",
+    "Backspace": "backspace",
+    " ": "space",
+    "Enter": "enter",
+    "Escape": "escape",
+    "Tab": "tab",
+    "Shift": "mod_shift",
+    "Control": "mod_ctrl",
+    "Alt": "mod_alt",
+    "Meta": "mod_super",
     **{f"F{number}": f"f{number}" for number in range(1, 13)},
     **{str(number): f"_{number}" for number in range(10)},
     **{letter: letter for letter in "abcdefghijklmnopqrstuvwxyz"},
-}  # fmt: skip
+}
 
 
 class WidgetVertex(Struct):
@@ -78,8 +102,8 @@ class WidgetCorner(Struct):
 
 
 class Display(Struct):
-    """The size of the display in the units of positions, and whether the texture and the image hold sRGB: then what is
-    sampled and written is linear light, while ImGui's colors are those of a screen."""
+    """The size of the display in the units of positions, and whether the texture and the image hold sRGB:
+    then what is sampled and written is linear light, while ImGui's colors are those of a screen."""
 
     size: vec2
     texture_is_srgb: int
@@ -108,7 +132,9 @@ class Widgets(Shader):
 
     def vertex(self, v: WidgetVertex) -> WidgetCorner:
         position = v.position / self.display.size
-        return WidgetCorner(clip=vec4(position.x * 2.0 - 1.0, 1.0 - position.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
+        return WidgetCorner(
+            clip=vec4(position.x * 2.0 - 1.0, 1.0 - position.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color
+        )
 
     def fragment(self, v: WidgetCorner) -> vec4:
         texel = self.atlas.sample(v.uv)
@@ -128,7 +154,8 @@ class ImGuiRenderer:
         self._own: dict[int, rhi.Texture] = {}
         self._user_textures: dict[int, rhi.Texture] = {}
         imgui.get_io().backend_flags |= (
-            imgui.BackendFlags_.renderer_has_textures.value | imgui.BackendFlags_.renderer_has_vtx_offset.value
+            imgui.BackendFlags_.renderer_has_textures.value
+            | imgui.BackendFlags_.renderer_has_vtx_offset.value
         )
 
     def texture(self, texture: rhi.Texture) -> Any:
@@ -138,7 +165,8 @@ class ImGuiRenderer:
         return imgui.ImTextureRef(number)
 
     def draw(self, image: rhi.Texture) -> None:
-        """Draw all windows over an image, in a pass of their own: after `imgui.render()`, outside of passes."""
+        """Draw all windows over an image, in a pass of their own: after `imgui.render()`, outside of
+        passes."""
         data = imgui.get_draw_data()
         self._update_textures(data)
         if data.total_idx_count:
@@ -196,12 +224,15 @@ class ImGuiRenderer:
                 _, starts, counts, bases, clips = zip(*run, strict=True)
                 draws = mesh.draws(starts, counts, base_vertex=bases)
                 atlas, texture_is_srgb = texture.sampled(_SMOOTH), texture.format is Format.RGBA8_SRGB
-                display = Display(size=size, texture_is_srgb=int(texture_is_srgb), target_is_srgb=int(target_is_srgb))
+                display = Display(
+                    size=size, texture_is_srgb=int(texture_is_srgb), target_is_srgb=int(target_is_srgb)
+                )
                 self._device.draw_clipped(self._program, mesh, draws, clips, display=display, atlas=atlas)
 
 
 class ImGui:
-    """A context of ImGui on a screen, with its input and its renderer, until the screen is closed or `close` called."""
+    """A context of ImGui on a screen, with its input and its renderer, until the screen is closed or `close`
+    called."""
 
     def __init__(self, screen: Screen) -> None:
         self._screen = screen
@@ -262,7 +293,8 @@ class ImGui:
         imgui.set_current_context(self._context)
 
     def _handle(self, event: dict[str, Any]) -> None:
-        """Pass an event on to ImGui, and stop it if a widget takes it. Releases go on: whoever holds must learn it."""
+        """Pass an event on to ImGui, and stop it if a widget takes it. Releases go on: whoever holds must
+        learn it."""
         self._enter()
         io, kind = imgui.get_io(), event["event_type"]
         if kind == "pointer_leave":

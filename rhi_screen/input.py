@@ -1,7 +1,7 @@
 """The input of a GLFW window as rendercanvas's events.
 
-Keys are named as on the web (`KeyboardEvent.key`), in the user's keyboard layout: "a", "ArrowUp", "Shift". Positions
-are logical pixels from the top left.
+Keys are named as on the web (`KeyboardEvent.key`), in the user's keyboard layout: "a", "ArrowUp", "Shift".
+Positions are logical pixels from the top left.
 """
 
 from __future__ import annotations
@@ -15,17 +15,38 @@ import glfw
 Event = dict[str, Any]
 
 KEYS: Final = {
-    glfw.KEY_DOWN: "ArrowDown", glfw.KEY_UP: "ArrowUp", glfw.KEY_LEFT: "ArrowLeft", glfw.KEY_RIGHT: "ArrowRight",
-    glfw.KEY_BACKSPACE: "Backspace", glfw.KEY_CAPS_LOCK: "CapsLock", glfw.KEY_DELETE: "Delete",
-    glfw.KEY_END: "End", glfw.KEY_ENTER: "Enter", glfw.KEY_KP_ENTER: "Enter", glfw.KEY_ESCAPE: "Escape",
-    glfw.KEY_HOME: "Home", glfw.KEY_INSERT: "Insert", glfw.KEY_MENU: "ContextMenu", glfw.KEY_NUM_LOCK: "NumLock",
-    glfw.KEY_PAGE_DOWN: "PageDown", glfw.KEY_PAGE_UP: "PageUp", glfw.KEY_PAUSE: "Pause",
-    glfw.KEY_PRINT_SCREEN: "PrintScreen", glfw.KEY_SCROLL_LOCK: "ScrollLock", glfw.KEY_SPACE: " ",
-    glfw.KEY_TAB: "Tab", glfw.KEY_LEFT_ALT: "Alt", glfw.KEY_RIGHT_ALT: "Alt", glfw.KEY_LEFT_CONTROL: "Control",
-    glfw.KEY_RIGHT_CONTROL: "Control", glfw.KEY_LEFT_SHIFT: "Shift", glfw.KEY_RIGHT_SHIFT: "Shift",
-    glfw.KEY_LEFT_SUPER: "Meta", glfw.KEY_RIGHT_SUPER: "Meta",
+    glfw.KEY_DOWN: "ArrowDown",
+    glfw.KEY_UP: "ArrowUp",
+    glfw.KEY_LEFT: "ArrowLeft",
+    glfw.KEY_RIGHT: "ArrowRight",
+    glfw.KEY_BACKSPACE: "Backspace",
+    glfw.KEY_CAPS_LOCK: "CapsLock",
+    glfw.KEY_DELETE: "Delete",
+    glfw.KEY_END: "End",
+    glfw.KEY_ENTER: "Enter",
+    glfw.KEY_KP_ENTER: "Enter",
+    glfw.KEY_ESCAPE: "Escape",
+    glfw.KEY_HOME: "Home",
+    glfw.KEY_INSERT: "Insert",
+    glfw.KEY_MENU: "ContextMenu",
+    glfw.KEY_NUM_LOCK: "NumLock",
+    glfw.KEY_PAGE_DOWN: "PageDown",
+    glfw.KEY_PAGE_UP: "PageUp",
+    glfw.KEY_PAUSE: "Pause",
+    glfw.KEY_PRINT_SCREEN: "PrintScreen",
+    glfw.KEY_SCROLL_LOCK: "ScrollLock",
+    glfw.KEY_SPACE: " ",
+    glfw.KEY_TAB: "Tab",
+    glfw.KEY_LEFT_ALT: "Alt",
+    glfw.KEY_RIGHT_ALT: "Alt",
+    glfw.KEY_LEFT_CONTROL: "Control",
+    glfw.KEY_RIGHT_CONTROL: "Control",
+    glfw.KEY_LEFT_SHIFT: "Shift",
+    glfw.KEY_RIGHT_SHIFT: "Shift",
+    glfw.KEY_LEFT_SUPER: "Meta",
+    glfw.KEY_RIGHT_SUPER: "Meta",
     **{glfw.KEY_F1 + number: f"F{number + 1}" for number in range(25)},
-}  # fmt: skip
+}
 MODIFIERS: Final = ("Alt", "Control", "Meta", "Shift")
 BUTTONS: Final = {glfw.MOUSE_BUTTON_LEFT: 1, glfw.MOUSE_BUTTON_RIGHT: 2, glfw.MOUSE_BUTTON_MIDDLE: 3}
 """Numbers of buttons as rendercanvas has them; all others are GLFW's plus 1."""
@@ -42,7 +63,8 @@ class WindowInput:
     """
 
     def __init__(self, window: Any, submit: Callable[[Event], None], pixel: Callable[[], float]) -> None:
-        """Report events of `window` to `submit`; `pixel`: logical pixels in a unit of the window's coordinates."""
+        """Report events of `window` to `submit`; `pixel`: logical pixels in a unit of the window's
+        coordinates."""
         self._submit = submit
         self._pixel = pixel
         self._pressed: set[str] = set()
@@ -64,9 +86,15 @@ class WindowInput:
 
     def _pointer(self, kind: str, button: int = 0) -> Event:
         return {
-            "event_type": kind, "x": self._position[0], "y": self._position[1], "button": button,
-            "buttons": tuple(sorted(self._buttons)), "modifiers": self._modifiers, "ntouches": 0, "touches": {},
-        }  # fmt: skip
+            "event_type": kind,
+            "x": self._position[0],
+            "y": self._position[1],
+            "button": button,
+            "buttons": tuple(sorted(self._buttons)),
+            "modifiers": self._modifiers,
+            "ntouches": 0,
+            "touches": {},
+        }
 
     def _on_key(self, _window: Any, key: int, scancode: int, action: int, _mods: int) -> None:
         if action == glfw.REPEAT:
@@ -116,6 +144,7 @@ class WindowInput:
     def _on_scroll(self, window: Any, dx: float, dy: float) -> None:
         self._on_move(window, *glfw.get_cursor_pos(window), moved=False)
         wheel = self._pointer("wheel")
-        self._submit({
-            name: wheel[name] for name in ("event_type", "x", "y", "buttons", "modifiers")
-        } | {"dx": WHEEL_STEP * dx, "dy": -WHEEL_STEP * dy})  # fmt: skip
+        self._submit(
+            {name: wheel[name] for name in ("event_type", "x", "y", "buttons", "modifiers")}
+            | {"dx": WHEEL_STEP * dx, "dy": -WHEEL_STEP * dy}
+        )

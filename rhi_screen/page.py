@@ -1,12 +1,13 @@
 """A canvas of rendercanvas on a page in the browser of the user, and of nobody else.
 
-- rendercanvas's own HTTP canvas accepts every WebSocket, so any page that the browser shows could watch and type. This
-  one answers only what names its token, which is new each time and in the address that is printed. The `Host` must be
-  this computer's (a stranger's domain may lead here), and a WebSocket's `Origin` this page.
-- It listens on the loopback address, at a port that was free. One client at a time; with more, the first one drives,
-  and the others watch.
-- The page and its script are rendercanvas's. Frames are sent as PNG, or JPEG first if `simplejpeg` is installed, and no
-  more than two that the client hasn't displayed yet.
+- rendercanvas's own HTTP canvas accepts every WebSocket, so any page that the browser shows could watch and
+  type. This one answers only what names its token, which is new each time and in the address that is printed.
+  The `Host` must be this computer's (a stranger's domain may lead here), and a WebSocket's `Origin` this
+  page.
+- It listens on the loopback address, at a port that was free. One client at a time; with more, the first one
+  drives, and the others watch.
+- The page and its script are rendercanvas's. Frames are sent as PNG, or JPEG first if `simplejpeg` is
+  installed, and no more than two that the client hasn't displayed yet.
 """
 
 from __future__ import annotations
@@ -117,9 +118,15 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
         if self._is_closed:
             return
         async with serve(
-            self._attend, sock=self._socket, process_request=self._admit, compression=None, max_size=_MAX_EVENT_BYTES,
-            close_timeout=1.0, logger=_silent, server_header=None,
-        ) as self._server:  # fmt: skip
+            self._attend,
+            sock=self._socket,
+            process_request=self._admit,
+            compression=None,
+            max_size=_MAX_EVENT_BYTES,
+            close_timeout=1.0,
+            logger=_silent,
+            server_header=None,
+        ) as self._server:
             print(f"the page is {self.address}", file=sys.stderr, flush=True)
             await self._server.wait_closed()
 
@@ -287,6 +294,8 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
 
 def _respond(status: HTTPStatus, text: str = "", kind: str = "text/plain") -> Response:
     body = text.encode()
-    headers = Headers({"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body)), **_HEADERS})
+    headers = Headers(
+        {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body)), **_HEADERS}
+    )
     headers["Connection"] = "close"
     return Response(status.value, status.phrase, headers, body)

@@ -35,9 +35,9 @@ class Screen:
 
         Args:
             canvas: any canvas of rendercanvas.
-            device: a backend's name: the device is created, and closed with the screen. "gl" in a window draws beside
-                the window's context, "wgpu" to its surface. Or a device: its images are copied through the CPU, and it
-                stays open.
+            device: a backend's name: the device is created, and closed with the screen. "gl" in a window
+                draws beside the window's context, "wgpu" to its surface. Or a device: its images are copied
+                through the CPU, and it stays open.
             options: `rhi.create_device`'s.
         """
         self.canvas = canvas
@@ -92,7 +92,8 @@ class Screen:
         depth: rhi.Format | None = None,
         samples: int = 1,
     ) -> ScreenTargets:
-        """Return render targets that always have the screen's size (`ScreenTargets`); they are destroyed with it."""
+        """Return render targets that always have the screen's size (`ScreenTargets`); they are destroyed with
+        it."""
         screen_targets = ScreenTargets(self, color, depth, samples)
         self._targets.add(screen_targets)
         return screen_targets
@@ -116,7 +117,8 @@ class Screen:
 
         Args:
             kind: such as "pointer_down" or "key_down".
-            fields: those of rendercanvas's events, such as `x`, `y` in logical pixels, or `key`; others are 0 or empty.
+            fields: those of rendercanvas's events, such as `x`, `y` in logical pixels, or `key`; others are 0
+                or empty.
         """
         rest = {"x": 0.0, "y": 0.0, "button": 0, "buttons": (), "modifiers": (), "touches": {}}
         self.canvas._events.emit({"event_type": kind, **rest, **fields})
@@ -124,8 +126,8 @@ class Screen:
     def show(self, image: rhi.Texture) -> None:
         """End the device's frame and show `image`: call it in the canvas's draw function, once.
 
-        The image is shown opaque, and scaled if the canvas has another size. It may be changed or destroyed afterwards.
-        On a canvas that was closed nothing is shown.
+        The image is shown opaque, and scaled if the canvas has another size. It may be changed or destroyed
+        afterwards. On a canvas that was closed nothing is shown.
 
         Raises:
             ValidationError: `screen-image` if the image isn't a plain 2D texture of `RGBA8` or `RGBA8_SRGB`;
@@ -155,13 +157,13 @@ class Screen:
     def run(self, draw: Callable[[], None] | None = None, *, on_error: str = "raise") -> None:
         """Run the canvas's loop until it is closed; `draw` is called for each frame.
 
-        In a notebook, whose loop runs already, this returns at once. A canvas without a loop, such as offscreen, draws
-        one frame.
+        In a notebook, whose loop runs already, this returns at once. A canvas without a loop, such as
+        offscreen, draws one frame.
 
         Args:
             draw: a function that shows an image; None: the one that was given to the canvas.
-            on_error: "raise": an exception of `draw` ends the loop, and is raised here; "log": rendercanvas logs it,
-                and the loop goes on. In a notebook errors are logged.
+            on_error: "raise": an exception of `draw` ends the loop, and is raised here; "log": rendercanvas
+                logs it, and the loop goes on. In a notebook errors are logged.
 
         Raises:
             ValidationError: `screen-errors` for another `on_error`.
@@ -231,14 +233,15 @@ def open_screen(
         canvas: a name of `CANVASES`; None: "jupyter" in a notebook, else "window".
         title: may contain `$fps` and `$ms`.
         size: in logical pixels, (width, height).
-        update_mode: "ondemand": frames are drawn after `canvas.request_draw()`, resizes and exposures; "continuous":
-            `max_fps` times a second; "fastest": without a pause.
+        update_mode: "ondemand": frames are drawn after `canvas.request_draw()`, resizes and exposures;
+            "continuous": `max_fps` times a second; "fastest": without a pause.
         max_fps: the most frames a second, but for "fastest".
         vsync: whether a window's frames wait for the display's refresh.
         options: `rhi.create_device`'s.
 
     Raises:
-        DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to install.
+        DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to
+            install.
     """
     kind = canvas or choose_default_canvas()
     window_options = {"opengl": False} if device == "wgpu" and kind == "window" else {}

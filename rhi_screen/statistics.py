@@ -1,4 +1,5 @@
-"""Frame statistics: how many frames the last second had, the time from one to the next, and that of processors."""
+"""Frame statistics: how many frames the last second had, the time from one to the next, and that of
+processors."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ class FrameCounter:
         self._processor: deque[float] = deque(maxlen=_MAX_FRAMES)
 
     def add(self, time: float, processor: float = 0.0) -> None:
-        """Count a frame that begins at a time, and the seconds that processors have worked until then; frames of more
-        than a second ago are forgotten."""
+        """Count a frame that begins at a time, and the seconds that processors have worked until then; frames
+        of more than a second ago are forgotten."""
         self.frames += 1
         self._times.append(time)
         self._processor.append(processor)
@@ -39,7 +40,11 @@ class FrameCounter:
     @property
     def processor(self) -> float:
         """Seconds that processors have worked for a frame over the last second, the mean."""
-        return (self._processor[-1] - self._processor[0]) / max(len(self._processor) - 1, 1) if self._processor else 0.0
+        return (
+            (self._processor[-1] - self._processor[0]) / max(len(self._processor) - 1, 1)
+            if self._processor
+            else 0.0
+        )
 
     def describe(self) -> str:
         """Return the rate and the mean time of a frame as text."""

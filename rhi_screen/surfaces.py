@@ -1,4 +1,5 @@
-"""Surfaces: windows in which a device shows images through Vulkan, Metal or Direct3D 12, without a copy by the CPU."""
+"""Surfaces: windows in which a device shows images through Vulkan, Metal or Direct3D 12, without a copy by
+the CPU."""
 
 from __future__ import annotations
 

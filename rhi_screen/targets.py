@@ -6,8 +6,8 @@
             device.draw(...)
         screen.show(targets.image)
 
-The textures of an old size are destroyed, which the GPU may still read: they go when it has finished. All are destroyed
-with the screen.
+The textures of an old size are destroyed, which the GPU may still read: they go when it has finished. All are
+destroyed with the screen.
 """
 
 from __future__ import annotations

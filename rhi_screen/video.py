@@ -22,7 +22,8 @@ from rhi_screen.rules import SCREEN_MISSING, VIDEO_SIZE
 
 
 class VideoWriter:
-    """A file that images are added to, one for each frame of the video. Use it in a `with` block, or call `close`.
+    """A file that images are added to, one for each frame of the video. Use it in a `with` block, or call
+    `close`.
 
     Attributes:
         path: the file. frames: how many images were added.
@@ -40,7 +41,9 @@ class VideoWriter:
         try:
             import av
         except ImportError as error:
-            raise DeviceError(SCREEN_MISSING, "VideoWriter", "PyAV", "", 'pip install "rhi[video]"') from error
+            raise DeviceError(
+                SCREEN_MISSING, "VideoWriter", "PyAV", "", 'pip install "rhi[video]"'
+            ) from error
         self.path = Path(path)
         self.frames = 0
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -53,8 +56,9 @@ class VideoWriter:
         """Add an image as the next frame.
 
         Args:
-            image: a texture of 8-bit colors, or (height, width, 3 or 4) uint8, top row first. All have the size of the
-                first one. A last row or column that makes a size odd is left out: most codecs take even ones.
+            image: a texture of 8-bit colors, or (height, width, 3 or 4) uint8, top row first. All have the
+                size of the first one. A last row or column that makes a size odd is left out: most codecs
+                take even ones.
 
         Raises:
             ValidationError: `video-size` for an image of another size, or below 2×2.

@@ -1,14 +1,14 @@
 """A canvas of rendercanvas in a window of GLFW, with an OpenGL context of its own, or with none.
 
-- rendercanvas's own GLFW canvas shows images through wgpu. With a context, this one needs OpenGL only, and a `gl`
-  device beside it shows images without a copy through the CPU. Without one, a `wgpu` device does so.
-- What a frame costs here: a blit to the back buffer and a swap. Bitmaps are uploaded to one texture, once, and shown in
-  the same way.
-- The size is asked for at each tick, right before the draw, so a frame is drawn in the size that the window has then.
-  A frame that the window outran is scaled, and another one is requested.
+- rendercanvas's own GLFW canvas shows images through wgpu. With a context, this one needs OpenGL only, and a
+  `gl` device beside it shows images without a copy through the CPU. Without one, a `wgpu` device does so.
+- What a frame costs here: a blit to the back buffer and a swap. Bitmaps are uploaded to one texture, once,
+  and shown in the same way.
+- The size is asked for at each tick, right before the draw, so a frame is drawn in the size that the window
+  has then. A frame that the window outran is scaled, and another one is requested.
 - A minimised window and one without pixels draw nothing. A closed one ignores what is shown.
-- GLFW isn't terminated: devices that outlive their window still have contexts on its connection to the display. The
-  system closes it at the process's end.
+- GLFW isn't terminated: devices that outlive their window still have contexts on its connection to the
+  display. The system closes it at the process's end.
 """
 
 from __future__ import annotations
@@ -34,11 +34,15 @@ __all__ = ["Window", "WindowFrames", "loop"]
 _CALL: Final = "rhi_screen.open_canvas('window')"
 
 CURSORS: Final = {
-    "text": glfw.IBEAM_CURSOR, "crosshair": glfw.CROSSHAIR_CURSOR, "pointer": glfw.POINTING_HAND_CURSOR,
-    "ew-resize": glfw.RESIZE_EW_CURSOR, "ns-resize": glfw.RESIZE_NS_CURSOR,
-    "nesw-resize": glfw.RESIZE_NESW_CURSOR, "nwse-resize": glfw.RESIZE_NWSE_CURSOR,
+    "text": glfw.IBEAM_CURSOR,
+    "crosshair": glfw.CROSSHAIR_CURSOR,
+    "pointer": glfw.POINTING_HAND_CURSOR,
+    "ew-resize": glfw.RESIZE_EW_CURSOR,
+    "ns-resize": glfw.RESIZE_NS_CURSOR,
+    "nesw-resize": glfw.RESIZE_NESW_CURSOR,
+    "nwse-resize": glfw.RESIZE_NWSE_CURSOR,
     "not-allowed": glfw.NOT_ALLOWED_CURSOR,
-}  # fmt: skip
+}
 
 
 class WindowFrames(BaseContext):  # type: ignore[misc]  # rendercanvas has no types
@@ -123,7 +127,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
 
     @property
     def is_full_screen(self) -> bool:
-        """Whether the window fills its display. Setting it changes that; back, it has its old place and size."""
+        """Whether the window fills its display. Setting it changes that; back, it has its old place and
+        size."""
         return self._window is not None and bool(glfw.get_window_monitor(self._window))
 
     @is_full_screen.setter
@@ -151,8 +156,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             self.request_draw()
 
     def _measure_pixel(self) -> float:
-        """Return how many logical pixels a unit of the window's coordinates is: some systems count them, others
-        physical ones."""
+        """Return how many logical pixels a unit of the window's coordinates is: some systems count them,
+        others physical ones."""
         units = max(glfw.get_window_size(self._window)[0], 1)
         return float(self._size_info["physical_size"][0] / units / self.get_pixel_ratio())
 

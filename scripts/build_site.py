@@ -1,9 +1,10 @@
-"""Build the documentation: `python scripts/build_site.py [FOLDER]` (`out/documentation`), with the extra `docs`.
+"""Build the documentation: `python scripts/build_site.py [FOLDER]` (`out/documentation`), with the extra
+`docs`.
 
-The pages are those of `docs/`, the README as the first one, the changelog, and the API reference, which mkdocstrings
-makes from docstrings. The generator is Zensical, the successor of MkDocs Material (which is kept until May 2027 only);
-it reads the same `mkdocs.yml`. What either warns of is an error here. What docstrings say of parameters and rules is
-checked by tests/test_reference.py, links and the search by tests/test_site.py.
+The pages are those of `docs/`, the README as the first one, the changelog, and the API reference, which
+mkdocstrings makes from docstrings. The generator is Zensical, the successor of MkDocs Material (which is kept
+until May 2027 only); it reads the same `mkdocs.yml`. What either warns of is an error here. What docstrings
+say of parameters and rules is checked by tests/test_reference.py, links and the search by tests/test_site.py.
 """
 
 from __future__ import annotations
@@ -19,9 +20,16 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parents[1]
 
 MODULES: Final = (
-    "rhi", "rhi.math", "rhi.shading", "rhi.testing", "rhi.testing.portability", "rhi.trace", "rhi.contract",
-    "rhi.backends.null", "rhi.conformance",
-)  # fmt: skip
+    "rhi",
+    "rhi.math",
+    "rhi.shading",
+    "rhi.testing",
+    "rhi.testing.portability",
+    "rhi.trace",
+    "rhi.contract",
+    "rhi.backends.null",
+    "rhi.conformance",
+)
 """The modules that users and ports import."""
 
 EXTRA_PAGES: Final = {
@@ -52,7 +60,8 @@ def collect_pages(folder: Path) -> None:
 
 
 def _site_link(target: Path, folder: Path) -> str:
-    """Return the link of the site's pages to a file of the project, which is copied there if it is no page."""
+    """Return the link of the site's pages to a file of the project, which is copied there if it is no
+    page."""
     if target.is_relative_to(ROOT / "docs"):
         return target.relative_to(ROOT / "docs").as_posix()
     name = (target / "README.md" if target.is_dir() else target).relative_to(ROOT).as_posix()
@@ -73,10 +82,16 @@ def build(folder: Path) -> list[str]:
     environment = {**os.environ, "PYTHONPATH": path, "NO_COLOR": "1"}
     done = subprocess.run(
         [sys.executable, "-m", "zensical", "build", "--strict", "--config-file", str(folder / "mkdocs.yml")],
-        cwd=folder, env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     lines = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
-    return [line for line in lines if not line.strip().startswith(_HARMLESS)] + ["failed"] * (done.returncode != 0)
+    return [line for line in lines if not line.strip().startswith(_HARMLESS)] + ["failed"] * (
+        done.returncode != 0
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Run mypy with fewer garbage collections: `python scripts/check_types.py [OPTION …]`, with the options of mypy.
+"""Run mypy with fewer garbage collections: `python scripts/check_types.py [OPTION …]`, with the options of
+mypy.
 
-Mypy collects garbage every 200,000 objects, and finds hardly any: a quarter of its processor time. With these, it takes
-160 MB more.
+Mypy collects garbage every 200,000 objects, and finds hardly any: a quarter of its processor time. With
+these, it takes 160 MB more.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Count lines of code by package and language: `python scripts/count_lines.py [--deep]`.
 
-Python, OpenCL C and shell scripts are counted. A line counts if it holds code: comments, docstrings and blank lines
-don't. In a clone, only the files that git tracks count. The numbers are a report, and limit nothing. `--deep` counts
-the parts of `rhi` and `renderer` one by one.
+Python, OpenCL C and shell scripts are counted. A line counts if it holds code: comments, docstrings and blank
+lines don't. In a clone, only the files that git tracks count. The numbers are a report, and limit nothing.
+`--deep` counts the parts of `rhi` and `renderer` one by one.
 """
 
 from __future__ import annotations
@@ -32,14 +32,21 @@ _LAYOUT: Final = {
 def count_python_lines(path: Path) -> int:
     """Return how many lines of a Python file hold code."""
     with path.open("rb") as file:
-        tokens = [each for each in tokenize.tokenize(file.readline) if each.type not in (tokenize.COMMENT, tokenize.NL)]
+        tokens = [
+            each
+            for each in tokenize.tokenize(file.readline)
+            if each.type not in (tokenize.COMMENT, tokenize.NL)
+        ]
     lines: set[int] = set()
     for before, token, after in zip([None, *tokens], tokens, [*tokens[1:], None], strict=False):
         if token.type in _LAYOUT:
             continue
         is_statement = before is None or before.type in _LAYOUT
         is_docstring = (
-            token.type == tokenize.STRING and is_statement and after is not None and after.type == tokenize.NEWLINE
+            token.type == tokenize.STRING
+            and is_statement
+            and after is not None
+            and after.type == tokenize.NEWLINE
         )
         if not is_docstring:
             lines.update(range(token.start[0], token.end[0] + 1))
@@ -48,13 +55,17 @@ def count_python_lines(path: Path) -> int:
 
 def count_opencl_lines(path: Path) -> int:
     """Return how many lines of a file of OpenCL C hold code."""
-    text = re.sub(r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), path.read_text(), flags=re.DOTALL)
+    text = re.sub(
+        r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), path.read_text(), flags=re.DOTALL
+    )
     return sum(bool(line.partition("//")[0].strip()) for line in text.splitlines())
 
 
 def count_shell_lines(path: Path) -> int:
     """Return how many lines of a shell script hold code."""
-    return sum(bool(line.strip()) and not line.lstrip().startswith("#") for line in path.read_text().splitlines())
+    return sum(
+        bool(line.strip()) and not line.lstrip().startswith("#") for line in path.read_text().splitlines()
+    )
 
 
 LANGUAGES: Final[dict[str, tuple[str, Callable[[Path], int]]]] = {
@@ -82,7 +93,9 @@ def list_programs(*suffixes: str) -> list[PurePosixPath]:
         paths = (path.relative_to(ROOT) for suffix in suffixes for path in ROOT.rglob(f"*{suffix}"))
         return sorted(PurePosixPath(path) for path in paths if path.parts[0] not in (".venv", "build"))
     patterns = [f"*{suffix}" for suffix in suffixes]
-    listed = subprocess.run(["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     names = listed.stdout.split()
     return [PurePosixPath(name) for name in names if (ROOT / name).exists()]  # not what was just deleted
 

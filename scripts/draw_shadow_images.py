@@ -130,10 +130,14 @@ def draw_all(device: rhi.Device, folder: Path) -> None:
     near = ShadowSettings(cascades=1, cascade_size=256, distance=12.0)
 
     def filtered(*filters: ShadowFilter) -> list[Pixels]:
-        return [render(device, static, eye, SMALL, replace(near, filter=shadow_filter))[0] for shadow_filter in filters]
+        return [
+            render(device, static, eye, SMALL, replace(near, filter=shadow_filter))[0]
+            for shadow_filter in filters
+        ]
 
     filters = arrange(
-        filtered(ShadowFilter.HARD, ShadowFilter.HARDWARE), filtered(ShadowFilter.SMOOTH, ShadowFilter.POISSON)
+        filtered(ShadowFilter.HARD, ShadowFilter.HARDWARE),
+        filtered(ShadowFilter.SMOOTH, ShadowFilter.POISSON),
     )
     write_image(folder / "shadow-filters.png", filters)
     biased = [render(device, static, eye, SMALL, replace(near, bias=bias))[0] for bias in (0.0, 1.0)]
@@ -141,7 +145,8 @@ def draw_all(device: rhi.Device, folder: Path) -> None:
 
     city = load_scene("city:blocks=8,shadows=1")
     street = [
-        render(device, city, city.views["street"], WIDE, None, decoration)[0] for decoration in (None, TintedCascades())
+        render(device, city, city.views["street"], WIDE, None, decoration)[0]
+        for decoration in (None, TintedCascades())
     ]
     write_image(folder / "shadow-cascades.webp", arrange(street))
 

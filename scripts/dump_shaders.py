@@ -1,22 +1,25 @@
-"""Hash the text of every shader: `python scripts/dump_shaders.py [-o FILE] [--compare FILE] [--show NAME] [--origins]`.
+"""Hash the text of every shader: `python scripts/dump_shaders.py [-o FILE] [--compare FILE] [--show NAME]
+[--origins]`.
 
-The shaders are those of the renderer, of the conformance kit, and of examples, benchmarks and tests: the ones that
-their modules define, and the ones that the renderer composes for a frame of each technique on the null backend. Each
-is written in all languages, or refused; a refusal is a text, too. A dump has a line for each shader:
+The shaders are those of the renderer, of the conformance kit, and of examples, benchmarks and tests: the ones
+that their modules define, and the ones that the renderer composes for a frame of each technique on the null
+backend. Each is written in all languages, or refused; a refusal is a text, too. A dump has a line for each
+shader:
 
     MODULE.CLASS  SAID  interface:HASH  vertex-glsl:HASH  vertex-opencl16:HASH  …
 
-SAID is the hash of what the shader says in Python: its bindings, numbers and functions, the functions that these call,
-and the constants that they name; no comments, and no line numbers. Where it is equal in two dumps and a text differs,
-the language itself has changed. That is what `--compare` prints; a shader that says something else may have another
-text, and with `--all` its texts are compared as well.
+SAID is the hash of what the shader says in Python: its bindings, numbers and functions, the functions that
+these call, and the constants that they name; no comments, and no line numbers. Where it is equal in two dumps
+and a text differs, the language itself has changed. That is what `--compare` prints; a shader that says
+something else may have another text, and with `--all` its texts are compared as well.
 
 With `--naga`, the compiler of wgpu reads all texts in WGSL, instead.
 
-With `--origins` a hash includes the Python line of each line of the text, so that only dumps of one tree can be
-compared: this is the proof that work on the compiler changed nothing.
+With `--origins` a hash includes the Python line of each line of the text, so that only dumps of one tree can
+be compared: this is the proof that work on the compiler changed nothing.
 
-`tests/shader_texts.txt` is a dump that a nightly test compares. Where the language is meant to write other texts:
+`tests/shader_texts.txt` is a dump that a nightly test compares. Where the language is meant to write other
+texts:
 
     python scripts/dump_shaders.py -o tests/shader_texts.txt
 """
@@ -76,8 +79,8 @@ def import_modules() -> None:
 
 
 def draw_frames() -> None:
-    """Draw a frame with each technique, for which the renderer composes shaders, and compose those of standard
-    depth."""
+    """Draw a frame with each technique, for which the renderer composes shaders, and compose those of
+    standard depth."""
     from renderer.content import load_scene
     from renderer.renderer import Renderer
     from renderer.scene import Depth
@@ -90,11 +93,17 @@ def draw_frames() -> None:
     for technique in TECHNIQUES.values():
         with rhi.create_device("null") as device:
             culling = FrustumCulling(scene)
-            with Renderer(device, scene, technique=technique(), size=(64, 36), visibility=culling) as renderer:
+            with Renderer(
+                device, scene, technique=technique(), size=(64, 36), visibility=culling
+            ) as renderer:
                 renderer.render(camera)
     for shader in list(collect_shaders().values()):
         is_whole = hasattr(shader, "compute") or hasattr(shader, "fragment")
-        if is_whole and hasattr(shader, "is_reversed") and shader.__module__.startswith("renderer.visibility"):
+        if (
+            is_whole
+            and hasattr(shader, "is_reversed")
+            and shader.__module__.startswith("renderer.visibility")
+        ):
             depth_variant(shader, Depth.STANDARD)
 
 
@@ -232,7 +241,9 @@ def dump(origins: bool = False) -> dict[str, dict[str, str]]:
     hashes = {}
     for name, shader in collect_shaders().items():
         texts = {"definition": definition_of(shader), **texts_of(shader, origins)}
-        hashes[name] = {key: hashlib.sha256(text.encode()).hexdigest()[:_DIGITS] for key, text in texts.items()}
+        hashes[name] = {
+            key: hashlib.sha256(text.encode()).hexdigest()[:_DIGITS] for key, text in texts.items()
+        }
     return hashes
 
 
@@ -259,7 +270,8 @@ def compare(
 ) -> tuple[list[str], int]:
     """Return the names of the texts that differ, and the number of texts that were compared.
 
-    Only shaders that say the same in both dumps are compared, or with `everything` all, also those that are missing.
+    Only shaders that say the same in both dumps are compared, or with `everything` all, also those that are
+    missing.
     """
     differ, compared = [], 0
     for name in sorted({*before, *now}):
@@ -274,7 +286,8 @@ def compare(
 
 
 def check_wgsl() -> int:
-    """Let naga, the compiler of wgpu, read each text in WGSL; print what it refuses. Return 1 if it refuses any."""
+    """Let naga, the compiler of wgpu, read each text in WGSL; print what it refuses. Return 1 if it refuses
+    any."""
     import wgpu
     import wgpu.backends.wgpu_native
 
@@ -305,10 +318,16 @@ def main() -> int:
     """Write, compare or show; return 1 if texts differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, help="the file to write")
-    parser.add_argument("--compare", type=Path, metavar="FILE", help="print the texts that differ from those of a dump")
+    parser.add_argument(
+        "--compare", type=Path, metavar="FILE", help="print the texts that differ from those of a dump"
+    )
     parser.add_argument("--all", action="store_true", help="compare shaders that say something else, too")
-    parser.add_argument("--show", metavar="NAME", help="print the texts of the shaders whose name ends with this")
-    parser.add_argument("--origins", action="store_true", help="let hashes include the Python line of each line")
+    parser.add_argument(
+        "--show", metavar="NAME", help="print the texts of the shaders whose name ends with this"
+    )
+    parser.add_argument(
+        "--origins", action="store_true", help="let hashes include the Python line of each line"
+    )
     parser.add_argument("--naga", action="store_true", help="let the compiler of wgpu read all texts in WGSL")
     arguments = parser.parse_args()
     import_modules()

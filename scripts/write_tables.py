@@ -1,14 +1,15 @@
 """Make figures of the docs again: `python scripts/write_tables.py [--check | --ratios] [NAME …]`.
 
-The mark `<!-- table: NAME -->` stands in a page on the line above a table. `TABLES[NAME]` finds the cells of some of
-its columns. Those that don't depend on time are written into the page. With `--check` nothing is written: what differs
-is printed, and the exit code is 1 then. The nightly tests do so with all of them.
+The mark `<!-- table: NAME -->` stands in a page on the line above a table. `TABLES[NAME]` finds the cells of
+some of its columns. Those that don't depend on time are written into the page. With `--check` nothing is
+written: what differs is printed, and the exit code is 1 then. The nightly tests do so with all of them.
 
-Times differ from one machine to another, ratios less so. With `--ratios`, the times of each row are divided by those
-of the first one, and the ratios of the page are printed beside those of this machine.
+Times differ from one machine to another, ratios less so. With `--ratios`, the times of each row are divided
+by those of the first one, and the ratios of the page are printed beside those of this machine.
 
-Counts of occlusion queries that are answered while a frame is drawn depend a little on when: `MeasuredTable.tolerance`
-says by how much they may differ from the page. Rows that aren't found stay as they are.
+Counts of occlusion queries that are answered while a frame is drawn depend a little on when:
+`MeasuredTable.tolerance` says by how much they may differ from the page. Rows that aren't found stay as they
+are.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ Cells = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTable:
-    """A table of a page: `compute` finds the cells of its `columns`, then those of `times`, by a row's first cell.
+    """A table of a page: `compute` finds the cells of its `columns`, then those of `times`, by a row's first
+    cell.
 
     Attributes:
         within: the share by which numbers of `columns` may differ from those of the page.
@@ -61,15 +63,23 @@ class MeasuredTable:
 def _read_report(*arguments: str) -> Any:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, *arguments, "--json"], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, *arguments, "--json"],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return json.loads(done.stdout)
 
 
 def _significant(value: float, digits: int) -> str:
     """Return a number with so many significant digits."""
-    return np.format_float_positional(value, digits, fractional=False, trim="-") if value < 1e3 else \
-        f"{float(f'{value:.{digits - 1}e}'):,.0f}"  # fmt: skip
+    return (
+        np.format_float_positional(value, digits, fractional=False, trim="-")
+        if value < 1e3
+        else f"{float(f'{value:.{digits - 1}e}'):,.0f}"
+    )
 
 
 def count_order_changes() -> Cells:
@@ -96,7 +106,10 @@ def compare_inferred() -> Cells:
     """Compare images of inferred lighting at several scales with forward shading's, on gl."""
     scene = load_scene("hall")
     camera = parse_camera("overview", scene)
-    with rhi.create_device("gl") as device, Renderer(device, scene, technique=Forward(), size=(480, 270)) as renderer:
+    with (
+        rhi.create_device("gl") as device,
+        Renderer(device, scene, technique=Forward(), size=(480, 270)) as renderer,
+    ):
         reference = renderer.render(camera).image.read()[..., :3].astype(np.float64)
         rows = {}
         for scale in (1, 0.8, 0.6, 0.5, 0.4):
@@ -113,7 +126,9 @@ def count_light_lists() -> Cells:
     for name in ("night:lights=64", "night:lights=512", "night:lights=4096", "hall:lights=4096"):
         scene = load_scene(name)
         positions, ranges = (
-            np.concatenate([lights[field] for lights in (scene.lights.point, scene.lights.spot)]).astype(np.float64)
+            np.concatenate([lights[field] for lights in (scene.lights.point, scene.lights.spot)]).astype(
+                np.float64
+            )
             for field in ("position", "range")
         )
         ends, _ = list_lights(scene.objects.lower, scene.objects.upper, positions, ranges)
@@ -144,8 +159,12 @@ def compare_reprojected() -> Cells:
     rows = {}
     with rhi.create_device("gl") as device:
         for name, pose in (
-            ("city", "ground"), ("city", "overview"), ("hall", "ground"), ("glass", "overview"), ("bazaar", "corner"),
-        ):  # fmt: skip
+            ("city", "ground"),
+            ("city", "overview"),
+            ("hall", "ground"),
+            ("glass", "overview"),
+            ("bazaar", "corner"),
+        ):
             scene = load_scene(name)
             camera = parse_camera(pose, scene, frame=900).with_aspect(16 / 9)
             rig = compute_rig(scene, camera)
@@ -166,7 +185,11 @@ def count_leaf_sizes() -> Cells:
     scene, rows = load_scene("city"), {}
     contenders = [
         Contender(f"{name}, {size}", name, VisibilitySettings(leaf_size=size))
-        for name, sizes in (("stop_and_wait", (1,)), ("chc", (1, 2, 4, 8, 16)), ("chc_plus_plus", (1, 2, 4, 8, 16)))
+        for name, sizes in (
+            ("stop_and_wait", (1,)),
+            ("chc", (1, 2, 4, 8, 16)),
+            ("chc_plus_plus", (1, 2, 4, 8, 16)),
+        )
         for size in sizes
     ]
     with (
@@ -181,21 +204,24 @@ def count_leaf_sizes() -> Cells:
 
 
 def _compare_in_city(arguments: str) -> Any:
-    return _read_report("-m", "renderer", "compare", "visibility", "city", "--backend", "gl", *arguments.split())[
-        "rows"
-    ]
+    return _read_report(
+        "-m", "renderer", "compare", "visibility", "city", "--backend", "gl", *arguments.split()
+    )["rows"]
 
 
 def count_visibility_work() -> Cells:
-    """Count what algorithms draw, query and change on the whole path at ground level, on gl; hardware states, a few
-    each, not where they follow from when the device answers."""
+    """Count what algorithms draw, query and change on the whole path at ground level, on gl; hardware states,
+    a few each, not where they follow from when the device answers."""
     names = ("triangles", "draws", "queries", "software_state_changes", "hardware_state_changes")
     report = _compare_in_city(
         "--camera-path ground --frames 60 --stride 30 --frame 12 --warm-up 4 --size 960x540"
         " --algorithms frustum,stop_and_wait,chc_plus_plus,depth_pyramid,two_pass"
     )
     last = {"chc_plus_plus": 4, "depth_pyramid": 4}
-    return {row["algorithm"]: [f"{row[name]:,.0f}" for name in names[: last.get(row["algorithm"])]] for row in report}
+    return {
+        row["algorithm"]: [f"{row[name]:,.0f}" for name in names[: last.get(row["algorithm"])]]
+        for row in report
+    }
 
 
 def count_warm_up() -> Cells:
@@ -206,25 +232,34 @@ def count_warm_up() -> Cells:
             f"--size 192x108 --algorithms chc,chc_plus_plus --frames 60 --stride 30 --warm-up {before}"
             f" --frame {29 - before}"
         )
-        rows[f"{before}"] = [f"{row[name]:,.0f}" for row in report for name in ("triangles", "draws", "queries")]
+        rows[f"{before}"] = [
+            f"{row[name]:,.0f}" for row in report for name in ("triangles", "draws", "queries")
+        ]
     return rows
 
 
 def count_useless() -> Cells:
     """Count the cases of the exam that devices of no use pass, on gl."""
     report = _read_report("tests/meta/useless_devices.py")
-    return {name: [str(len(passed[asked])) for asked in (DRAWS, COMPUTES, NOTHING)] for name, passed in report.items()}
+    return {
+        name: [str(len(passed[asked])) for asked in (DRAWS, COMPUTES, NOTHING)]
+        for name, passed in report.items()
+    }
 
 
 TABLES: Final = {
-    "orders": MeasuredTable("docs/materials.md", ("programs", "materials", "meshes", "draws"), count_order_changes),
+    "orders": MeasuredTable(
+        "docs/materials.md", ("programs", "materials", "meshes", "draws"), count_order_changes
+    ),
     "encodings": MeasuredTable(
         "docs/deferred-plus.md", ("mean error", "largest error"), measure_encodings, ("ns, gl", "ns, cl")
     ),
     "inferred": MeasuredTable(
         "docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), compare_inferred
     ),
-    "light lists": MeasuredTable("docs/renderer.md", ("objects", "lights listed, longest list"), count_light_lists),
+    "light lists": MeasuredTable(
+        "docs/renderer.md", ("objects", "lights listed, longest list"), count_light_lists
+    ),
     "memory": MeasuredTable("docs/materials.md", ("bytes",), sum_memory),
     "useless devices": MeasuredTable("docs/exam.md", (DRAWS, COMPUTES, NOTHING), count_useless),
     "reprojected": MeasuredTable("docs/stereo.md", ("reprojected", "the left eye's"), compare_reprojected),
@@ -236,11 +271,17 @@ TABLES: Final = {
     ),
     "frames before": MeasuredTable(
         "docs/visibility-tables.md",
-        tuple(f"{name}: {what}" for name in ("chc", "chc_plus_plus") for what in ("triangles", "draws", "queries")),
+        tuple(
+            f"{name}: {what}"
+            for name in ("chc", "chc_plus_plus")
+            for what in ("triangles", "draws", "queries")
+        ),
         count_warm_up,
         tolerance=0.1,
     ),
-    "leaf sizes": MeasuredTable("docs/visibility-costs.md", ("queries", "draws"), count_leaf_sizes, tolerance=0.25),
+    "leaf sizes": MeasuredTable(
+        "docs/visibility-costs.md", ("queries", "draws"), count_leaf_sizes, tolerance=0.25
+    ),
 }
 """The tables that are made again, by the names of their marks."""
 
@@ -260,7 +301,9 @@ def parse_table(text: str, name: str, rows: Cells) -> tuple[list[str], dict[int,
     if mark not in lines:
         raise ValueError(f"no line {mark}")
     first = lines.index(mark) + 1
-    end = next((number for number in range(first, len(lines)) if not lines[number].startswith("|")), len(lines))
+    end = next(
+        (number for number in range(first, len(lines)) if not lines[number].startswith("|")), len(lines)
+    )
     cells = {number: _split(lines[number]) for number in range(first + 2, end)}
     seen = [row[0] for row in cells.values()]
     if not rows or not set(rows) <= set(seen):
@@ -287,16 +330,21 @@ def list_ratios(text: str, name: str, figure: MeasuredTable, rows: Cells) -> Ite
         for number, column in enumerate(figure.times, len(figure.columns)):
             pairs = [(each[titles.index(column)], rows[each[0]][number]) for each in (row, base)]
             try:
-                (old, new), (old_base, new_base) = [[float(cell.replace(",", "")) for cell in pair] for pair in pairs]
+                (old, new), (old_base, new_base) = [
+                    [float(cell.replace(",", "")) for cell in pair] for pair in pairs
+                ]
             except ValueError:  # a cell without a time
                 continue
             yield f"{name:<12} {row[0]:<52} {column:<8} {old / old_base:8.2f} {new / new_base:8.2f}"
 
 
 def list_differences(before: str, after: str, tolerance: float = 0.0) -> Iterator[str]:
-    """Yield the lines of a page that other cells change, old and new; numbers by more than a share of the old one."""
+    """Yield the lines of a page that other cells change, old and new; numbers by more than a share of the old
+    one."""
     for old, new in zip(before.split("\n"), after.split("\n"), strict=True):
-        if any(not _is_near(*cells, tolerance) for cells in zip_longest(_split(old), _split(new), fillvalue="")):
+        if any(
+            not _is_near(*cells, tolerance) for cells in zip_longest(_split(old), _split(new), fillvalue="")
+        ):
             yield f"- {old}\n+ {new}"
 
 

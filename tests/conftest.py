@@ -39,12 +39,14 @@ os.environ.setdefault("RHI_SLOW_ANISOTROPY", "1")  # no pixel of the tests takes
 
 NIGHTLY_FACTOR = 20
 COLLECTED_AFTER = (10_000, 10, 50)
-"""Thresholds of the garbage collector. With Python's own, tests full of Python spend a quarter of their time there."""
+"""Thresholds of the garbage collector. With Python's own, tests full of Python spend a quarter of their time
+there."""
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark the cases that `nightly_cases` selects as nightly. In the profile `nightly`, multiply the number of examples
-    of property tests, but for tests that are marked nightly themselves, which state their own number."""
+    """Mark the cases that `nightly_cases` selects as nightly. In the profile `nightly`, multiply the number
+    of examples of property tests, but for tests that are marked nightly themselves, which state their own
+    number."""
     is_own = item.get_closest_marker("nightly") is not None
     parameters = item.nodeid.partition("[")[2].removesuffix("]")
     patterns = [mark.args or ("*",) for mark in item.iter_markers("nightly_cases")]
@@ -58,7 +60,9 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         if not hasattr(test, "own_settings"):  # a function is shared by its parametrisations
             test.own_settings = test._hypothesis_internal_use_settings
             more = NIGHTLY_FACTOR * test.own_settings.max_examples
-            test._hypothesis_internal_use_settings = settings(test.own_settings, max_examples=more, derandomize=False)
+            test._hypothesis_internal_use_settings = settings(
+                test.own_settings, max_examples=more, derandomize=False
+            )
 
 
 @pytest.hookimpl(wrapper=True)
@@ -90,8 +94,8 @@ def isolated_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def mypy_strict(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[str, int]]:
     """`mypy --strict` on paths, with further options: its output and exit status.
 
-    Its cache is this process's own, begun as a copy of the project's: it is a database, and of several runs at once
-    those that wait for its lock too long fail.
+    Its cache is this process's own, begun as a copy of the project's: it is a database, and of several runs
+    at once those that wait for its lock too long fail.
     """
     pytest.importorskip("mypy")
     cache, previous_cache = tmp_path_factory.mktemp("mypy"), Path(__file__).parents[1] / ".mypy_cache"
@@ -101,7 +105,9 @@ def mypy_strict(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple
     def run(*arguments: object) -> tuple[str, int]:
         options = ["--strict", "--no-error-summary", "--cache-dir", str(cache)]
         command = [sys.executable, "-m", "mypy", *options, *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)  # in this process it keeps 190 MB
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False
+        )  # in this process it keeps 190 MB
         return done.stdout, done.returncode
 
     return run

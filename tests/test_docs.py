@@ -57,7 +57,9 @@ def test_frames_are_shown_and_compressed() -> None:
     sizes = {path: path.stat().st_size for path in (ROOT / "docs" / "images").rglob("*.*")}
     assert [str(path) for path in sizes if path.name not in pages] == []
     assert [str(path) for path, size in sizes.items() if size > 450_000] == []
-    assert sum(sizes.values()) < 4_500_000, "as WebP, without loss where edges are coloured, they take half of it"
+    assert sum(sizes.values()) < 4_500_000, (
+        "as WebP, without loss where edges are coloured, they take half of it"
+    )
 
 
 def test_the_examples_of_the_readme_pass_mypy_strict(

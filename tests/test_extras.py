@@ -1,4 +1,5 @@
-"""Each extra in a clean environment of its own, from a wheel: its programs run, and the page shows its image."""
+"""Each extra in a clean environment of its own, from a wheel: its programs run, and the page shows its
+image."""
 
 from __future__ import annotations
 
@@ -24,21 +25,32 @@ ROOT = Path(__file__).parents[1]
 pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
 
 DRAW = (
-    "import rhi; d = rhi.create_device('{}'); t = d.texture((4, 4), rhi.Format.RGBA8); print(t.read().shape); d.close()"
+    "import rhi; d = rhi.create_device('{}'); "
+    "t = d.texture((4, 4), rhi.Format.RGBA8); print(t.read().shape); d.close()"
 )
 PROGRAMS = {
     "": [["-m", "rhi"], ["-c", DRAW.format("null")], ["-c", DRAW.format("gl")]],
-    "renderer": [["-m", "renderer", "render", "hall", "--backend", "cl", "--size", "64x36", "--output", "hall.png"]],
-    "spirv": [["-m", "rhi"], ["-c", "import shutil, sys, os; sys.exit(not os.path.exists(sys.prefix + '/bin'))"]],
+    "renderer": [
+        ["-m", "renderer", "render", "hall", "--backend", "cl", "--size", "64x36", "--output", "hall.png"]
+    ],
+    "spirv": [
+        ["-m", "rhi"],
+        ["-c", "import shutil, sys, os; sys.exit(not os.path.exists(sys.prefix + '/bin'))"],
+    ],
     "wgpu": [["-c", DRAW.format("wgpu")]],
     "images": [["-c", "import PIL, rhi"]],
     "video": [["-c", "import av, rhi"]],
     "flip": [["-c", "import flip_evaluator, rhi"]],
     "imgui": [["-c", "import imgui_bundle, rhi"]],
     "dask": [["-c", "import distributed, rhi"]],
-    "test": [["-m", "pytest", "-q", "--pyargs", "rhi.conformance", "--rhi-backend", "null", "-k", "blending"]],
+    "test": [
+        ["-m", "pytest", "-q", "--pyargs", "rhi.conformance", "--rhi-backend", "null", "-k", "blending"]
+    ],
     "docs": [["-c", "import zensical, mkdocstrings"]],
-    "viewer": [["-m", "renderer", "view", "--help"], ["-c", "from rhi_screen import open_canvas; open_canvas('page')"]],
+    "viewer": [
+        ["-m", "renderer", "view", "--help"],
+        ["-c", "from rhi_screen import open_canvas; open_canvas('page')"],
+    ],
 }
 
 
@@ -48,7 +60,17 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     leave = shutil.ignore_patterns(".*", "out", "build", "dist", "__pycache__", "*.egg-info")
     shutil.copytree(ROOT, folder / "project", ignore=leave)
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", str(folder), str(folder / "project")]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--no-deps",
+        "-q",
+        "-w",
+        str(folder),
+        str(folder / "project"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         pytest.skip(f"no wheel can be made here: {done.stderr[-300:]}")
@@ -60,7 +82,9 @@ def install(wheel: Path, extra: str, folder: Path) -> str:
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
     python = str(folder / "bin" / "python")
     name = f"{wheel}[{extra}]" if extra else str(wheel)
-    done = subprocess.run([python, "-m", "pip", "install", "-q", name], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [python, "-m", "pip", "install", "-q", name], capture_output=True, text=True, check=False
+    )
     if done.returncode and "No matching distribution" not in done.stderr.replace("\n", " "):
         pytest.fail(done.stderr[-2000:])
     if done.returncode:
@@ -102,7 +126,19 @@ def test_the_page_of_an_installed_viewer_is_its_users_only(browser: Any, wheel: 
     from selenium.webdriver import ActionChains, Keys
 
     python = install(wheel, "viewer", tmp_path / "environment")
-    command = [python, "-m", "renderer", "view", "hall", "--canvas", "page", "--size", "480x270", "--backend", "cl"]
+    command = [
+        python,
+        "-m",
+        "renderer",
+        "view",
+        "hall",
+        "--canvas",
+        "page",
+        "--size",
+        "480x270",
+        "--backend",
+        "cl",
+    ]
     viewer = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env={**os.environ})
     attacker = ThreadingHTTPServer(("127.0.0.1", 0), Attacker)
     threading.Thread(target=attacker.serve_forever, daemon=True).start()
@@ -114,9 +150,13 @@ def test_the_page_of_an_installed_viewer_is_its_users_only(browser: Any, wheel: 
             assert wait_for(lambda: browser.title in ("in", "out") and browser.title, "the attack") == "out"
         browser.get(address)
         element = browser.find_element("css selector", "img")
-        wait_for(lambda: browser.execute_script("return arguments[0].naturalWidth", element) == 480, "an image")
+        wait_for(
+            lambda: browser.execute_script("return arguments[0].naturalWidth", element) == 480, "an image"
+        )
         assert (element.size["width"], element.size["height"]) == (480, 270)
-        wait_for(lambda: browser.title.startswith("hall") and "?" not in browser.title, "the title with its rate")
+        wait_for(
+            lambda: browser.title.startswith("hall") and "?" not in browser.title, "the title with its rate"
+        )
 
         def look() -> Any:
             with Image.open(io.BytesIO(element.screenshot_as_png)) as image:
@@ -124,7 +164,9 @@ def test_the_page_of_an_installed_viewer_is_its_users_only(browser: Any, wheel: 
 
         wait_for(lambda: len(np.unique(look().reshape(-1, 3), axis=0)) > 500, "the hall")
         before = look()
-        ActionChains(browser).move_to_element(element).click_and_hold().move_by_offset(120, 0).release().perform()
+        ActionChains(browser).move_to_element(element).click_and_hold().move_by_offset(
+            120, 0
+        ).release().perform()
         wait_for(lambda: (look() != before).mean() > 0.1, "another image")
         chain = ActionChains(browser).move_to_element(element).click().pause(0.5)
         chain.send_keys(Keys.F2).pause(0.5).send_keys("quit").send_keys(Keys.ENTER).perform()

@@ -1,4 +1,5 @@
-"""What strangers find: where a change goes, versions and dates, workflows, settings of editors, and metadata."""
+"""What strangers find: where a change goes, versions and dates, workflows, settings of editors, and
+metadata."""
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ def test_a_file_that_does_not_exist_is_found() -> None:
     assert not exists("renderer/technique/<name>.py")
 
 
-# -- commands ------------------------------------------------------------------------------------------------------
+# -- commands ------------------------------------------------------------------------------------------------
 
 
 def list_commands(text: str) -> Iterator[list[str]]:
@@ -65,7 +66,9 @@ def list_commands(text: str) -> Iterator[list[str]]:
 
 def missing_files(words: list[str]) -> list[str]:
     """The paths among the words of a command that don't exist."""
-    paths = [word for word in words if re.fullmatch(r"(\./)?[\w./-]+(\.(py|sh))|(tests|scripts)/[\w./-]+", word)]
+    paths = [
+        word for word in words if re.fullmatch(r"(\./)?[\w./-]+(\.(py|sh))|(tests|scripts)/[\w./-]+", word)
+    ]
     return [path for path in paths if not (ROOT / path).exists()]
 
 
@@ -113,7 +116,7 @@ def test_editors_wrap_lines_where_the_formatters_do() -> None:
     assert f"[*.cl]\nmax_line_length = {opencl_length[1]}\n" in text
 
 
-# -- versions and metadata -----------------------------------------------------------------------------------------
+# -- versions and metadata -----------------------------------------------------------------------------------
 
 
 def test_the_changelog_has_the_version_and_falling_dates() -> None:
@@ -140,7 +143,8 @@ def test_a_package_index_finds_the_files_and_images_of_the_readme() -> None:
     assert f"]({home}/raw/v0.1.0/docs/images/city.webp)" in text
     assert f"]({home}/blob/v0.1.0/docs/performance.md#small-programs)" in text
     assert (
-        link_absolutely("[a](#part) [b](https://x.example/y.md)", home, "1") == "[a](#part) [b](https://x.example/y.md)"
+        link_absolutely("[a](#part) [b](https://x.example/y.md)", home, "1")
+        == "[a](#part) [b](https://x.example/y.md)"
     )
 
 
@@ -160,8 +164,12 @@ def test_the_source_distribution_passes_a_part_of_its_own_tests(tmp_path: Path) 
     tests = ["tests/test_structure.py", "tests/test_project.py", "tests/test_docs.py", "tests/rhi/contract"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests],
-        cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-4000:]
     counted = [sys.executable, "scripts/count_lines.py"]
     subprocess.run(counted, cwd=folder, check=True, capture_output=True)

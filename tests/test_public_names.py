@@ -23,10 +23,18 @@ import rhi_screen
 
 DERIVED = [rhi, rhi.contract]  # whose `__all__` follows from their imports
 MODULES = [
-    rhi, rhi.contract, rhi.math, rhi.shading, rhi_screen,
-    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.lab.measure,
+    rhi,
+    rhi.contract,
+    rhi.math,
+    rhi.shading,
+    rhi_screen,
+    renderer.scene,
+    renderer.visibility,
+    renderer.frame,
+    renderer.techniques,
+    renderer.lab.measure,
     renderer.lab.accuracy,
-]  # fmt: skip
+]
 
 
 def undocumented(module: ModuleType) -> Iterator[str]:

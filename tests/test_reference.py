@@ -1,4 +1,5 @@
-"""The API reference: every public name is documented, and what docstrings say of parameters and rules is true."""
+"""The API reference: every public name is documented, and what docstrings say of parameters and rules is
+true."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ RULE = re.compile(r"`([a-z]+(?:-[a-z0-9]+)+)(?:-\*)?`")
 
 
 def public_objects() -> Iterator[tuple[str, object]]:
-    """Yield the public classes and functions of the reference with their qualified names, and the classes' members."""
+    """Yield the public classes and functions of the reference with their qualified names, and the classes'
+    members."""
     for module in MODULES:
         imported = importlib.import_module(module)
         for name in getattr(imported, "__all__", ()):
@@ -30,7 +32,9 @@ def public_objects() -> Iterator[tuple[str, object]]:
             if inspect.isclass(entry) and entry.__module__.startswith("rhi."):
                 yield f"{module}.{name}", entry
                 for member, value in vars(entry).items():
-                    function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+                    function = (
+                        value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+                    )
                     if not member.startswith("_") and inspect.isfunction(function):
                         yield f"{module}.{name}.{member}", function
             elif inspect.isfunction(entry):
@@ -67,7 +71,9 @@ def test_documented_parameters_exist() -> None:
         if inspect.isfunction(entry) and "Args" in sections(entry):
             parameters = set(inspect.signature(entry).parameters)
             wrong += [
-                f"{name}: {each}" for each in documented_parameters(sections(entry)["Args"]) if each not in parameters
+                f"{name}: {each}"
+                for each in documented_parameters(sections(entry)["Args"])
+                if each not in parameters
             ]
     assert wrong == []
 

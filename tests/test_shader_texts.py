@@ -121,10 +121,14 @@ def test_a_text_that_names_its_file_is_the_same_wherever_the_tree_lies() -> None
 def test_the_language_writes_the_recorded_texts() -> None:
     run = subprocess.run(
         [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--compare", RECORDED_TEXTS],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     again = "python scripts/dump_shaders.py -o tests/shader_texts.txt"
-    assert run.returncode == 0, f"these texts changed; if they are meant to, `{again}`:\n{run.stdout}\n{run.stderr}"
+    assert run.returncode == 0, (
+        f"these texts changed; if they are meant to, `{again}`:\n{run.stdout}\n{run.stderr}"
+    )
     (compared,) = re.findall(r"^(\d+) compared", run.stderr, re.MULTILINE)
     recorded = sum(len(row) for row in read_dump(RECORDED_TEXTS.read_text()).values())
     assert int(compared) > recorded / 2, f"most shaders say something else than the record: `{again}`"

@@ -1,4 +1,5 @@
-"""The documentation's site: it has all pages and no warning, its links lead somewhere, its search knows names."""
+"""The documentation's site: it has all pages and no warning, its links lead somewhere, its search knows
+names."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ from build_site import EXTRA_PAGES, MODULES, build, collect_pages  # noqa: E402
 
 def test_each_page_is_in_the_navigation_once(tmp_path: Path) -> None:
     collect_pages(tmp_path / "docs")
-    pages = sorted(page.relative_to(tmp_path / "docs").as_posix() for page in (tmp_path / "docs").rglob("*.md"))
+    pages = sorted(
+        page.relative_to(tmp_path / "docs").as_posix() for page in (tmp_path / "docs").rglob("*.md")
+    )
     navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
     assert sorted(re.findall(r"\S+\.md", navigation)) == pages
     assert {*EXTRA_PAGES.values(), *(f"reference/{module}.md" for module in MODULES)} <= set(pages)
@@ -58,18 +61,24 @@ def list_broken(site: Path) -> list[str]:
             parts = urlsplit(link)
             target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
             target = target / "index.html" if target.is_dir() else target
-            if not target.exists() or (target in pages and unquote(parts.fragment) not in {"", *pages[target].anchors}):
+            if not target.exists() or (
+                target in pages and unquote(parts.fragment) not in {"", *pages[target].anchors}
+            ):
                 broken.append(f"{page.relative_to(site)}: {link}")
     return broken
 
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
-    (tmp_path / "a.html").write_text('<p id="here"><a href="#here">1</a><a href="#there">2</a><a href="b.html">3</a>')
+    (tmp_path / "a.html").write_text(
+        '<p id="here"><a href="#here">1</a><a href="#there">2</a><a href="b.html">3</a>'
+    )
     assert list_broken(tmp_path) == ["a.html: #there", "a.html: b.html"]
 
 
 @pytest.mark.nightly
-def test_the_site_is_built_without_a_warning_and_its_links_and_search_find_what_they_name(tmp_path: Path) -> None:
+def test_the_site_is_built_without_a_warning_and_its_links_and_search_find_what_they_name(
+    tmp_path: Path,
+) -> None:
     pytest.importorskip("zensical")
     pytest.importorskip("mkdocstrings")
     assert build(tmp_path / "documentation") == []

@@ -1,7 +1,7 @@
 """The structure of the project: what the docs say of it is true, and a name means one thing.
 
-Which package may import which is held by import-linter (pyproject.toml); what is tested here is derived from tables and
-folders, so that a new leaf needs no row of its own.
+Which package may import which is held by import-linter (pyproject.toml); what is tested here is derived from
+tables and folders, so that a new leaf needs no row of its own.
 """
 
 from __future__ import annotations
@@ -27,11 +27,16 @@ PAGES = [
     *sorted((ROOT / "examples").glob("*/README.md")),
 ]
 PROGRAMS = [
-    path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py*")) if path.suffix in (".py", ".pyi")
+    path
+    for folder in FOLDERS
+    for path in sorted((ROOT / folder).rglob("*.py*"))
+    if path.suffix in (".py", ".pyi")
 ]
 TICKED = re.compile(r"`([^`\n]+)`")
 DOTTED = re.compile(r"(?:rhi_screen|rhi|renderer)(?:\.\w+)+")
-FILE = re.compile(r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)")
+FILE = re.compile(
+    r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)"
+)
 MOVED = "CHANGELOG.md"  # lists names that are gone, beside those that took their place
 
 
@@ -39,12 +44,16 @@ MOVED = "CHANGELOG.md"  # lists names that are gone, beside those that took thei
 def read_prose(path: Path) -> tuple[tuple[int, str], ...]:
     """The text of a page, or the strings and comments of a program, with their first lines."""
     if path.suffix == ".md":
-        text = re.sub(r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL)
+        text = re.sub(
+            r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL
+        )
         return ((1, text),)
     with path.open("rb") as file:
         tokens = tokenize.tokenize(file.readline)
         kinds = (tokenize.STRING, tokenize.COMMENT)
-        return tuple((each.start[0], each.string) for each in tokens if each.type in kinds and "`" in each.string)
+        return tuple(
+            (each.start[0], each.string) for each in tokens if each.type in kinds and "`" in each.string
+        )
 
 
 def list_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:
@@ -87,7 +96,9 @@ def describe(path: Path, line: int, mention: str) -> str:
 @pytest.mark.parametrize("folder", ["pages", *FOLDERS])
 def test_every_dotted_path_in_back_ticks_resolves(folder: str) -> None:
     paths = PAGES if folder == "pages" else [path for path in PROGRAMS if path.is_relative_to(ROOT / folder)]
-    mentions = [(path, *mention) for path in paths for mention in list_mentions(path, DOTTED) if not path.match(MOVED)]
+    mentions = [
+        (path, *mention) for path in paths for mention in list_mentions(path, DOTTED) if not path.match(MOVED)
+    ]
     importlib.import_module("rhi.backends.cl.builds")  # it makes the logger that the docs name
     resolved = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
     assert [describe(*mention) for mention in mentions if not resolved[mention[2]]] == []
@@ -125,7 +136,7 @@ def test_a_path_that_does_not_exist_is_found(dotted: str) -> None:
     assert not resolves(dotted)
 
 
-# -- one name, one thing -------------------------------------------------------------------------------------------
+# -- one name, one thing -------------------------------------------------------------------------------------
 
 ROLES = {"Buffers", "Draws", "Fence", "Programs", "Queries", "Samplers", "Textures", "VertexArrays"}
 """Classes with the same job in each backend, which therefore have the same name."""
@@ -139,7 +150,8 @@ def list_classes(source: str) -> Iterator[str]:
 
 
 def list_homonyms(sources: dict[str, str]) -> dict[str, list[str]]:
-    """Names of classes that several modules define, with these modules. A leading underscore makes no other name."""
+    """Names of classes that several modules define, with these modules. A leading underscore makes no other
+    name."""
     modules: dict[str, list[str]] = {}
     for module, source in sources.items():
         for name in list_classes(source):
@@ -168,7 +180,7 @@ def test_a_homonym_is_found() -> None:
     }
 
 
-# -- techniques ----------------------------------------------------------------------------------------------------
+# -- techniques ----------------------------------------------------------------------------------------------
 
 FLOORS = (("technique_settings",), ("auto", "inspection", "resource_capture"), ("table",))
 """The modules that may know techniques, and those on floors below their own."""
@@ -214,11 +226,14 @@ def test_a_technique_that_imports_another_is_found(tmp_path: Path) -> None:
         (tmp_path / f"{name}.py").write_text(f"from renderer.techniques.{imported} import Thing\n")
     wrong_imports = list_wrong_imports(tmp_path, {"deferred", "forward"})
     assert wrong_imports == [
-        "auto.py: technique_settings", "deferred.py: forward", "depth.py: deferred", "resource_capture.py: auto",
-    ]  # fmt: skip
+        "auto.py: technique_settings",
+        "deferred.py: forward",
+        "depth.py: deferred",
+        "resource_capture.py: auto",
+    ]
 
 
-# -- rooms ---------------------------------------------------------------------------------------------------------
+# -- rooms ---------------------------------------------------------------------------------------------------
 
 
 def count_entries(folder: str) -> int:
@@ -229,14 +244,17 @@ def count_entries(folder: str) -> int:
 
 
 @pytest.mark.parametrize(
-    ("folder", "most"), [("renderer", 20), ("renderer/techniques", 17), ("rhi/backends/cl", 12), ("renderer/lab", 12)]
+    ("folder", "most"),
+    [("renderer", 20), ("renderer/techniques", 17), ("rhi/backends/cl", 12), ("renderer/lab", 12)],
 )
 def test_a_package_has_few_rooms(folder: str, most: int) -> None:
     assert count_entries(folder) <= most
 
 
 def test_the_root_of_rhi_has_at_most_a_dozen_packages_and_modules() -> None:
-    rooms = [path for path in (ROOT / "rhi").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
+    rooms = [
+        path for path in (ROOT / "rhi").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    ]
     assert len(rooms) <= 12
 
 
@@ -253,13 +271,17 @@ def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> N
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             for name in names:
-                assert name.split(".")[0] != "rhi" or name in ("rhi.contract", "rhi.shading"), f"{path.name}: {name}"
+                assert name.split(".")[0] != "rhi" or name in ("rhi.contract", "rhi.shading"), (
+                    f"{path.name}: {name}"
+                )
 
 
 def test_each_package_that_an_extra_installs_is_used() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     needed = [*project["dependencies"], *project["optional-dependencies"]["renderer"]]
-    imported = "\n".join(path.read_text() for folder in ("rhi", "renderer") for path in (ROOT / folder).rglob("*.py"))
+    imported = "\n".join(
+        path.read_text() for folder in ("rhi", "renderer") for path in (ROOT / folder).rglob("*.py")
+    )
     for requirement in needed:
         name = re.split(r"[^\w-]", requirement)[0].replace("-", "_")
         module = {"pillow": "PIL"}.get(name, name)

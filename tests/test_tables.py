@@ -1,4 +1,5 @@
-"""Figures of the docs: each table has the command that makes it; what doesn't depend on time is compared (nightly)."""
+"""Figures of the docs: each table has the command that makes it; what doesn't depend on time is compared
+(nightly)."""
 
 from __future__ import annotations
 
@@ -14,14 +15,19 @@ sys.path.append(str(ROOT / "scripts"))
 
 from write_tables import TABLES, MeasuredTable, list_differences, list_ratios, replace_cells  # noqa: E402
 
-PAGE = "<!-- table: sums -->\n| of | sum | ms |\n|---|---|---|\n| 1, 2 | 3 | 8.1 |\n| 4, 5 | 8 | 8.2 |\n\nMore."
+PAGE = (
+    "<!-- table: sums -->\n| of | sum | ms |\n|---|---|---|\n| 1, 2 | 3 | 8.1 |\n| 4, 5 | 8 | 8.2 |\n\nMore."
+)
 
 
 def test_only_the_cells_of_the_columns_that_do_not_depend_on_time_are_written() -> None:
     written = replace_cells(PAGE, "sums", ["sum"], {"1, 2": ["3"], "4, 5": ["9"]})
     assert written == PAGE.replace("| 8 |", "| 9 |")
     assert list(list_differences(PAGE, written)) == ["- | 4, 5 | 8 | 8.2 |\n+ | 4, 5 | 9 | 8.2 |"]
-    assert list(list_differences(PAGE, replace_cells(PAGE, "sums", ["sum"], {"1, 2": ["3"], "4, 5": ["8"]}))) == []
+    assert (
+        list(list_differences(PAGE, replace_cells(PAGE, "sums", ["sum"], {"1, 2": ["3"], "4, 5": ["8"]})))
+        == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -68,7 +74,7 @@ def test_a_table_that_does_not_depend_on_time_is_what_its_command_finds(name: st
     assert list(list_differences(text, computed, figure.tolerance)) == []
 
 
-# -- commands ------------------------------------------------------------------------------------------------------
+# -- commands ------------------------------------------------------------------------------------------------
 
 COMMAND = re.compile(r"(?:python |pytest |\./\w+\.sh)\S+")
 ONCE = "measured once"
@@ -85,7 +91,9 @@ def list_tables(lines: list[str]) -> Iterator[tuple[int, int]]:
             continue
         while number < len(lines) and lines[number].startswith("|"):
             number += 1
-        cells = [cell.strip(" *`") for line in lines[first + 2 : number] for cell in line.strip("|").split("|")]
+        cells = [
+            cell.strip(" *`") for line in lines[first + 2 : number] for cell in line.strip("|").split("|")
+        ]
         figures = sum(bool(re.match(r"[×~<>≤±+–-]?\s?\.?\d", cell)) and len(cell) <= 40 for cell in cells)
         letters = sum(character.isalpha() for cell in cells if cell[:1].isdigit() for character in cell)
         if figures >= 4 and 2 * figures > sum(bool(cell) for cell in cells) and letters <= 6 * figures:

@@ -45,7 +45,9 @@ class RetiredWord:
             file_pattern, separator, identifier_pattern = pattern.partition("::")
             if not separator:
                 file_pattern, identifier_pattern = "*", pattern
-            if fnmatchcase(path, file_pattern) and fnmatchcase(identifier.lower(), identifier_pattern.lower()):
+            if fnmatchcase(path, file_pattern) and fnmatchcase(
+                identifier.lower(), identifier_pattern.lower()
+            ):
                 return True
         return False
 
@@ -55,7 +57,11 @@ def read_list(text: str) -> list[RetiredWord]:
     entries: dict[str, Any] = tomllib.loads(text)
     return [
         RetiredWord(
-            name, entry["new"], frozenset(entry["where"]), tuple(entry["forms"]), dict(entry.get("allowed", {}))
+            name,
+            entry["new"],
+            frozenset(entry["where"]),
+            tuple(entry["forms"]),
+            dict(entry.get("allowed", {})),
         )
         for name, entry in entries.items()
     ]
@@ -67,8 +73,12 @@ RETIRED: Final = read_list(LIST.read_text(encoding="utf-8"))
 def list_files(*patterns: str) -> list[Path]:
     """The files that git tracks, or in a source distribution all that match."""
     if not (ROOT / ".git").exists():
-        return sorted(path for pattern in patterns for path in ROOT.rglob(pattern) if ".venv" not in path.parts)
-    listed = subprocess.run(["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True)
+        return sorted(
+            path for pattern in patterns for path in ROOT.rglob(pattern) if ".venv" not in path.parts
+        )
+    listed = subprocess.run(
+        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     return [ROOT / name for name in listed.stdout.split() if (ROOT / name).exists()]
 
 
@@ -98,12 +108,14 @@ def list_foreign_names(text: str) -> set[str]:
     """The names that a program imports from packages that aren't this project's: their words are theirs."""
     nodes = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom))
     own = ("rhi", "rhi_screen", "renderer")
-    return {alias.name for node in nodes if (node.module or "").split(".")[0] not in own for alias in node.names}
+    return {
+        alias.name for node in nodes if (node.module or "").split(".")[0] not in own for alias in node.names
+    }
 
 
 def check_program(path: Path) -> Iterator[str]:
-    """Yield what is wrong with the identifiers, strings and comments of a Python file. An attribute is written
-    with its dot, so that an exception can be made for it."""
+    """Yield what is wrong with the identifiers, strings and comments of a Python file. An attribute is
+    written with its dot, so that an exception can be made for it."""
     name = path.relative_to(ROOT).as_posix()
     checked = list_foreign_names(path.read_text(encoding="utf-8"))
     with path.open("rb") as file:
@@ -112,7 +124,9 @@ def check_program(path: Path) -> Iterator[str]:
             identifier = f".{token.string}" if before == "." else token.string
             if token.type == tokenize.NAME and identifier not in checked:
                 checked.add(identifier)
-                yield from (f"{name}:{token.start[0]}: {wrong}" for wrong in check_identifier(name, identifier))
+                yield from (
+                    f"{name}:{token.start[0]}: {wrong}" for wrong in check_identifier(name, identifier)
+                )
             before = token.string
             if token.type in (tokenize.STRING, tokenize.COMMENT):
                 for line, wrong in check_prose(name, token.string):
@@ -140,7 +154,9 @@ def check_tree(paths: Sequence[Path]) -> list[str]:
     return wrong
 
 
-@pytest.mark.parametrize("top", ["rhi", "rhi_screen", "renderer", "examples", "benchmarks", "scripts", "tests"])
+@pytest.mark.parametrize(
+    "top", ["rhi", "rhi_screen", "renderer", "examples", "benchmarks", "scripts", "tests"]
+)
 def test_no_program_says_a_retired_word(top: str) -> None:
     assert check_tree(list_files(f"{top}/**.py")) == []
 
@@ -151,11 +167,15 @@ def test_no_page_says_a_retired_word() -> None:
 
 def test_few_functions_are_called_find() -> None:
     defined = re.compile(r"^\s*(?:async )?def (_?find_\w+)", re.MULTILINE)
-    functions = [name for path in list_files("*.py") for name in defined.findall(path.read_text(encoding="utf-8"))]
-    assert len(functions) < MAX_FIND_FUNCTIONS, "say what they do: compute, lookup, collect, select, nearest …"
+    functions = [
+        name for path in list_files("*.py") for name in defined.findall(path.read_text(encoding="utf-8"))
+    ]
+    assert len(functions) < MAX_FIND_FUNCTIONS, (
+        "say what they do: compute, lookup, collect, select, nearest …"
+    )
 
 
-# -- the check itself ----------------------------------------------------------------------------------------------
+# -- the check itself ----------------------------------------------------------------------------------------
 
 SAMPLE: Final = read_list(
     """
@@ -180,7 +200,9 @@ def test_a_retired_word_of_an_identifier_is_found_with_the_new_word(identifier: 
     assert "light" in wrong or "value" in wrong
 
 
-@pytest.mark.parametrize("identifier", ["clamp", "Lampoon", "light", "given_count", "forgiven", "make_street_lamp"])
+@pytest.mark.parametrize(
+    "identifier", ["clamp", "Lampoon", "light", "given_count", "forgiven", "make_street_lamp"]
+)
 def test_other_words_and_exceptions_are_left_alone(identifier: str) -> None:
     assert list(check_identifier("rhi/a.py", identifier, SAMPLE)) == []
 

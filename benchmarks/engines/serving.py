@@ -1,8 +1,8 @@
 """What the programs of `benchmarks/engines.py` have in common: each draws a model when it is told to.
 
-They run in environments of their own, so this imports no more than NumPy. The job is the first argument, as JSON. On
-the standard input a line `frame` asks for a frame, and `end FILE` for its image as bytes, rows of RGB from the top;
-each is answered by a line of JSON. What engines print goes to the standard error.
+They run in environments of their own, so this imports no more than NumPy. The job is the first argument, as
+JSON. On the standard input a line `frame` asks for a frame, and `end FILE` for its image as bytes, rows of
+RGB from the top; each is answered by a line of JSON. What engines print goes to the standard error.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 
 
 class Job(TypedDict):
-    """What is drawn: a model's `path`, at `width` × `height` pixels, from `eye` along `ahead` (3,) with y upwards, by a
-    projection of `fov` degrees bottom to top that sees from `near` to `far` metres, before `background` (3,), linear,
-    with the light `ambient` (3,), linear, from everywhere; `sun` (3,) is the hue of directional light, and `engine` the
-    row's name."""
+    """What is drawn: a model's `path`, at `width` × `height` pixels, from `eye` along `ahead` (3,) with y
+    upwards, by a projection of `fov` degrees bottom to top that sees from `near` to `far` metres, before
+    `background` (3,), linear, with the light `ambient` (3,), linear, from everywhere; `sun` (3,) is the hue
+    of directional light, and `engine` the row's name."""
 
     engine: str
     path: str
@@ -41,8 +41,8 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
     """Load, then draw as often as asked for.
 
     Args:
-        load: makes what a job needs; returns what draws, and the function that draws a frame and returns its image
-            (h, w, 3 or more) as bytes, top row first.
+        load: makes what a job needs; returns what draws, and the function that draws a frame and returns its
+            image (h, w, 3 or more) as bytes, top row first.
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)

@@ -1,4 +1,5 @@
-"""The city with Panda3D's fixed pipeline, on OpenGL or on its own software renderer: lit at vertices, by eight lights.
+"""The city with Panda3D's fixed pipeline, on OpenGL or on its own software renderer: lit at vertices, by
+eight lights.
 
 The shaders of simplepbr, by which it would light pixels, end the process in llvmpipe 22.3.
 """
@@ -26,7 +27,9 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     settings = gltf.GltfSettings(legacy_materials=True, no_srgb=True)
     city = NodePath(gltf.load_model(job["path"], settings))
     city.reparentTo(base.render)
-    for light in city.findAllMatches("**/+DirectionalLight"):  # its loader has taken a lux for the 683rd part of a unit
+    for light in city.findAllMatches(
+        "**/+DirectionalLight"
+    ):  # its loader has taken a lux for the 683rd part of a unit
         light.node().setColor((*job["sun"], 1.0))
     ambient = AmbientLight("ambient")
     ambient.setColor((*encode(job["ambient"]), 1.0))

@@ -21,7 +21,9 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     scene.add(pygfx.load_gltf(job["path"], quiet=True).scene)
     scene.add(pygfx.AmbientLight(tuple(encode(job["ambient"]))))
     aspect = job["width"] / job["height"]
-    tangent = math.tan(math.radians(0.5 * job["fov"])) * 0.5 * (1.0 + aspect)  # of the mean of width and height
+    tangent = (
+        math.tan(math.radians(0.5 * job["fov"])) * 0.5 * (1.0 + aspect)
+    )  # of the mean of width and height
     camera = pygfx.PerspectiveCamera(
         math.degrees(2.0 * math.atan(tangent)), aspect, depth_range=(job["near"], job["far"])
     )

@@ -1,4 +1,5 @@
-"""The city with this renderer as its commands have it: technique and visibility are the fastest that it finds."""
+"""The city with this renderer as its commands have it: technique and visibility are the fastest that it
+finds."""
 
 from __future__ import annotations
 

@@ -24,7 +24,9 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     renderer.SetBackground(*encode(job["background"]))
     camera = renderer.GetActiveCamera()
     camera.SetPosition(*job["eye"])
-    camera.SetFocalPoint(*(coordinate + step for coordinate, step in zip(job["eye"], job["ahead"], strict=True)))
+    camera.SetFocalPoint(
+        *(coordinate + step for coordinate, step in zip(job["eye"], job["ahead"], strict=True))
+    )
     camera.SetViewUp(0.0, 1.0, 0.0)
     camera.SetViewAngle(job["fov"])
     pixels = vtk.vtkUnsignedCharArray()

@@ -80,7 +80,8 @@ def save_frames(
     backend: str | None = None,
     processes: int | None = None,
 ) -> Iterator[Path]:
-    """Draw the frames at these times by several processes, and yield each path in order once it is written."""
+    """Draw the frames at these times by several processes, and yield each path in order once it is
+    written."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes or os.cpu_count(), spawn, start, (backend, size)) as pool:
         yield from pool.map(save_frame, times, paths, chunksize=4)
@@ -104,11 +105,15 @@ def test_the_waves_move(rhi_device: rhi.Device) -> None:  # on each of --rhi-bac
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend")
     parser.add_argument("--size", default="640x480", metavar="WxH")
     parser.add_argument("--frames", type=int, default=1, help="default: 1, which is saved as an image")
-    parser.add_argument("--output", type=Path, default=Path("batch"), help="a folder, or the name of the image")
+    parser.add_argument(
+        "--output", type=Path, default=Path("batch"), help="a folder, or the name of the image"
+    )
     options = parser.parse_args()
     width, height = (int(each) for each in options.size.split("x"))
     times, paths = np.arange(options.frames) / 24 + 1.5, [options.output.with_suffix(".png")]

@@ -1,7 +1,9 @@
-"""A device beside a moderngl engine: it reads the engine's texture, and shows its image in the engine's framebuffer.
+"""A device beside a moderngl engine: it reads the engine's texture, and shows its image in the engine's
+framebuffer.
 
-The engine has a context of its own, as with moderngl-window, pyglet or Qt, and draws discs. On `gl` the device shares
-its textures both ways, and neither sees the other's states. On other backends the same image takes two copies.
+The engine has a context of its own, as with moderngl-window, pyglet or Qt, and draws discs. On `gl` the
+device shares its textures both ways, and neither sees the other's states. On other backends the same image
+takes two copies.
 """
 
 from __future__ import annotations

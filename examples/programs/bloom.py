@@ -1,4 +1,5 @@
-"""Bloom: a bright pass into half floats, a separable Gaussian blur, and a sum with tone mapping; four passes."""
+"""Bloom: a bright pass into half floats, a separable Gaussian blur, and a sum with tone mapping; four
+passes."""
 
 from __future__ import annotations
 
@@ -42,7 +43,10 @@ class Bright(sl.FullScreen):
 
     def fragment(self) -> sl.vec4:
         return sl.vec4(
-            sl.max(self.source.sample(sl.fragment_coordinate().xy / self.window.size).rgb - 1.0, sl.vec3(0.0)), 1.0
+            sl.max(
+                self.source.sample(sl.fragment_coordinate().xy / self.window.size).rgb - 1.0, sl.vec3(0.0)
+            ),
+            1.0,
         )
 
 
@@ -97,7 +101,11 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
             device.draw(blur, screen, source=source.sampled(clamped), window=small, axis=axis)
     with device.render_pass(image):
         device.draw(
-            device.program(Composite), screen, source=scene.sampled(clamped), bloom=a.sampled(clamped), window=window
+            device.program(Composite),
+            screen,
+            source=scene.sampled(clamped),
+            bloom=a.sampled(clamped),
+            window=window,
         )
     return image
 

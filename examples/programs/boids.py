@@ -1,4 +1,5 @@
-"""Boids with a panel: a flock that a compute shader moves, drawn as one instanced draw, and sliders that steer it.
+"""Boids with a panel: a flock that a compute shader moves, drawn as one instanced draw, and sliders that
+steer it.
 
     python examples/programs/boids.py                  a window: drag, scroll, and move the sliders
     python examples/programs/boids.py --output a.png   an image
@@ -57,12 +58,16 @@ class Flock(Shader):
                 middle += gap
                 heading += other.velocity - own.velocity
                 away -= gap / (far * far)
-        push = self.rules.separation * away * 0.02 - own.position * (0.3 if sl.length(own.position) > 3.0 else 0.0)
+        push = self.rules.separation * away * 0.02 - own.position * (
+            0.3 if sl.length(own.position) > 3.0 else 0.0
+        )
         if near > 0.0:
             push += (self.rules.cohesion * middle + self.rules.alignment * heading) / near
         velocity = own.velocity + push * self.rules.seconds * 4.0
         velocity = sl.normalize(velocity) * min(max(sl.length(velocity), 0.6), 1.6)
-        self.then[sl.global_id().x] = Boid(position=own.position + velocity * self.rules.seconds, velocity=velocity)
+        self.then[sl.global_id().x] = Boid(
+            position=own.position + velocity * self.rules.seconds, velocity=velocity
+        )
 
 
 class View(Struct):
@@ -89,7 +94,8 @@ class Darts(Shader):
         ahead = sl.normalize(boid.velocity)
         side = sl.normalize(sl.cross(ahead, vec3(0.03, 1.0, 0.01)))
         position = (
-            boid.position + (side * v.position.x + sl.cross(side, ahead) * v.position.y + ahead * v.position.z) * 0.06
+            boid.position
+            + (side * v.position.x + sl.cross(side, ahead) * v.position.y + ahead * v.position.z) * 0.06
         )
         return DartVarying(clip=self.view.view_projection @ vec4(position, 1.0), color=ahead * 0.4 + 0.5)
 
@@ -108,7 +114,9 @@ class Demo:
         self.move, self.show = device.program(Flock), device.program(Darts)
         self.rules = {"cohesion": 0.4, "alignment": 0.6, "separation": 1.0, "reach": 0.7}
         corners = np.array([(0, 0, 2), (-0.6, 0, -1), (0.6, 0, -1), (0, 0.5, -1)], np.float32)
-        self.dart = device.mesh({"position": corners}, np.array([0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3], np.uint16))
+        self.dart = device.mesh(
+            {"position": corners}, np.array([0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3], np.uint16)
+        )
 
     def draw(self, seconds: float | None = None) -> None:
         device = self.screen.device

@@ -71,7 +71,10 @@ class Geometry(sl.Shader):
     def fragment(self, s: Surface) -> Stored:
         dark = sl.vec4(s.color * (0.02 + 0.02 * max(s.normal.y, 0.0)), 1.0)
         return Stored(
-            image=dark, position=sl.vec4(s.position, 1.0), normal=sl.vec4(s.normal, 0.0), color=sl.vec4(s.color, 1.0)
+            image=dark,
+            position=sl.vec4(s.position, 1.0),
+            normal=sl.vec4(s.normal, 0.0),
+            color=sl.vec4(s.color, 1.0),
         )
 
 
@@ -111,14 +114,25 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     positions, normals, _, indices = make_cube()
     cube = device.mesh({"position": positions, "normal": normals}, indices)
     camera = device.uniform(
-        Camera(view_projection=perspective(np.radians(50), size[0] / size[1]) @ look_at((11, 8, 13), (0, -1, 0)))
+        Camera(
+            view_projection=perspective(np.radians(50), size[0] / size[1]) @ look_at((11, 8, 13), (0, -1, 0))
+        )
     )
-    stored_positions, stored, colors = (device.texture(size, f) for f in (Format.RGBA32F, Format.RGBA16F, Format.RGBA8))
+    stored_positions, stored, colors = (
+        device.texture(size, f) for f in (Format.RGBA32F, Format.RGBA16F, Format.RGBA8)
+    )
     image, depth = device.texture(size, Format.RGBA8_SRGB), device.texture(size, Format.D32F)
-    with device.render_pass([image, stored_positions, stored, colors], depth, clear=(0, 0, 0, 0), clear_depth=0.0):
-        device.draw(device.program(Geometry), cube, len(boxes), camera=camera, boxes=device.storage(Box, boxes))
+    with device.render_pass(
+        [image, stored_positions, stored, colors], depth, clear=(0, 0, 0, 0), clear_depth=0.0
+    ):
+        device.draw(
+            device.program(Geometry), cube, len(boxes), camera=camera, boxes=device.storage(Box, boxes)
+        )
     behind = device.states(DepthWrite.OFF, BlendFunction.ADDITIVE, CullMode.FRONT, DepthFunction.LESS_EQUAL)
-    with device.render_pass(image, depth), behind:  # depth is reversed: back faces that lie behind what is seen
+    with (
+        device.render_pass(image, depth),
+        behind,
+    ):  # depth is reversed: back faces that lie behind what is seen
         device.draw(
             device.program(Lighting),
             cube,

@@ -1,7 +1,8 @@
 """A user interface as Dear ImGui hands it over: lists of vertices, indices and commands with clip rectangles.
 
-A vertex is a position in pixels, a uv in the font's atlas, and a color in four bytes. Solid shapes use one white texel
-of the atlas. A command draws a range of indices inside a rectangle. The lists change each frame, so they are transient.
+A vertex is a position in pixels, a uv in the font's atlas, and a color in four bytes. Solid shapes use one
+white texel of the atlas. A command draws a range of indices inside a rectangle. The lists change each frame,
+so they are transient.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ class Windows(Shader):
 
     def vertex(self, v: Corner) -> Colored:
         position = v.position / self.screen.size
-        return Colored(clip=vec4(position.x * 2.0 - 1.0, 1.0 - position.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
+        return Colored(
+            clip=vec4(position.x * 2.0 - 1.0, 1.0 - position.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color
+        )
 
     def fragment(self, v: Colored) -> vec4:
         return vec4(v.color.rgb, v.color.a * self.atlas.sample(v.uv).x)
@@ -51,19 +54,24 @@ class Windows(Shader):
 
 @dataclass
 class DrawList:
-    """Vertices, indices, and commands of (first index, number of indices, clip rectangle x, y, width, height)."""
+    """Vertices, indices, and commands of (first index, number of indices, clip rectangle x, y, width,
+    height)."""
 
     vertices: list[tuple[object, ...]] = field(default_factory=list)
     indices: list[int] = field(default_factory=list)
     commands: list[tuple[int, int, tuple[int, int, int, int]]] = field(default_factory=list)
 
-    def add(self, x: float, y: float, width: float, height: float, color: Color, uv: tuple[float, ...]) -> None:
+    def add(
+        self, x: float, y: float, width: float, height: float, color: Color, uv: tuple[float, ...]
+    ) -> None:
         """Add a rectangle with the part of the atlas from (u0, v0) to (u1, v1)."""
         base, (u0, v0, u1, v1) = len(self.vertices), uv
         self.vertices += [
-            ((x, y), (u0, v0), color), ((x + width, y), (u1, v0), color),
-            ((x + width, y + height), (u1, v1), color), ((x, y + height), (u0, v1), color),
-        ]  # fmt: skip
+            ((x, y), (u0, v0), color),
+            ((x + width, y), (u1, v0), color),
+            ((x + width, y + height), (u1, v1), color),
+            ((x, y + height), (u0, v1), color),
+        ]
         self.indices += [base + i for i in (0, 1, 2, 0, 2, 3)]
 
     def clip(self, x: int, y: int, width: int, height: int) -> None:

@@ -44,7 +44,11 @@ class Enlarged(sl.FullScreen):
 
     def fragment(self) -> sl.vec4:
         cell = sl.ivec2(sl.fragment_coordinate().xy / self.window.size * sl.vec2(self.cells.size()))
-        return sl.vec4(0.3, 0.9, 0.5, 1.0) if int(self.cells.load(cell).x) == 1 else sl.vec4(0.03, 0.05, 0.08, 1.0)
+        return (
+            sl.vec4(0.3, 0.9, 0.5, 1.0)
+            if int(self.cells.load(cell).x) == 1
+            else sl.vec4(0.03, 0.05, 0.08, 1.0)
+        )
 
 
 def make_cells() -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Occlusion culling: the GPU counts the samples of 2,000 boxes, and draws the spheres in those that are visible.
+"""Occlusion culling: the GPU counts the samples of 2,000 boxes, and draws the spheres in those that are
+visible.
 
 `draw_counted` asks about all boxes in one call, `draw_conditional` draws by the answers; the CPU never waits.
 """
@@ -57,7 +58,11 @@ def make_instances() -> NDArray[np.void]:
     """Return a wall with a gap, as the first two rows, and spheres on both sides of it."""
     rng = np.random.default_rng(4)
     rows = np.zeros(COUNT + 2, Instance.dtype)
-    rows["center"][:2], rows["size"][:2], rows["color"] = [(-6, 2, 0), (6, 2, 0)], (5, 4, 0.3), (0.35, 0.32, 0.3)
+    rows["center"][:2], rows["size"][:2], rows["color"] = (
+        [(-6, 2, 0), (6, 2, 0)],
+        (5, 4, 0.3),
+        (0.35, 0.32, 0.3),
+    )
     rows["center"][2:] = rng.uniform((-12, -2, -22), (12, 6, 3), (COUNT, 3))
     rows["size"][2:] = rng.uniform(0.1, 0.3, (COUNT, 1))
     rows["color"][2:] = rng.uniform(0.1, 0.8, (COUNT, 3))
@@ -65,12 +70,19 @@ def make_instances() -> NDArray[np.void]:
 
 
 def draw(device: rhi.Device, size: tuple[int, int]) -> tuple[rhi.Texture, rhi.QuerySet]:
-    """Draw the wall, ask about the boxes, draw the spheres of visible boxes; return the image and the answers."""
+    """Draw the wall, ask about the boxes, draw the spheres of visible boxes; return the image and the
+    answers."""
     cube, _, _, cube_indices = make_cube()
     sphere, sphere_indices = make_sphere()
-    boxes, spheres = device.mesh({"position": cube}, cube_indices), device.mesh({"position": sphere}, sphere_indices)
+    boxes, spheres = (
+        device.mesh({"position": cube}, cube_indices),
+        device.mesh({"position": sphere}, sphere_indices),
+    )
     camera = device.uniform(
-        Camera(view_projection=perspective(np.radians(50), size[0] / size[1]) @ look_at((0, 2.5, 11), (0, 1.5, 0)))
+        Camera(
+            view_projection=perspective(np.radians(50), size[0] / size[1])
+            @ look_at((0, 2.5, 11), (0, 1.5, 0))
+        )
     )
     instances = device.storage(Instance, make_instances())
     program, queries = device.program(InstancedShape), device.query_set(COUNT)
@@ -80,7 +92,9 @@ def draw(device: rhi.Device, size: tuple[int, int]) -> tuple[rhi.Texture, rhi.Qu
     show = spheres.draws(np.zeros(COUNT, int), len(sphere_indices), base_instance=numbers)
     with device.render_pass(image, depth, clear=(0.4, 0.55, 0.75, 1), clear_depth=0.0):
         device.draw(program, boxes, 2, camera=camera, instances=instances)
-        with device.states(ColorWrite.OFF, DepthWrite.OFF, CullMode.NONE):  # a camera inside a box sees its back
+        with device.states(
+            ColorWrite.OFF, DepthWrite.OFF, CullMode.NONE
+        ):  # a camera inside a box sees its back
             device.draw_counted(program, boxes, ask, queries, camera=camera, instances=instances)
         device.draw_conditional(program, spheres, show, queries, camera=camera, instances=instances)
     return image, queries

@@ -85,7 +85,8 @@ class ToneMap(sl.FullScreen):
 
 
 def make_particles() -> np.ndarray:
-    """Return COUNT particles in a nozzle at the origin, which will leave it within a second and a half, in a cone."""
+    """Return COUNT particles in a nozzle at the origin, which will leave it within a second and a half, in a
+    cone."""
     rng = np.random.default_rng(7)
     angle, lean = rng.uniform(0, 2 * np.pi, COUNT), 0.35 * np.sqrt(rng.uniform(0, 1, COUNT))
     start = np.stack([np.cos(angle) * lean, np.ones(COUNT), np.sin(angle) * lean], axis=-1)

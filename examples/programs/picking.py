@@ -1,4 +1,5 @@
-"""Picking: a second render target holds the number of the box in each pixel; a click reads one texel of it."""
+"""Picking: a second render target holds the number of the box in each pixel; a click reads one texel of
+it."""
 
 from __future__ import annotations
 
@@ -7,7 +8,19 @@ import numpy as np
 import rhi
 from rhi import Format
 from rhi.math import look_at, make_cube, perspective
-from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, normalize, uint, vec3, vec4
+from rhi.shading import (
+    Shader,
+    Storage,
+    Struct,
+    Uniform,
+    dot,
+    instance_index,
+    mat4,
+    normalize,
+    uint,
+    vec3,
+    vec4,
+)
 from rhi_screen import save_image
 
 BOXES = 300
@@ -68,7 +81,10 @@ class Scene:
     def __init__(self, device: rhi.Device, size: tuple[int, int]) -> None:
         rng = np.random.default_rng(8)
         self.rows = np.zeros(BOXES, Box.dtype)
-        self.rows["center"], self.rows["color"] = rng.uniform(-5, 5, (BOXES, 3)), rng.uniform(0.1, 0.6, (BOXES, 3))
+        self.rows["center"], self.rows["color"] = (
+            rng.uniform(-5, 5, (BOXES, 3)),
+            rng.uniform(0.1, 0.6, (BOXES, 3)),
+        )
         positions, normals, _, indices = make_cube()
         self.device, self.program = device, device.program(Boxes)
         self.cube = device.mesh({"position": positions, "normal": normals}, indices)
@@ -84,7 +100,9 @@ class Scene:
         """Draw all boxes to the image and to the numbers."""
         clear = [(0.02, 0.03, 0.05, 1), (BOXES, 0, 0, 0)]
         with self.device.render_pass([self.image, self.numbers], self.depth, clear=clear, clear_depth=0.0):
-            self.device.draw(self.program, self.cube, BOXES, camera=self.camera, choice=self.choice, boxes=self.boxes)
+            self.device.draw(
+                self.program, self.cube, BOXES, camera=self.camera, choice=self.choice, boxes=self.boxes
+            )
 
     def pick(self, x: int, y: int) -> int | None:
         """Return the number of the box in a pixel, or None. Only that texel is read back."""

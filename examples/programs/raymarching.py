@@ -46,11 +46,13 @@ class Spheres(sl.FullScreen):
         if t < 40.0:
             p = eye + direction * t
             e = 0.002
-            normal = sl.normalize(sl.vec3(
-                nearest(p + sl.vec3(e, 0.0, 0.0)) - nearest(p - sl.vec3(e, 0.0, 0.0)),
-                nearest(p + sl.vec3(0.0, e, 0.0)) - nearest(p - sl.vec3(0.0, e, 0.0)),
-                nearest(p + sl.vec3(0.0, 0.0, e)) - nearest(p - sl.vec3(0.0, 0.0, e)),
-            ))  # fmt: skip
+            normal = sl.normalize(
+                sl.vec3(
+                    nearest(p + sl.vec3(e, 0.0, 0.0)) - nearest(p - sl.vec3(e, 0.0, 0.0)),
+                    nearest(p + sl.vec3(0.0, e, 0.0)) - nearest(p - sl.vec3(0.0, e, 0.0)),
+                    nearest(p + sl.vec3(0.0, 0.0, e)) - nearest(p - sl.vec3(0.0, 0.0, e)),
+                )
+            )
             light = max(sl.dot(normal, sun), 0.0)
             if light > 0.0 and trace(p + normal * 0.02, sun, 12.0) < 12.0:
                 light = 0.0

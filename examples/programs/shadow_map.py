@@ -92,7 +92,9 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     rows = make_boxes()
     boxes = device.storage(Box, rows)
     sun = np.array((0.5, 0.8, 0.3)) / np.linalg.norm((0.5, 0.8, 0.3))
-    box = np.array([(1 / 14, 0, 0, 0), (0, 1 / 14, 0, 0), (0, 0, 1 / 60, 1.0), (0, 0, 0, 1)])  # parallel, reversed
+    box = np.array(
+        [(1 / 14, 0, 0, 0), (0, 1 / 14, 0, 0), (0, 0, 1 / 60, 1.0), (0, 0, 0, 1)]
+    )  # parallel, reversed
     frame = device.uniform(
         Frame(
             view_projection=perspective(np.radians(45), size[0] / size[1]) @ look_at((14, 12, 18), (0, 1, 0)),
@@ -100,14 +102,24 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
             sun=sun,
         )
     )
-    compared = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP, mip=None, compare=Comparison.GREATER_EQUAL)
+    compared = SamplerDescriptor(
+        wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP, mip=None, compare=Comparison.GREATER_EQUAL
+    )
     shadows = device.texture(SHADOW, Format.D32F)
     image, depth = device.texture(size, Format.RGBA8_SRGB), device.texture(size, Format.D32F)
-    with device.render_pass(depth=shadows, clear_depth=0.0), device.states(CullMode.NONE, PolygonOffset(slope=-2)):
+    with (
+        device.render_pass(depth=shadows, clear_depth=0.0),
+        device.states(CullMode.NONE, PolygonOffset(slope=-2)),
+    ):
         device.draw(device.program(DepthOnly), mesh, len(rows), frame=frame, boxes=boxes)
     with device.render_pass(image, depth, clear=(0.5, 0.65, 0.85, 1), clear_depth=0.0):
         device.draw(
-            device.program(Shadowed), mesh, len(rows), frame=frame, boxes=boxes, shadows=shadows.sampled(compared)
+            device.program(Shadowed),
+            mesh,
+            len(rows),
+            frame=frame,
+            boxes=boxes,
+            shadows=shadows.sampled(compared),
         )
     return image
 

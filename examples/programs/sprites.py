@@ -1,6 +1,7 @@
 """A sprite batch: 3,000 rotated sprites of one atlas, drawn by immediate mode in one upload and one draw.
 
-`Batch.add` takes arrays of sprites. What is added between `begin` and `end` is sorted by layer and drawn as quads.
+`Batch.add` takes arrays of sprites. What is added between `begin` and `end` is sorted by layer and drawn as
+quads.
 """
 
 from __future__ import annotations
@@ -14,7 +15,14 @@ from rhi.shading import Shader, Struct, Texture2D, vec2, vec4
 from rhi_screen import save_image
 
 SPRITE = np.dtype(
-    [("center", "f4", 2), ("size", "f4"), ("angle", "f4"), ("cell", "i4"), ("layer", "i4"), ("color", "f4", 4)]
+    [
+        ("center", "f4", 2),
+        ("size", "f4"),
+        ("angle", "f4"),
+        ("cell", "i4"),
+        ("layer", "i4"),
+        ("color", "f4", 4),
+    ]
 )
 CELLS = 4  # sprites side by side in the atlas
 
@@ -69,15 +77,18 @@ class Batch:
             self.device.states(BlendFunction.PREMULTIPLIED, CullMode.NONE),
             self.device.immediate(self.program, Primitive.QUADS, atlas=self.atlas) as quads,
         ):
-            quads.vertices({
-                "position": (corner_positions / size * (2, -2) + (-1, 1)).reshape(-1, 2),
-                "uv": (uvs / (CELLS, 1)).reshape(-1, 2),
-                "color": rows["color"].repeat(4, axis=0),
-            })  # fmt: skip
+            quads.vertices(
+                {
+                    "position": (corner_positions / size * (2, -2) + (-1, 1)).reshape(-1, 2),
+                    "uv": (uvs / (CELLS, 1)).reshape(-1, 2),
+                    "color": rows["color"].repeat(4, axis=0),
+                }
+            )
 
 
 def make_atlas(cell: int = 64) -> NDArray[np.uint8]:
-    """Return (cell, CELLS * cell, 4) texels: a disc, a ring, a star and a square, white with premultiplied alpha."""
+    """Return (cell, CELLS * cell, 4) texels: a disc, a ring, a star and a square, white with premultiplied
+    alpha."""
     y, x = (np.mgrid[0:cell, 0:cell] + 0.5) / cell * 2 - 1
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     disc, ring, square = 0.9 - radius, 0.15 - abs(radius - 0.7), 0.7 - np.maximum(abs(x), abs(y))

@@ -37,15 +37,23 @@ class Terrain(sl.Shader):
         north = self.heights.load(sl.ivec2(at.x, max(at.y - 1, 0))).x
         position = sl.vec3(float(at.x) - GRID / 2, self.heights.load(at).x, float(at.y) - GRID / 2)
         normal = sl.normalize(sl.vec3(west - east, 2.0, north - south))
-        return Ground(clip=self.camera.view_projection @ sl.vec4(position, 1.0), normal=normal, position=position)
+        return Ground(
+            clip=self.camera.view_projection @ sl.vec4(position, 1.0), normal=normal, position=position
+        )
 
     def fragment(self, g: Ground) -> sl.vec4:
         normal = sl.normalize(g.normal)
-        color = sl.mix(sl.vec3(0.15, 0.3, 0.08), sl.vec3(0.35, 0.3, 0.25), sl.smoothstep(0.1, 0.35, 1.0 - normal.y))
+        color = sl.mix(
+            sl.vec3(0.15, 0.3, 0.08), sl.vec3(0.35, 0.3, 0.25), sl.smoothstep(0.1, 0.35, 1.0 - normal.y)
+        )
         color = sl.mix(color, sl.vec3(0.9), sl.smoothstep(16.0, 20.0, g.position.y))
         light = 0.2 + 0.8 * max(sl.dot(normal, sl.normalize(sl.vec3(0.7, 0.6, 0.2))), 0.0)
         return sl.vec4(
-            sl.mix(sl.vec3(0.55, 0.65, 0.8), color * light, sl.exp(-0.0016 * sl.length(g.position - self.camera.eye))),
+            sl.mix(
+                sl.vec3(0.55, 0.65, 0.8),
+                color * light,
+                sl.exp(-0.0016 * sl.length(g.position - self.camera.eye)),
+            ),
             1.0,
         )
 

@@ -1,7 +1,8 @@
 """The command line: `python -m renderer COMMAND`, with the commands that are listed in `COMMANDS`.
 
-Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2. A reader that
-goes away, as in `… --json | head`, ends a command quietly with exit code 141 (`rhi.errors.pipes`).
+Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2. A
+reader that goes away, as in `… --json | head`, ends a command quietly with exit code 141
+(`rhi.errors.pipes`).
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare techniques, visibility algorithms, tests of light culling, one eye and two, encodings, or backends",
+        "compare techniques, visibility algorithms, tests of light culling, one eye and two, encodings, or "
+        "backends",
         (
             compare_techniques.COMMAND,
             compare_visibility.COMMAND,

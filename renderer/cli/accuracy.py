@@ -7,18 +7,20 @@
   python -m renderer accuracy city:shadows=1 --output swept --max-error 2
   python -m renderer render city:shadows=1 --settings swept/settings.json
 
-A quality setting trades accuracy for time. All of its values draw the same frames, which are compared with the
-setting's reference: float64, super-sampling, brute force, or the exact algorithm. Then all values are timed in turn in
-one process. `ratio` is a value's time divided by the most accurate value's: the median over the rounds, by the clock
-and by the processor, with the ends of its 95 % confidence interval. Quality settings that need something the scene or
-the device lacks are left out; stderr says why. Shadows are switched on for the quality settings of shadows.
+A quality setting trades accuracy for time. All of its values draw the same frames, which are compared with
+the setting's reference: float64, super-sampling, brute force, or the exact algorithm. Then all values are
+timed in turn in one process. `ratio` is a value's time divided by the most accurate value's: the median over
+the rounds, by the clock and by the processor, with the ends of its 95 % confidence interval. Quality settings
+that need something the scene or the device lacks are left out; stderr says why. Shadows are switched on for
+the quality settings of shadows.
 
-With --output, DIR gets a page with charts and images, the same as JSON, and each result as soon as it is there: an
-interrupted sweep continues where it stopped. With --budget-ms or --max-error, the quality settings that change images
-of this scene are combined greedily, drawn and timed. The choice is checked with ten more views, where the mean of their
-errors plus four standard deviations must be within the bound, and tried in twenty others. It is written to
-DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings. An
-older one is removed before anything is measured, so none is left if the choice is refused.
+With --output, DIR gets a page with charts and images, the same as JSON, and each result as soon as it is
+there: an interrupted sweep continues where it stopped. With --budget-ms or --max-error, the quality settings
+that change images of this scene are combined greedily, drawn and timed. The choice is checked with ten more
+views, where the mean of their errors plus four standard deviations must be within the bound, and tried in
+twenty others. It is written to DIR/settings.json, which `render`, `compare techniques`, `compare visibility`
+and `accuracy` read with --settings. An older one is removed before anything is measured, so none is left if
+the choice is refused.
 """
 
 from __future__ import annotations
@@ -59,23 +61,37 @@ from rhi import RhiError, refuse
 
 _OPTIONS: Final = (
     options.SCENE,
-    option("--quality-setting", f"only this one; repeatable. {', '.join(QUALITY_SETTINGS)}", [], "", action="append",
-           metavar="NAME"),
+    option(
+        "--quality-setting",
+        f"only this one; repeatable. {', '.join(QUALITY_SETTINGS)}",
+        [],
+        "",
+        action="append",
+        metavar="NAME",
+    ),
     options.BACKEND,
     option("--camera", "a path, a walk-through or a view", "", "ground, or a view", metavar="CAMERA"),
     options.size((480, 270)),
     options.count("--views", "frames that are compared", 3),
     options.rounds("frames that are timed", 11),
     options.settings("settings to begin with, written by `accuracy` or `tune`"),
-    option("--budget-ms", "choose the most accurate settings that take at most this time for a frame",
-           type=options.parse_bound, metavar="M"),
-    option("--max-error", "choose the fastest settings with a mean error within this, in levels of 255",
-           type=options.parse_bound, metavar="E"),
+    option(
+        "--budget-ms",
+        "choose the most accurate settings that take at most this time for a frame",
+        type=options.parse_bound,
+        metavar="M",
+    ),
+    option(
+        "--max-error",
+        "choose the fastest settings with a mean error within this, in levels of 255",
+        type=options.parse_bound,
+        metavar="E",
+    ),
     options.executor("shards of quality settings", KINDS),
     options.file("--plot", "write charts of errors and times"),
     options.file("--output", "folder for the results; a sweep that was interrupted goes on there", "DIR"),
     *options.form(),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +117,9 @@ class AccuracyResult:
 def _run(arguments: argparse.Namespace) -> None:
     for name in arguments.quality_setting:
         if name not in QUALITY_SETTINGS:
-            rules.refuse_name(rules.UNKNOWN_QUALITY_SETTING, "accuracy --quality-setting", name, QUALITY_SETTINGS)
+            rules.refuse_name(
+                rules.UNKNOWN_QUALITY_SETTING, "accuracy --quality-setting", name, QUALITY_SETTINGS
+            )
     scene = open_scene(arguments.scene)  # raises now, not in another process
     if arguments.plot is not None:
         prepare_chart(arguments.plot)
@@ -115,7 +133,9 @@ def _run(arguments: argparse.Namespace) -> None:
     if not measured:
         refuse(rules.NO_QUALITY_SETTINGS, "accuracy", ", ".join(report.setting for report in reports))
     points = list[ParetoPoint]()
-    if is_bounded or (arguments.output is not None and select_effective_reports(scene, setup.settings, measured)):
+    if is_bounded or (
+        arguments.output is not None and select_effective_reports(scene, setup.settings, measured)
+    ):
         progress = partial(show_progress, what="combine quality settings")
         points = load_or_compute_pareto_front(setup, measured, _jobs_folder(arguments), progress)
     choice: CheckedChoice | None = None
@@ -137,7 +157,8 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _make_setup(arguments: argparse.Namespace) -> SweepSetup:
-    """The scene, frames, device and settings of a sweep. Opens the device, so that a missing one is refused now."""
+    """The scene, frames, device and settings of a sweep. Opens the device, so that a missing one is refused
+    now."""
     with rhi.create_device(arguments.backend) as device:
         backend = device.backend_name
     return SweepSetup(
@@ -161,7 +182,10 @@ def _sweep(arguments: argparse.Namespace, setup: SweepSetup) -> list[SettingRepo
     jobs = list_jobs(setup, dict.fromkeys(arguments.quality_setting or QUALITY_SETTINGS))
     with make_executor(arguments.executor) as executor:
         reports = run_jobs(
-            jobs, executor, _jobs_folder(arguments), lambda items, total: show_progress(items, "accuracy", total)
+            jobs,
+            executor,
+            _jobs_folder(arguments),
+            lambda items, total: show_progress(items, "accuracy", total),
         )
     for line in describe_left_out(reports):
         note(f"left out: {line}")
@@ -183,7 +207,11 @@ def _write_results(arguments: argparse.Namespace, result: AccuracyResult) -> Non
     )
     (folder / "accuracy.json").write_text(json.dumps(result.report, indent=2) + "\n")
     (folder / "table.md").write_text(format_reports(result.measured, markdown=True) + "\n")
-    best = [BudgetStep(point.settings, point.milliseconds, point.error) for point in result.points if point.is_best]
+    best = [
+        BudgetStep(point.settings, point.milliseconds, point.error)
+        for point in result.points
+        if point.is_best
+    ]
     save_steps(folder / "pareto_front.json", best)
     note(f"wrote report.html, accuracy.json, pareto_front.json, table.md and images to {folder}")
 
@@ -199,10 +227,12 @@ def _print_result(arguments: argparse.Namespace, result: AccuracyResult) -> None
 
 
 def remove_old_settings(path: Path, begun_with: Path | None) -> None:
-    """Remove the settings file of an earlier choice: if this choice is refused or interrupted, the old file must not
-    look like its answer."""
+    """Remove the settings file of an earlier choice: if this choice is refused or interrupted, the old file
+    must not look like its answer."""
     if begun_with is not None and path.exists() and path.samefile(begun_with):
-        raise OutputError(f"--settings: {path} is where the choice will be written; copy it, and begin with the copy")
+        raise OutputError(
+            f"--settings: {path} is where the choice will be written; copy it, and begin with the copy"
+        )
     if path.exists():
         path.unlink()
         note(f"removed {path} of an earlier choice")

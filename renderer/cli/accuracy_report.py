@@ -64,10 +64,15 @@ def format_choice(choice: CheckedChoice) -> str:
     point = choice.point
     values = ", ".join(f"{name} {value}" for name, value in point.values.items())
     return (
-        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean error "
+        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean "
+        "error "
         f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others, "
         f"{choice.held_out_error:.2f} in {choice.held_out_views} that had no part in the choice"
-        + ("" if choice.over_budget is None else f", {choice.over_budget:.0%} of a walk's frames over the budget")
+        + (
+            ""
+            if choice.over_budget is None
+            else f", {choice.over_budget:.0%} of a walk's frames over the budget"
+        )
     )
 
 
@@ -77,7 +82,8 @@ def format_ratio(ratio: float, low: float, high: float) -> str:
 
 
 def format_row(row: ValueRow) -> list[str]:
-    """Format a value: its name, its errors and their unit, its time, and the ratios of time and processor time."""
+    """Format a value: its name, its errors and their unit, its time, and the ratios of time and processor
+    time."""
     ratios = (row.ratio, row.low, row.high), (row.processor_ratio, row.processor_low, row.processor_high)
     return [
         row.value,
@@ -116,20 +122,33 @@ def draw_group(axes: Any, reports: Sequence[SettingReport], title: str) -> None:
         low = [max(row.processor_ratio - row.processor_low, 0.0) for row in rows]
         high = [max(row.processor_high - row.processor_ratio, 0.0) for row in rows]
         drawn = axes.errorbar(
-            times, errors, xerr=(low, high), marker="o", markersize=3, linewidth=1, elinewidth=0.6, label=report.setting
+            times,
+            errors,
+            xerr=(low, high),
+            marker="o",
+            markersize=3,
+            linewidth=1,
+            elinewidth=0.6,
+            label=report.setting,
         )
         color = drawn.lines[0].get_color()
         default_rows = [row for row in rows if row.is_default]
         axes.scatter(
             [row.processor_ratio for row in default_rows],
             [row.mean_error for row in default_rows],
-            s=70, facecolors="none", edgecolors=color,
-        )  # fmt: skip
+            s=70,
+            facecolors="none",
+            edgecolors=color,
+        )
         for row in (rows[0], rows[-1]):
             axes.annotate(
-                row.value, (row.processor_ratio, row.mean_error), (3, 3), textcoords="offset points", fontsize=6,
+                row.value,
+                (row.processor_ratio, row.mean_error),
+                (3, 3),
+                textcoords="offset points",
+                fontsize=6,
                 color=color,
-            )  # fmt: skip
+            )
     if min(row.mean_error for report in reports for row in report.rows) > 0.0:
         axes.set_yscale("log")
     else:
@@ -144,8 +163,16 @@ def draw_group(axes: Any, reports: Sequence[SettingReport], title: str) -> None:
 def draw_pareto_front(axes: Any, points: Sequence[ParetoPoint], choice: CheckedChoice | None) -> None:
     """Draw the combined settings, the Pareto front, and the choice."""
     best = sorted((point for point in points if point.is_best), key=lambda point: point.milliseconds)
-    axes.scatter([p.milliseconds for p in points], [p.error for p in points], s=14, color="#999", label="tried")
-    axes.plot([p.milliseconds for p in best], [p.error for p in best], marker="o", markersize=4, label="pareto_front")
+    axes.scatter(
+        [p.milliseconds for p in points], [p.error for p in points], s=14, color="#999", label="tried"
+    )
+    axes.plot(
+        [p.milliseconds for p in best],
+        [p.error for p in best],
+        marker="o",
+        markersize=4,
+        label="pareto_front",
+    )
     if choice is not None:
         position = choice.point.milliseconds, choice.point.error
         axes.scatter(*position, s=110, facecolors="none", edgecolors="red", label="chosen")
@@ -177,13 +204,17 @@ def plot_all(
 
 
 def write_images(
-    folder: Path, reports: Sequence[SettingReport], points: Sequence[ParetoPoint], choice: CheckedChoice | None
+    folder: Path,
+    reports: Sequence[SettingReport],
+    points: Sequence[ParetoPoint],
+    choice: CheckedChoice | None,
 ) -> list[Path]:
     """Write each chart, and the worst region of each quality setting's least accurate value; return the
     charts."""
     folder.mkdir(parents=True, exist_ok=True)
     drawn: dict[str, Callable[[Any], None]] = {
-        name: partial(draw_group, reports=members, title=GROUPS[name]) for name, members in list_groups(reports).items()
+        name: partial(draw_group, reports=members, title=GROUPS[name])
+        for name, members in list_groups(reports).items()
     }
     if points:
         drawn["pareto_front"] = partial(draw_pareto_front, points=points, choice=choice)
@@ -198,7 +229,9 @@ def write_images(
         if value is not None:
             image = Image.open(BytesIO(b64decode(report.images[value])))
             size = image.width * _MAGNIFICATION, image.height * _MAGNIFICATION
-            image.resize(size, Image.Resampling.NEAREST).save(folder / f"worst-{report.setting}.png", optimize=True)
+            image.resize(size, Image.Resampling.NEAREST).save(
+                folder / f"worst-{report.setting}.png", optimize=True
+            )
     return charts
 
 
@@ -218,7 +251,8 @@ def write_page(
         f"<style>{_STYLE}</style>",
         "<h1>What accuracy costs</h1>",
         f"<p>{escape(setup.scene)}, {width} × {height}, {escape(str(setup.backend))}: {escape(device)}. "
-        f"{setup.views} views compared, {setup.rounds} frames timed. Ratios are to the most accurate value of "
+        f"{setup.views} views compared, {setup.rounds} frames timed. Ratios are to the most accurate value "
+        "of "
         "a quality setting, with 95 % confidence intervals. Shaded rows are defaults.</p>",
     ]
     if choice is not None:
@@ -226,7 +260,9 @@ def write_page(
     for chart in charts:
         parts.append(f"<p><img class='chart' alt='{chart.stem}' src='{_embed(chart.read_bytes())}'></p>")
     parts.append(_format_table(reports))
-    parts.append("<h2>The worst regions</h2><p>The reference, the value's image, and four times their difference.</p>")
+    parts.append(
+        "<h2>The worst regions</h2><p>The reference, the value's image, and four times their difference.</p>"
+    )
     for report in reports:
         for row in report.rows:
             if row.value in report.images:
@@ -255,8 +291,10 @@ def _format_table(reports: Sequence[SettingReport]) -> str:
                 row.setting if number == 0 else "",
                 *format_row(row),
                 setting.reference.name if number == 0 else "",
-                "; ".join(filter(None, (setting.reason, setting.non_monotonic_reason))) if number == 0 else "",
-            )  # fmt: skip
+                "; ".join(filter(None, (setting.reason, setting.non_monotonic_reason)))
+                if number == 0
+                else "",
+            )
             lines.append(f"<tr class='{kind}'>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
     return "".join([*lines, "</table>"])
 

@@ -1,4 +1,5 @@
-"""Opens the scenes, techniques and settings that arguments of several commands name (`renderer.cli.options`)."""
+"""Opens the scenes, techniques and settings that arguments of several commands name
+(`renderer.cli.options`)."""
 
 from __future__ import annotations
 
@@ -29,9 +30,9 @@ def open_scene(text: str) -> Scene:
 def make_technique(arguments: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
     """Make the technique that the arguments of `options.technique` describe, for a scene and a device."""
     variants = {name: getattr(arguments, name) for name in TECHNIQUE_VARIANTS}
-    return TechniqueSettings(arguments.technique, samples=arguments.samples, fxaa=arguments.fxaa, **variants).make(
-        scene, device
-    )
+    return TechniqueSettings(
+        arguments.technique, samples=arguments.samples, fxaa=arguments.fxaa, **variants
+    ).make(scene, device)
 
 
 def explain_technique(technique: Technique, arguments: argparse.Namespace) -> dict[str, str]:
@@ -68,7 +69,9 @@ def make_stereo(arguments: argparse.Namespace, scene: Scene, camera: Camera) -> 
 
 def load_settings(arguments: argparse.Namespace, default: RenderSettings | None = None) -> RenderSettings:
     """Load the settings file that `--settings` names; otherwise `default`, or all defaults."""
-    return default or RenderSettings() if arguments.settings is None else RenderSettings.load(arguments.settings)
+    return (
+        default or RenderSettings() if arguments.settings is None else RenderSettings.load(arguments.settings)
+    )
 
 
 def merge_settings(arguments: argparse.Namespace) -> RenderSettings:

@@ -4,8 +4,9 @@
   python -m renderer assets models
   python -m renderer convert models/old.obj models/new.glb
 
-Files are remembered when they are loaded, or when a folder is listed. One that a scene names and that was moved is then
-found by its content: in its folder and below, or where it was seen. `convert` writes a model in another format.
+Files are remembered when they are loaded, or when a folder is listed. One that a scene names and that was
+moved is then found by its content: in its folder and below, or where it was seen. `convert` writes a model in
+another format.
 """
 
 from __future__ import annotations
@@ -25,10 +26,14 @@ from renderer.scene.files import read_file
 _SUFFIXES: Final = (*FORMATS, ".bin", ".mtl", ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga")
 
 _OPTIONS: Final = (
-    options.file("folder", "folder whose files are listed, and remembered from now on (default: those that are)",
-                 "FOLDER", nargs="?"),
+    options.file(
+        "folder",
+        "folder whose files are listed, and remembered from now on (default: those that are)",
+        "FOLDER",
+        nargs="?",
+    ),
     options.JSON,
-)  # fmt: skip
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -53,4 +58,6 @@ def _run(arguments: argparse.Namespace) -> None:
         print(f"{row['id'][:12]}  {row['bytes']:>13,} bytes  {len(row['users'])} users  {where}")
 
 
-COMMAND: Final = Subcommand("assets", "list models and what they use by their content", _OPTIONS, _run, __doc__)
+COMMAND: Final = Subcommand(
+    "assets", "list models and what they use by their content", _OPTIONS, _run, __doc__
+)

@@ -1,12 +1,13 @@
 """`capture`: write the times of frames and of their passes to a file.
 
-  python -m renderer capture city --camera ground --frames 1000 --output city.csv
-  python -m renderer capture hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
+  python -m renderer capture city --camera ground --frames 1000 --output city.csv python -m renderer capture
+  hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
 
-Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
-those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
-counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
-work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not.
+Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of
+its plan those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first
+frame isn't counted, nor are those in which `auto` looks for what is the fastest before it. A device that
+works in batches has the work of a pass between its timestamps only in part: the sum of a frame is exact, its
+division among passes is not.
 """
 
 from __future__ import annotations
@@ -81,7 +82,10 @@ def compute_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
     columns = {"frame": [frame.milliseconds for frame in frames]} | {
         name: [time for time in _list_times(frames, name) if time is not None] for name in list_passes(frames)
     }
-    return {name: {"median": median(times), "least": min(times), "most": max(times)} for name, times in columns.items()}
+    return {
+        name: {"median": median(times), "least": min(times), "most": max(times)}
+        for name, times in columns.items()
+    }
 
 
 def _list_times(frames: list[CapturedFrame], name: str) -> list[float | None]:

@@ -4,12 +4,12 @@
   python -m renderer compare backends city --camera-path sky --passes depth --json
   python -m renderer compare backends hall --passes depth,lit --plot hall.png
 
-All objects are drawn without culling, front to back, with one camera. A round runs a pass once on each backend;
-each round starts with another backend. Times are medians over the rounds, from the first command until the device is
-finished. `ratio to gl` says how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
-queries up to 1,000 boxes and then reads all results; `waited` reads each result before it issues the next query.
-`kernels` says which kernels cl ran in the rounds: a long run has `optimised` ones, so figures of `quick` ones hold for
-a first run only; RHI_KERNELS=optimised measures a long run.
+All objects are drawn without culling, front to back, with one camera. A round runs a pass once on each
+backend; each round starts with another backend. Times are medians over the rounds, from the first command
+until the device is finished. `ratio to gl` says how many times as fast as gl a backend is: the median of the
+rounds' ratios. `queries` queries up to 1,000 boxes and then reads all results; `waited` reads each result
+before it issues the next query. `kernels` says which kernels cl ran in the rounds: a long run has `optimised`
+ones, so figures of `quick` ones hold for a first run only; RHI_KERNELS=optimised measures a long run.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
             height,
             label=backend,
         )
-        axes.bar_label(bars, [f" {row['milliseconds']:,.1f} ms, ×{row['ratio_to_gl']:,.1f}" for row in backend_rows])
+        axes.bar_label(
+            bars, [f" {row['milliseconds']:,.1f} ms, ×{row['ratio_to_gl']:,.1f}" for row in backend_rows]
+        )
     axes.set(xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
     axes.invert_yaxis()
     axes.margins(x=0.2)
@@ -87,6 +89,10 @@ def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "backends", "compare what a scene's passes cost on each backend", __doc__, _OPTIONS, _measure,
+    "backends",
+    "compare what a scene's passes cost on each backend",
+    __doc__,
+    _OPTIONS,
+    _measure,
     plot=plot_backends,
-).command  # fmt: skip
+).command

@@ -4,13 +4,13 @@
   python -m renderer compare deferred-plus city --size 1280x720 --backend cl --markdown
   python -m renderer compare deferred-plus hall --frames 2 --output buffers.png
 
-The frames of a walk are drawn in turn by Deferred+ in one pass over the screen, by Deferred+ with each material in
-rectangles of its own, and by clustered forward shading, with two-pass culling and with frustum culling only. Times of
-frames are from the scene's update until the device is finished, medians of all frames; those of steps lie between
-timestamps of the device, and include what it has been given before. `processor ms` is the time of all threads. Then
-follows what culling has drawn: what its first pass held to be visible, and what only the second one has found. `wrong
-pixels` are those that aren't the same without culling. Under OpenCL set RHI_KERNELS=optimised; `kernels` says which
-ones cl ran in the frames whose times were taken.
+The frames of a walk are drawn in turn by Deferred+ in one pass over the screen, by Deferred+ with each
+material in rectangles of its own, and by clustered forward shading, with two-pass culling and with frustum
+culling only. Times of frames are from the scene's update until the device is finished, medians of all frames;
+those of steps lie between timestamps of the device, and include what it has been given before. `processor ms`
+is the time of all threads. Then follows what culling has drawn: what its first pass held to be visible, and
+what only the second one has found. `wrong pixels` are those that aren't the same without culling. Under
+OpenCL set RHI_KERNELS=optimised; `kernels` says which ones cl ran in the frames whose times were taken.
 """
 
 from __future__ import annotations
@@ -54,10 +54,14 @@ def _measure(arguments: argparse.Namespace) -> Report:
             device, scene, cameras, arguments.size, progress=partial(show_progress, what="compare")
         )
         if arguments.output is not None:
-            write_image(arguments.output, render_geometry_buffer_image(device, scene, cameras[0], arguments.size))
+            write_image(
+                arguments.output, render_geometry_buffer_image(device, scene, cameras[0], arguments.size)
+            )
             note(f"wrote {arguments.output}")
         metadata = (
-            describe(device) | {"scene": scene.name} | repeat(arguments, "camera_path", "frame", "frames", "size")
+            describe(device)
+            | {"scene": scene.name}
+            | repeat(arguments, "camera_path", "frame", "frames", "size")
         )
     return Report(metadata | {"culling": comparison["culling"]}, comparison["rows"], scene=scene)
 
@@ -85,11 +89,18 @@ def format_culling_tables(metadata: Mapping[str, Any], markdown: bool) -> Sequen
     ]
     tables = [format_table(["culling, a frame", ""], counts, markdown=markdown)]
     if culling["steps"]:
-        tables.append(format_table(["step of culling", "ms"], list(culling["steps"].items()), markdown=markdown))
+        tables.append(
+            format_table(["step of culling", "ms"], list(culling["steps"].items()), markdown=markdown)
+        )
     return tables
 
 
 COMMAND: Final = ComparisonProgram(
-    "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", __doc__,
-    _OPTIONS, _measure, display_rows=add_step_columns, extra_tables=format_culling_tables,
-).command  # fmt: skip
+    "deferred-plus",
+    "compare Deferred+ and clustered forward shading, with and without culling",
+    __doc__,
+    _OPTIONS,
+    _measure,
+    display_rows=add_step_columns,
+    extra_tables=format_culling_tables,
+).command

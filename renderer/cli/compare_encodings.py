@@ -4,10 +4,10 @@
   python -m renderer compare encodings --backend cl --json
   python -m renderer compare encodings --plot encodings.png
 
-Each device stores and reads random values. Errors are those against the values in float64: for directions the angle,
-for derivatives the difference of the vectors in percent of their length, for texture coordinates millionths of a
-repetition, for positions millionths of the distance along the view, or pixels beside their place in the image. Times
-are for encoding and decoding one value, on all cores together; they are medians.
+Each device stores and reads random values. Errors are those against the values in float64: for directions the
+angle, for derivatives the difference of the vectors in percent of their length, for texture coordinates
+millionths of a repetition, for positions millionths of the distance along the view, or pixels beside their
+place in the image. Times are for encoding and decoding one value, on all cores together; they are medians.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ _OPTIONS: Final = (
 
 def _measure(arguments: argparse.Namespace) -> Report:
     with ExitStack() as stack:
-        devices = open_available_devices(stack, ("gl", "cl") if arguments.backend is None else (arguments.backend,))
+        devices = open_available_devices(
+            stack, ("gl", "cl") if arguments.backend is None else (arguments.backend,)
+        )
         rows = compare_encodings(
             devices,
             ENCODINGS,
@@ -71,19 +73,29 @@ def plot_rows(figure: Any, rows: Sequence[Record]) -> None:
     for name, encoding_rows in lines.items():
         bits = [row["bits"] // 2 for row in encoding_rows]
         (line,) = errors.plot(bits, [row["max_error"] for row in encoding_rows], marker="o", label=name)
-        errors.plot(bits, [row["mean_error"] for row in encoding_rows], linestyle="dotted", color=line.get_color())
+        errors.plot(
+            bits, [row["mean_error"] for row in encoding_rows], linestyle="dotted", color=line.get_color()
+        )
     errors.set(yscale="log", xlabel="bits of each number", ylabel="degrees: largest, and dotted the mean")
     errors.legend()
     for number, name in enumerate(rows[0]["nanoseconds"]):
         positions = [row_index + 0.4 * number for row_index in range(len(rows))]
         times.barh(positions, [row["nanoseconds"][name] for row in rows], height=0.4, label=name)
-    times.set_yticks([row_index + 0.2 for row_index in range(len(rows))], [row["name"] for row in rows], fontsize=6)
+    times.set_yticks(
+        [row_index + 0.2 for row_index in range(len(rows))], [row["name"] for row in rows], fontsize=6
+    )
     times.invert_yaxis()
     times.set(xlabel="ns to encode and decode a value")
     times.legend()
 
 
 COMMAND: Final = ComparisonProgram(
-    "encodings", "compare the encodings of a geometry buffer", __doc__, _OPTIONS, _measure,
-    titles={"name": "encoding", "unit": ""}, display_rows=add_device_columns, plot=plot_rows,
-).command  # fmt: skip
+    "encodings",
+    "compare the encodings of a geometry buffer",
+    __doc__,
+    _OPTIONS,
+    _measure,
+    titles={"name": "encoding", "unit": ""},
+    display_rows=add_device_columns,
+    plot=plot_rows,
+).command

@@ -1,19 +1,20 @@
 """`compare light-culling`: what each test of lights against tiles or clusters keeps, and what it costs.
 
-  python -m renderer compare light-culling hall --lights 4,8,14 --tile 8 --size 1280x720
-  python -m renderer compare light-culling hall --lights 14 --tests exact,hybrid,planes --pre-filter both
-  python -m renderer compare light-culling hall:lights=1024 --tests planes,exact --plot pairs.png
-  python -m renderer compare light-culling night --lights 1024 --tests exact --cones sphere,tight --depth-mask both
-  python -m renderer compare light-culling city --lights 13 --slices 24 --tile 64 --backend cl --json
+  python -m renderer compare light-culling hall --lights 4,8,14 --tile 8 --size 1280x720 python -m renderer
+  compare light-culling hall --lights 14 --tests exact,hybrid,planes --pre-filter both python -m renderer
+  compare light-culling hall:lights=1024 --tests planes,exact --plot pairs.png python -m renderer compare
+  light-culling night --lights 1024 --tests exact --cones sphere,tight --depth-mask both python -m renderer
+  compare light-culling city --lights 13 --slices 24 --tile 64 --backend cl --json
 
-The scene is drawn once, so that cells end at their tile's nearest and farthest surface; then every test lists the
-lights of the same frame. `pairs` counts the lights on all lists, `over exact` is their number divided by that of the
-pairs that overlap, found in float64, and `missed` counts those that overlap and aren't listed. The lights are chosen
-from all point and spot lights of the scene; of a spot light the sphere around its cone is tested. `tests made` includes
-those of blocks of 8 x 8 tiles. With a test of cones or the depth mask, which drop pairs of which only the spheres
-overlap, `missed` counts lights that aren't listed for a cell with a pixel that they light. Times are medians:
-`collect ms` from the upload of the lights until the lists are finished, `draw ms` of drawing the scene by the lists.
-`kernels` says which kernels cl drew with: RHI_KERNELS=optimised measures a long run.
+The scene is drawn once, so that cells end at their tile's nearest and farthest surface; then every test lists
+the lights of the same frame. `pairs` counts the lights on all lists, `over exact` is their number divided by
+that of the pairs that overlap, found in float64, and `missed` counts those that overlap and aren't listed.
+The lights are chosen from all point and spot lights of the scene; of a spot light the sphere around its cone
+is tested. `tests made` includes those of blocks of 8 x 8 tiles. With a test of cones or the depth mask, which
+drop pairs of which only the spheres overlap, `missed` counts lights that aren't listed for a cell with a
+pixel that they light. Times are medians: `collect ms` from the upload of the lights until the lists are
+finished, `draw ms` of drawing the scene by the lists. `kernels` says which kernels cl drew with:
+RHI_KERNELS=optimised measures a long run.
 """
 
 from __future__ import annotations
@@ -42,19 +43,27 @@ _OPTIONS: Final = (
     options.SCENE,
     options.camera(),
     options.frame("frame of a path"),
-    options.values("--lights", "numbers of lights", options.parse_count, _COUNTS, "64,128,256,512,1024", "N,N,…"),
+    options.values(
+        "--lights", "numbers of lights", options.parse_count, _COUNTS, "64,128,256,512,1024", "N,N,…"
+    ),
     options.names("--tests", SPHERE_TESTS, "is not a test", list(SPHERE_TESTS), "all"),
     options.size((1280, 720)),
     options.count("--tile", "side of a tile in pixels", 8),
     options.count("--slices", "depth slices of a tile", 1),
-    options.names("--cones", CONE_TESTS, "is not a test", ["sphere"], "sphere, which makes none",
-                 "tests of spot lights' cones, "),
+    options.names(
+        "--cones",
+        CONE_TESTS,
+        "is not a test",
+        ["sphere"],
+        "sphere, which makes none",
+        "tests of spot lights' cones, ",
+    ),
     options.choice("--depth-mask", "whether 32 slices of a tile's depths are told apart", _SWITCHES, "off"),
     options.choice("--pre-filter", "whether blocks of tiles are tested before tiles", _SWITCHES, "on"),
     options.rounds("times each test is timed"),
     options.BACKEND,
     *options.form(),
-)  # fmt: skip
+)
 
 
 def _measure(arguments: argparse.Namespace) -> Report:
@@ -75,12 +84,18 @@ def _measure(arguments: argparse.Namespace) -> Report:
                 rounds=arguments.rounds,
                 progress=partial(show_progress, what="collect"),
             )
-        metadata = describe(device) | {"scene": scene.name, "camera": arguments.camera or next(iter(scene.views))}
-    return Report(metadata | repeat(arguments, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene)
+        metadata = describe(device) | {
+            "scene": scene.name,
+            "camera": arguments.camera or next(iter(scene.views)),
+        }
+    return Report(
+        metadata | repeat(arguments, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene
+    )
 
 
 def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
-    """Draw pairs and times over the number of lights, with a line for each test (Thatcher 2014, figures 5, 6, 7, 9)."""
+    """Draw pairs and times over the number of lights, with a line for each test (Thatcher 2014, figures 5, 6,
+    7, 9)."""
     tests = dict.fromkeys(tuple(row[name] for name in _TEST_COLUMNS) for row in rows)
     for number, (key, title) in enumerate(_CHART_COLUMNS.items(), 1):
         axes = figure.add_subplot(1, len(_CHART_COLUMNS), number)
@@ -101,8 +116,16 @@ def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
 
 
 _TEST_COLUMNS: Final = ("test", "cones", "depth_mask", "pre_filter")
-_CHART_COLUMNS: Final = {"pairs": "pairs of a cell and a light", "collect_ms": "ms to list", "draw_ms": "ms to draw"}
+_CHART_COLUMNS: Final = {
+    "pairs": "pairs of a cell and a light",
+    "collect_ms": "ms to list",
+    "draw_ms": "ms to draw",
+}
 COMMAND: Final = ComparisonProgram(
-    "light-culling", "compare the tests that assign lights to tiles or clusters", __doc__,
-    (*_OPTIONS, options.chart("pairs and times")), _measure, plot=plot_tests,
-).command  # fmt: skip
+    "light-culling",
+    "compare the tests that assign lights to tiles or clusters",
+    __doc__,
+    (*_OPTIONS, options.chart("pairs and times")),
+    _measure,
+    plot=plot_tests,
+).command

@@ -4,11 +4,12 @@
   python -m renderer compare stereo hall --technique deferred --stereo dubois,side_by_side --json
   python -m renderer compare stereo night:lights=256 --sizes 960x540 --backend cl --markdown
 
-One eye and all stereo outputs take turns, frame by frame along a path, with frustum culling. Times are medians, from
-the scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. Ratios are to
-one eye in the same frame. An output that ends in _reprojected makes the right eye's image from the left one's. With
-`--shadows on`, all lights that can cast shadows. Under OpenCL set RHI_KERNELS=optimised, or the first frames are drawn
-by kernels that were built quickly; `kernels` says which ones cl ran in the frames.
+One eye and all stereo outputs take turns, frame by frame along a path, with frustum culling. Times are
+medians, from the scene's update until the GPU is finished; `processor ms` is the time of the processor in all
+threads. Ratios are to one eye in the same frame. An output that ends in _reprojected makes the right eye's
+image from the left one's. With `--shadows on`, all lights that can cast shadows. Under OpenCL set
+RHI_KERNELS=optimised, or the first frames are drawn by kernels that were built quickly; `kernels` says which
+ones cl ran in the frames.
 """
 
 from __future__ import annotations
@@ -60,7 +61,9 @@ def _measure(arguments: argparse.Namespace) -> Report:
             TECHNIQUES[arguments.technique],
             partial(show_progress, what="compare"),
         )
-        metadata = describe(device) | repeat(arguments, "scene", "technique", "camera_path", "frame", "frames")
+        metadata = describe(device) | repeat(
+            arguments, "scene", "technique", "camera_path", "frame", "frames"
+        )
         metadata |= {"eye_distance": rig.eye_distance, "convergence": rig.convergence}
         return Report(metadata, list(rows), scene=scene)
 
@@ -77,8 +80,14 @@ def format_sizes(rows: Sequence[Record]) -> Sequence[Record]:
 
 _OPTIONS: Final = (
     options.SCENE,
-    options.values("--sizes", "sizes of the image in pixels", options.parse_size, [(640, 360), (960, 540)],
-                    "640x360,960x540", "WxH,…"),
+    options.values(
+        "--sizes",
+        "sizes of the image in pixels",
+        options.parse_size,
+        [(640, 360), (960, 540)],
+        "640x360,960x540",
+        "WxH,…",
+    ),
     options.names("--shadows", _SWITCH, "is neither off nor on", ["off"], "off", "shadows, "),
     options.names("--stereo", list_stereos(), "is no output", _DEFAULT),
     options.choice("--technique", "how the scene is drawn", TECHNIQUES, "forward"),
@@ -89,7 +98,7 @@ _OPTIONS: Final = (
     options.frames(20),
     options.BACKEND,
     *options.form(),
-)  # fmt: skip
+)
 COMMAND: Final = ComparisonProgram(
     "stereo",
     "compare what a frame costs with one eye and with two",

@@ -5,16 +5,17 @@
   python -m renderer compare techniques city --camera ground --frame 600
   python -m renderer compare techniques grid --objects 1,256 --lights 1,2,4,8,16,32,64,128 --plot wilks.png
 
---objects and --lights set the options of the scene's generator that say how many there are: `count` and `lights`
-(`grid` has both, `hall` and `night` have lights). Without them the scene is compared as it is; a scene without such an
-option, as the city or a model file, can only be compared so.
+--objects and --lights set the options of the scene's generator that say how many there are: `count` and
+`lights` (`grid` has both, `hall` and `night` have lights). Without them the scene is compared as it is; a
+scene without such an option, as the city or a model file, can only be compared so.
 
-All techniques draw the same frame in turn in one process, without occlusion culling. Times are medians, from the
-scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. `light
-evaluations` counts how often a light is looked at for a surface: the entries of the lists that fragments walk, or the
-fragments of lights' volumes; on the null device nothing is counted. `bytes per pixel` are those of all textures of the
-plan. `draws` are draw commands; one may draw many objects or lights. Under OpenCL set RHI_KERNELS=optimised, or the
-first frames are drawn by kernels that were built in a hurry; `kernels` says which ones cl ran in the rounds.
+All techniques draw the same frame in turn in one process, without occlusion culling. Times are medians, from
+the scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads.
+`light evaluations` counts how often a light is looked at for a surface: the entries of the lists that
+fragments walk, or the fragments of lights' volumes; on the null device nothing is counted. `bytes per pixel`
+are those of all textures of the plan. `draws` are draw commands; one may draw many objects or lights. Under
+OpenCL set RHI_KERNELS=optimised, or the first frames are drawn by kernels that were built in a hurry;
+`kernels` says which ones cl ran in the rounds.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ from renderer.lab.comparison import Record
 from renderer.lab.technique_comparison import compare_techniques, vary_scene
 from renderer.techniques import TECHNIQUES
 
-COMPARED_TECHNIQUES: Final[dict[str, tuple[str, dict[str, Any]]]] = {name: (name, {}) for name in TECHNIQUES} | {
+COMPARED_TECHNIQUES: Final[dict[str, tuple[str, dict[str, Any]]]] = {
+    name: (name, {}) for name in TECHNIQUES
+} | {
     f"{name}_{way}": (name, {way: True})
     for name in TECHNIQUES
     for way in options.TECHNIQUE_VARIANTS
@@ -48,27 +51,42 @@ COMPARED_TECHNIQUES: Final[dict[str, tuple[str, dict[str, Any]]]] = {name: (name
 _OPTIONS: Final = (
     options.SCENE,
     *(
-        options.values(f"--{what}", f"numbers of {what}", options.parse_count, [None], "those of the scene as it is",
-                        "N,N,…")
+        options.values(
+            f"--{what}",
+            f"numbers of {what}",
+            options.parse_count,
+            [None],
+            "those of the scene as it is",
+            "N,N,…",
+        )
         for what in ("objects", "lights")
     ),
-    options.names("--techniques", COMPARED_TECHNIQUES, "is not a technique", list(TECHNIQUES),
-                  "all, each in its first way"),
+    options.names(
+        "--techniques",
+        COMPARED_TECHNIQUES,
+        "is not a technique",
+        list(TECHNIQUES),
+        "all, each in its first way",
+    ),
     options.camera(),
     options.frame("frame of a path"),
     options.rounds("times each technique is timed"),
     options.size(),
-    options.settings("file with settings, written by `accuracy`; all but the technique and the algorithm count"),
+    options.settings(
+        "file with settings, written by `accuracy`; all but the technique and the algorithm count"
+    ),
     options.BACKEND,
     options.chart(),
     *options.form(),
-)  # fmt: skip
+)
 
 
 def _measure(arguments: argparse.Namespace) -> Report:
     settings = load_settings(arguments)
     first, *others = [
-        vary_scene(arguments.scene, objects, lights) for objects in arguments.objects for lights in arguments.lights
+        vary_scene(arguments.scene, objects, lights)
+        for objects in arguments.objects
+        for lights in arguments.lights
     ]
     scene = open_scene(first)  # a file is the only scene; generators leave nothing out
     with rhi.create_device(arguments.backend) as device:
@@ -92,7 +110,8 @@ def _measure(arguments: argparse.Namespace) -> Report:
 
 
 def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:
-    """Draw the times over the number of lights: a chart for each number of objects, a line for each technique."""
+    """Draw the times over the number of lights: a chart for each number of objects, a line for each
+    technique."""
     counts = list(dict.fromkeys(row["objects"] for row in rows))
     charts = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
     for axes, objects in zip(charts, counts, strict=True):
@@ -113,6 +132,10 @@ def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "techniques", "compare what a frame costs with each technique", __doc__, _OPTIONS, _measure,
+    "techniques",
+    "compare what a frame costs with each technique",
+    __doc__,
+    _OPTIONS,
+    _measure,
     plot=plot_techniques,
-).command  # fmt: skip
+).command

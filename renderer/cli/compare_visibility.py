@@ -8,18 +8,18 @@
   python -m renderer compare visibility city --stride 30 --warm-up 8 --frames 60
   python -m renderer compare visibility city --queries native,emulated --settings tuned/settings.json
 
-Each frame is first drawn without culling and untimed: this brings the device up to date and makes the image that the
-others are compared with. Then every algorithm draws it; each frame starts with another algorithm. Algorithms depend on
-what earlier frames have shown: with --stride, frames far apart are counted, and each follows as many frames of the path
-as --warm-up says, which are drawn and not counted.
-Times are medians, from the scene's update until the GPU is finished. `ratio` is the median of the frames'
-ratios to the first algorithm's time. Counters are means per frame. `triangles` and `draws` include the boxes drawn in
-queries, as in the thesis. `wrong pixels` is the largest number, in any frame, of pixels that show something else.
-`tied pixels` is the largest number of pixels that show another surface at exactly the same depth: of two such
+Each frame is first drawn without culling and untimed: this brings the device up to date and makes the image
+that the others are compared with. Then every algorithm draws it; each frame starts with another algorithm.
+Algorithms depend on what earlier frames have shown: with --stride, frames far apart are counted, and each
+follows as many frames of the path as --warm-up says, which are drawn and not counted. Times are medians, from
+the scene's update until the GPU is finished. `ratio` is the median of the frames' ratios to the first
+algorithm's time. Counters are means per frame. `triangles` and `draws` include the boxes drawn in queries, as
+in the thesis. `wrong pixels` is the largest number, in any frame, of pixels that show something else. `tied
+pixels` is the largest number of pixels that show another surface at exactly the same depth: of two such
 surfaces the one drawn first stays. `stalled` is how long the CPU waited. Where a scene simulates something,
-`simulation steps` counts the steps of what was drawn, and `skipped simulations` what wasn't drawn.
-`kernels` says which kernels cl ran in the counted frames: RHI_KERNELS=optimised measures a long run.
-The null device answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run.
+`simulation steps` counts the steps of what was drawn, and `skipped simulations` what wasn't drawn. `kernels`
+says which kernels cl ran in the counted frames: RHI_KERNELS=optimised measures a long run. The null device
+answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run.
 """
 
 from __future__ import annotations
@@ -65,7 +65,10 @@ def measure_visibility(arguments: argparse.Namespace) -> Report:
     )
     arguments.queries = [kind for kind in options.QUERY_KINDS if kind in arguments.queries]
     emulated = [kind == "emulated" for kind in arguments.queries]
-    with rhi.create_device(arguments.backend) as device, Renderer(device, scene, size=arguments.size) as renderer:
+    with (
+        rhi.create_device(arguments.backend) as device,
+        Renderer(device, scene, size=arguments.size) as renderer,
+    ):
         names = arguments.algorithms or [
             name for name in list_algorithms(device) if name != "conditional" or not emulated[0]
         ]
@@ -108,20 +111,39 @@ _OPTIONS: Final = (
     *options.path_range("number of frames to time"),
     options.BACKEND,
     options.names("--algorithms", ALGORITHMS, "is not an algorithm", None, "all that the device can run"),
-    options.names("--queries", options.QUERY_KINDS, "is not a kind of query", ["native"],
-                 help="emulated ones are two counters and a fence; "),
+    options.names(
+        "--queries",
+        options.QUERY_KINDS,
+        "is not a kind of query",
+        ["native"],
+        help="emulated ones are two counters and a fence; ",
+    ),
     options.settings("adds a row for CHC++ with the parameters in this file, which `tune` has written"),
     options.size(),
     options.count("--stride", "count every Nth frame of the path", 1),
-    options.count("--warm-up", "number of frames that are drawn before a counted one, unless they are counted", 1,
-                  minimum=0),
-    options.count("--threshold", "count boxes that pass at most this many samples as hidden", None, "the settings', 0",
-                  minimum=0),
+    options.count(
+        "--warm-up",
+        "number of frames that are drawn before a counted one, unless they are counted",
+        1,
+        minimum=0,
+    ),
+    options.count(
+        "--threshold",
+        "count boxes that pass at most this many samples as hidden",
+        None,
+        "the settings', 0",
+        minimum=0,
+    ),
     options.count("--teleport", "jump to the other half of the path, or back, after every N frames"),
     *options.form(),
     options.chart("times and triangles"),
-)  # fmt: skip
+)
 COMMAND: Final = ComparisonProgram(
-    "visibility", "compare visibility algorithms along a camera path", __doc__, _OPTIONS, measure_visibility,
-    display_rows=drop_idle_columns, plot=plot_algorithms,
-).command  # fmt: skip
+    "visibility",
+    "compare visibility algorithms along a camera path",
+    __doc__,
+    _OPTIONS,
+    measure_visibility,
+    display_rows=drop_idle_columns,
+    plot=plot_algorithms,
+).command

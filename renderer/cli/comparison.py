@@ -47,13 +47,14 @@ class ComparisonProgram:
 
     Attributes:
         notes: the docstring of the module: after its first line examples, and what the columns mean.
-        options: all its options: those of `options.form`, too, and that of `options.chart` if there is a chart.
+        options: all its options: those of `options.form`, too, and that of `options.chart` if there is a
+            chart.
         measure: makes the report.
         titles: the titles of columns whose names don't say enough.
         display_rows: makes rows for people from those for JSON.
         plot: draws a chart on a figure.
-        more: makes further tables of what a report says besides its rows; they are Markdown if the second argument is
-            true.
+        more: makes further tables of what a report says besides its rows; they are Markdown if the second
+            argument is true.
     """
 
     name: str
@@ -103,14 +104,18 @@ class ComparisonProgram:
 
 
 def run_benchmark(
-    text: str | None, options: Sequence[CommandOption], measure: Callable[[argparse.Namespace], Iterable[Record]],
-    plot: Callable[[Any, Sequence[Record]], None] | None = None, kernels: str = "optimised",
-) -> None:  # fmt: skip
-    """Run a program of `benchmarks`: its docstring, its options but for those of `form`, and the function that yields
-    its rows, of one table or of several; with a chart, which `plot` draws, `options.chart` is one of the options.
+    text: str | None,
+    options: Sequence[CommandOption],
+    measure: Callable[[argparse.Namespace], Iterable[Record]],
+    plot: Callable[[Any, Sequence[Record]], None] | None = None,
+    kernels: str = "optimised",
+) -> None:
+    """Run a program of `benchmarks`: its docstring, its options but for those of `form`, and the function
+    that yields its rows, of one table or of several; with a chart, which `plot` draws, `options.chart` is one
+    of the options.
 
-    Unless RHI_KERNELS says otherwise, cl runs these `kernels`: optimised ones, as a long run does, "quick" ones, or
-    with "" those that a first run has.
+    Unless RHI_KERNELS says otherwise, cl runs these `kernels`: optimised ones, as a long run does, "quick"
+    ones, or with "" those that a first run has.
     """
     os.environ.setdefault("RHI_KERNELS", kernels)
     comparison = ComparisonProgram(

@@ -1,12 +1,13 @@
-"""`debug visibility`: draw what was culled and why, from the camera and from above (thesis, Figures 6.1, 6.3).
+"""`debug visibility`: draw what was culled and why, from the camera and from above (thesis, Figures 6.1,
+6.3).
 
   python -m renderer debug visibility city --frame 900 --output culled.png
   python -m renderer debug visibility city --algorithm frustum --camera sky --frame 700
   python -m renderer debug visibility hall --algorithm stop_and_wait --camera aisle --json
 
-The left image is the camera's frame with the edges of bounding boxes; those of hidden objects are drawn over what
-hides them. The right image shows the boxes from above, except those that cover more than a twentieth of it. The
-frames before are drawn first, for algorithms that use the results of earlier frames (see --warm-up).
+The left image is the camera's frame with the edges of bounding boxes; those of hidden objects are drawn over
+what hides them. The right image shows the boxes from above, except those that cover more than a twentieth of
+it. The frames before are drawn first, for algorithms that use the results of earlier frames (see --warm-up).
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     with rhi.create_device(arguments.backend) as device:
         if not device.capabilities.renders:
-            raise OutputError(f"--backend: the {device.backend_name} device draws nothing, so there is no image")
+            raise OutputError(
+                f"--backend: the {device.backend_name} device draws nothing, so there is no image"
+            )
         algorithm = make_visibility(arguments.algorithm, scene, device, settings)
         with Renderer(device, scene, visibility=algorithm, size=arguments.size) as renderer:
             for path_frame in path_frames:
@@ -85,7 +88,9 @@ def _run(arguments: argparse.Namespace) -> None:
         print("\n".join(f"{count:>8,} {MEANINGS[outcome]}" for outcome, count in counts.items()))
 
 
-def compose(images: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[CullingOutcome, int]) -> Image.Image:
+def compose(
+    images: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[CullingOutcome, int]
+) -> Image.Image:
     """Join both images side by side above a legend of the colours."""
     side_by_side = np.concatenate([pixels[:, :, :3] for pixels in images], axis=1)
     height, width = side_by_side.shape[:2]

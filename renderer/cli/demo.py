@@ -1,14 +1,15 @@
-"""`demo`: measure several variants to render a scene along its paths, and write images made by the fastest device.
+"""`demo`: measure several variants to render a scene along its paths, and write images made by the fastest
+device.
 
   python -m renderer demo
   python -m renderer demo hall --output images
   python -m renderer demo city:blocks=12 --frames 20
 
-All backends that work here are compared, or only the one that RHI_BACKEND names; the fastest writes the images.
-The frames are spread evenly along each path, and each is rendered in all ways in turn. Times are medians, until the
-GPU is finished. `vs none` is the median of the frames' ratios to no culling. Counters are means per frame. The null
-device records the same commands and draws nothing: its time is that of the CPU. `kernels` says which kernels cl ran:
-those of a first run are `quick` ones, unless RHI_KERNELS=optimised.
+All backends that work here are compared, or only the one that RHI_BACKEND names; the fastest writes the
+images. The frames are spread evenly along each path, and each is rendered in all ways in turn. Times are
+medians, until the GPU is finished. `vs none` is the median of the frames' ratios to no culling. Counters are
+means per frame. The null device records the same commands and draws nothing: its time is that of the CPU.
+`kernels` says which kernels cl ran: those of a first run are `quick` ones, unless RHI_KERNELS=optimised.
 """
 
 from __future__ import annotations
@@ -24,7 +25,14 @@ import rhi
 from renderer.cli import options
 from renderer.cli.arguments import open_scene
 from renderer.cli.options import option
-from renderer.cli.output import note, open_available_devices, prepare_image, short_name, show_progress, write_image
+from renderer.cli.output import (
+    note,
+    open_available_devices,
+    prepare_image,
+    short_name,
+    show_progress,
+    write_image,
+)
 from renderer.cli.subcommand import Subcommand
 from renderer.lab.comparison import Column, Frames, Subject, average, compare, ratio, time
 from renderer.lab.measure import format_rows
@@ -35,8 +43,8 @@ _IMAGE_FRAMES = {"ground": 900, "sky": 700}
 """The frame of each path that is written as an image."""
 
 _ALGORITHMS = ("none", "frustum")
-"""The algorithms compared: those that also run on the null device, which answers no queries. `compare visibility`
-compares all."""
+"""The algorithms compared: those that also run on the null device, which answers no queries. `compare
+visibility` compares all."""
 
 
 _IDLE = ("simulation_steps", "skipped_simulations")
@@ -55,12 +63,16 @@ def _run(arguments: argparse.Namespace) -> None:
     scene = open_scene(arguments.scene)
     with ExitStack() as stack:
         devices = open_devices(stack)
-        numbers = [(2 * number + 1) * FRAME_COUNT // (2 * arguments.frames) for number in range(arguments.frames)]
+        numbers = [
+            (2 * number + 1) * FRAME_COUNT // (2 * arguments.frames) for number in range(arguments.frames)
+        ]
         subjects, variants = [], []
         for name, path in scene.paths.items():
             for device in devices:
                 for algorithm in _ALGORITHMS:
-                    renderer = stack.enter_context(Renderer(device, scene, visibility=algorithm, size=arguments.size))
+                    renderer = stack.enter_context(
+                        Renderer(device, scene, visibility=algorithm, size=arguments.size)
+                    )
                     frames = Frames(renderer, *map(path.path_frame, numbers))
                     labels = {"path": name, "visibility": algorithm, "backend": device.backend_name}
                     subjects.append(Subject(labels, frames, count=frames.count))
@@ -86,7 +98,8 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def open_devices(stack: ExitStack) -> list[rhi.Device]:
-    """Open the device that RHI_BACKEND names, or one on each backend that works here; the null device is the last."""
+    """Open the device that RHI_BACKEND names, or one on each backend that works here; the null device is the
+    last."""
     backend = os.environ.get("RHI_BACKEND")
     devices = open_available_devices(stack, (backend,) if backend else rhi.backend_names())
     if all(device.backend_name != "null" for device in devices):
@@ -106,5 +119,9 @@ def write_path_image(renderer: Renderer, name: str, folder: Path) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "demo", "render a scene along its paths in several ways and print what each costs", _OPTIONS, _run, __doc__
+    "demo",
+    "render a scene along its paths in several ways and print what each costs",
+    _OPTIONS,
+    _run,
+    __doc__,
 )

@@ -4,11 +4,12 @@
   python -m renderer effect-costs --effect shadow --effect glass --backend gl --rounds 100
   python -m renderer effect-costs --backend gl --backend cl --output docs
 
-Effect steps are scenes, each with one effect more than the one before. Counts are those of a null device, so no GPU is
-needed, and are the same everywhere. With --backend, times of the processor are measured in alternation, too,
-with 95 % intervals: what an effect adds, and the time of a frame from which it was removed as a multiple of that of
-one that never had it. The exit code is 1 if an effect costs something in scenes without it, or leaves something behind.
-With --output DIR, the page effect-costs.md and the image images/effect-costs.png are written to DIR.
+Effect steps are scenes, each with one effect more than the one before. Counts are those of a null device, so
+no GPU is needed, and are the same everywhere. With --backend, times of the processor are measured in
+alternation, too, with 95 % intervals: what an effect adds, and the time of a frame from which it was removed
+as a multiple of that of one that never had it. The exit code is 1 if an effect costs something in scenes
+without it, or leaves something behind. With --output DIR, the page effect-costs.md and the image
+images/effect-costs.png are written to DIR.
 """
 
 from __future__ import annotations
@@ -52,14 +53,27 @@ _SHOWN_FRAME: Final = 60
 
 _EFFECTS: Final = [step.name for step in EFFECT_STEPS]
 _OPTIONS: Final = (
-    option("--effect", "only this effect step; may be repeated", [], f"all, {', '.join(_EFFECTS)}", action="append",
-           choices=_EFFECTS, metavar="NAME"),
-    option("--backend", "time frames on this backend, too; may be repeated", [], "only counts", action="append",
-           metavar="NAME"),
+    option(
+        "--effect",
+        "only this effect step; may be repeated",
+        [],
+        f"all, {', '.join(_EFFECTS)}",
+        action="append",
+        choices=_EFFECTS,
+        metavar="NAME",
+    ),
+    option(
+        "--backend",
+        "time frames on this backend, too; may be repeated",
+        [],
+        "only counts",
+        action="append",
+        metavar="NAME",
+    ),
     options.rounds("frames of each effect step that are timed", 40),
     options.file("--output", "where the page and its image go", "DIR"),
     *options.form("tables"),
-)  # fmt: skip
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -73,7 +87,10 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.json:
         print(json.dumps([asdict(row) for row in rows]))
     else:
-        tables = format_added(rows, markdown=arguments.markdown), format_removed(rows, markdown=arguments.markdown)
+        tables = (
+            format_added(rows, markdown=arguments.markdown),
+            format_removed(rows, markdown=arguments.markdown),
+        )
         print("\n\n".join(tables))
     faults = [f"{row.name}: {fault}" for row in rows for fault in row.faults]
     if faults:
@@ -84,7 +101,9 @@ def _run(arguments: argparse.Namespace) -> None:
 def _write_page(folder: Path, rows: Sequence[EffectRow], backends: Sequence[str], rounds: int) -> None:
     (folder / "images").mkdir(parents=True, exist_ok=True)
     asked = "".join(f" --effect {row.name!r}" if " " in row.name else f" --effect {row.name}" for row in rows)
-    asked = ("" if len(rows) == len(EFFECT_STEPS) else asked) + "".join(f" --backend {name}" for name in backends)
+    asked = ("" if len(rows) == len(EFFECT_STEPS) else asked) + "".join(
+        f" --backend {name}" for name in backends
+    )
     if rounds != 40:
         asked += f" --rounds {rounds}"
     image_path = folder / "images" / "effect-costs.png"
@@ -146,4 +165,6 @@ def _render(numbers: Iterable[int]) -> list[NDArray[Any]]:
     raise OutputError("--output: no backend here draws images")
 
 
-COMMAND: Final = Subcommand("effect-costs", "what each effect adds to a frame, and takes away", _OPTIONS, _run, __doc__)
+COMMAND: Final = Subcommand(
+    "effect-costs", "what each effect adds to a frame, and takes away", _OPTIONS, _run, __doc__
+)

@@ -5,9 +5,9 @@
   python -m renderer exam --case 13 --case 21
   python -m renderer exam --show 21 --backend cl --output case21.png
 
-Each case has a reference, and a tolerance with its reason, which --show prints. What a device lacks is declared in
-its capabilities; a case that needs it doesn't apply, and isn't passed. A case that raises an error has failed. The exit
-code is 1 if a case has failed on some backend.
+Each case has a reference, and a tolerance with its reason, which --show prints. What a device lacks is
+declared in its capabilities; a case that needs it doesn't apply, and isn't passed. A case that raises an
+error has failed. The exit code is 1 if a case has failed on some backend.
 """
 
 from __future__ import annotations
@@ -31,14 +31,22 @@ from renderer.lab.exam.case_images import join_images
 from renderer.lab.measure import format_table
 
 _OPTIONS: Final = (
-    option("--backend", "a registered backend; may be repeated", None, "gl, cl and null, as far as they work here",
-           action="append", metavar="NAME"),
+    option(
+        "--backend",
+        "a registered backend; may be repeated",
+        None,
+        "gl, cl and null, as far as they work here",
+        action="append",
+        metavar="NAME",
+    ),
     option("--case", "only this case; may be repeated", [], "", action="append", type=int, metavar="N"),
     options.switch("--long", "also the cases that take minutes"),
     option("--show", "print all numbers of one case", type=int, metavar="N"),
-    option("--output", "with --show: where its images go", None, "none is written", type=Path, metavar="F.png"),
+    option(
+        "--output", "with --show: where its images go", None, "none is written", type=Path, metavar="F.png"
+    ),
     *options.form(),
-)  # fmt: skip
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -70,7 +78,8 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def format_rows_by_backend(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
-    """Format the rows as a table with a line for each case and a column for each backend, and a line of the counts."""
+    """Format the rows as a table with a line for each case and a column for each backend, and a line of the
+    counts."""
     backends = list(dict.fromkeys(row.backend for row in rows))
     lines: dict[int, dict[str, ExamRow]] = {}
     for row in rows:
@@ -122,8 +131,11 @@ def _print_case(case: Case, devices: Sequence[rhi.Device], output: Path | None, 
         passed = case.passes(result)
         has_failed |= not passed
         report[device.backend_name] = {
-            "error": float(result.error), "passed": passed, **result.numbers, **result.holds,
-        }  # fmt: skip
+            "error": float(result.error),
+            "passed": passed,
+            **result.numbers,
+            **result.holds,
+        }
         if output is not None:
             case_images = result.images()
             images.update({f"{device.backend_name}: {title}": image for title, image in case_images.items()})

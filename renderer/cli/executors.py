@@ -1,9 +1,9 @@
 """Makes the executors that `--executor` names.
 
-Each of several processes gets CPUs of its own, and its drivers as many threads. PoCL and llvmpipe would otherwise
-start a thread for every CPU in each process, and PoCL's are pinned (`rhi.backends.cl.pocl.workers`): those of all
-processes to the same CPUs. Then N processes would be no faster than one, and times would be those of waiting for the
-others.
+Each of several processes gets CPUs of its own, and its drivers as many threads. PoCL and llvmpipe would
+otherwise start a thread for every CPU in each process, and PoCL's are pinned
+(`rhi.backends.cl.pocl.workers`): those of all processes to the same CPUs. Then N processes would be no faster
+than one, and times would be those of waiting for the others.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ R = TypeVar("R")
 
 KINDS: Final = "serial, processes, processes:N, threads:N, dask:ADDRESS"
 _THREAD_COUNTS: Final = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "LP_NUM_THREADS")
-"""The variables that drivers take the number of their threads from: PoCL up to version 4, PoCL since, llvmpipe."""
+"""The variables that drivers take the number of their threads from: PoCL up to version 4, PoCL since,
+llvmpipe."""
 _TASKS: Final = Path("/proc/self/task")
 _SIBLINGS: Final = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 
@@ -56,7 +57,9 @@ def make_executor(text: str) -> Iterator[Executor]:
             with open_processes(partition_cpus(int(rest) if rest else len(list_cpus()))) as pool:
                 yield pool
         except BrokenExecutor:
-            raise OutputError(f"--executor: a process of {text} was ended; what others have done is kept") from None
+            raise OutputError(
+                f"--executor: a process of {text} was ended; what others have done is kept"
+            ) from None
     elif kind == "threads" and is_count:
         with ThreadPoolExecutor(int(rest) if rest else None) as threads:
             yield threads
@@ -104,7 +107,9 @@ def open_processes(cpu_groups: Sequence[Sequence[int]]) -> ProcessPoolExecutor:
     remaining: SimpleQueue[Sequence[int]] = context.SimpleQueue()
     for cpus in cpu_groups:
         remaining.put(cpus)
-    return ProcessPoolExecutor(len(cpu_groups), mp_context=context, initializer=_use_next_cpus, initargs=(remaining,))
+    return ProcessPoolExecutor(
+        len(cpu_groups), mp_context=context, initializer=_use_next_cpus, initargs=(remaining,)
+    )
 
 
 def _use_next_cpus(remaining: SimpleQueue[Sequence[int]]) -> None:

@@ -1,7 +1,7 @@
 """Options of the command line: their kinds, each defined once, and those that several commands share.
 
-A kind gives an option its parser, its placeholder and the end of its help, "(default: …)". A command lists its options:
-they are data, so a command is its name, its summary, its options and the function that runs it.
+A kind gives an option its parser, its placeholder and the end of its help, "(default: …)". A command lists
+its options: they are data, so a command is its name, its summary, its options and the function that runs it.
 """
 
 from __future__ import annotations
@@ -113,7 +113,9 @@ def add_options(parser: argparse.ArgumentParser, options: Iterable[CommandOption
         groups[command_option.group].add_argument(command_option.flag, **command_option.keywords)
 
 
-def option(flag: str, help: str, default: Any = None, default_text: object = None, **keywords: Any) -> CommandOption:
+def option(
+    flag: str, help: str, default: Any = None, default_text: object = None, **keywords: Any
+) -> CommandOption:
     """An option whose help ends with its default, or with `default_text` instead; "" shows none."""
     default_text = default if default_text is None else default_text
     ending = "" if default_text is None or default_text == "" else f" (default: {default_text})"
@@ -137,7 +139,9 @@ def length(flag: str, help: str, default_text: object = None) -> CommandOption:
     return option(flag, help, None, default_text, type=parse_length, metavar="M")
 
 
-def file(flag: str, help: str, form: str = "F.png", default: str | None = None, **keywords: Any) -> CommandOption:
+def file(
+    flag: str, help: str, form: str = "F.png", default: str | None = None, **keywords: Any
+) -> CommandOption:
     """An option with the path of a file or folder."""
     return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **keywords)
 
@@ -149,8 +153,14 @@ def choice(
     return option(flag, help, default, default_text, choices=choices)
 
 
-def names(flag: str, allowed: Collection[str], wrong: str, default: Sequence[str] | None = None,
-         default_text: object = None, help: str = "") -> CommandOption:  # fmt: skip
+def names(
+    flag: str,
+    allowed: Collection[str],
+    wrong: str,
+    default: Sequence[str] | None = None,
+    default_text: object = None,
+    help: str = "",
+) -> CommandOption:
     """An option with a list of names in `allowed`; `wrong` is the error for other names."""
     help = f"{help}some of {', '.join(allowed)}"
     default_text = default_text or ",".join(default or ())
@@ -162,7 +172,12 @@ def values(
 ) -> CommandOption:
     """An option with a list of values between commas."""
     return option(
-        flag, help, default, default_text, type=lambda text: [parse(part) for part in text.split(",")], metavar=form
+        flag,
+        help,
+        default,
+        default_text,
+        type=lambda text: [parse(part) for part in text.split(",")],
+        metavar=form,
     )
 
 
@@ -171,7 +186,10 @@ BACKEND: Final = option(
     "--backend", ", ".join(rhi.backend_names()), None, "RHI_BACKEND, or the first that works", metavar="NAME"
 )
 PATH: Final = option(
-    "--camera-path", "a path of the scene (ground, sky), or the .json file of a walk-through", "ground", metavar="PATH"
+    "--camera-path",
+    "a path of the scene (ground, sky), or the .json file of a walk-through",
+    "ground",
+    metavar="PATH",
 )
 JSON: Final = switch("--json", "print the result as JSON")
 QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two counters and a fence"
@@ -186,12 +204,18 @@ def camera(default: str | None = None, default_text: object = None) -> CommandOp
     """The option `--camera CAMERA`; `default_text` describes the default."""
     default_text = default_text or default or "the scene's first view"
     return option(
-        "--camera", "a path (ground, sky), the .json file of a walk-through, a view of the scene, a position x,y,z, or "
-        "a position and a target x,y,z,x,y,z", default, default_text, metavar="CAMERA",
-    )  # fmt: skip
+        "--camera",
+        "a path (ground, sky), the .json file of a walk-through, a view of the scene, a position x,y,z, or "
+        "a position and a target x,y,z,x,y,z",
+        default,
+        default_text,
+        metavar="CAMERA",
+    )
 
 
-def frame(what: str = "first frame of the path", default: int | None = 0, default_text: object = None) -> CommandOption:
+def frame(
+    what: str = "first frame of the path", default: int | None = 0, default_text: object = None
+) -> CommandOption:
     """The option `--frame N`; `what` says which frame it is."""
     return count("--frame", what, default, default_text, minimum=0)
 
@@ -255,12 +279,15 @@ STEREO_OUTPUT: Final = choice("--stereo", "draw two eyes, and show them like thi
 STEREO: Final = (
     STEREO_OUTPUT,
     length("--eye-distance", "metres between the eyes", "comfortable for the first frame, at most 0.063"),
-    length("--convergence", "metres from the eyes to the screen, where there is no parallax",
-           "in the middle of what is seen"),
+    length(
+        "--convergence",
+        "metres from the eyes to the screen, where there is no parallax",
+        "in the middle of what is seen",
+    ),
     switch("--swap-eyes", "show each image to the other eye"),
     switch("--toe-in", "turn the eyes towards each other, to see why not"),
     switch("--reproject", "reproject the right eye's image from the left one's"),
-)  # fmt: skip
+)
 DEPTH: Final = choice(
     "--depth",
     "direction of depth: reversed has near at 1, standard has near at 0",

@@ -26,14 +26,17 @@ class OutputError(Exception):
 
 
 def show_progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
-    """Yield the items with a progress bar on stderr, shown on a terminal if the work takes more than a second. `total`
-    is the number of items that don't know it themselves."""
-    bar: Iterator[T] = tqdm(items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0)
+    """Yield the items with a progress bar on stderr, shown on a terminal if the work takes more than a
+    second. `total` is the number of items that don't know it themselves."""
+    bar: Iterator[T] = tqdm(
+        items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
+    )
     return bar
 
 
 class BuildLine(logging.Handler):
-    """Shows how many kernels a first run has built in one line of the terminal, and clears the line at the end."""
+    """Shows how many kernels a first run has built in one line of the terminal, and clears the line at the
+    end."""
 
     def emit(self, record: logging.LogRecord) -> None:
         done = isinstance(record.args, tuple) and record.args[:1] == record.args[1:]
@@ -66,7 +69,9 @@ def short_name(scene: Scene) -> str:
 
 def prepare_image(path: Path, option: str = "--output") -> Path:
     """Check that an option's image can be written, before any work is done for it; return `path`."""
-    return _prepare(path, option, Image.registered_extensions(), "has no known image extension; end it with .png")
+    return _prepare(
+        path, option, Image.registered_extensions(), "has no known image extension; end it with .png"
+    )
 
 
 def prepare_chart(path: Path) -> Path:
@@ -94,7 +99,8 @@ def write_image(path: Path, pixels: NDArray[Any]) -> None:
 
 @contextmanager
 def draw_chart(path: Path, title: str = "", dpi: int = 100) -> Iterator[Any]:
-    """Yield an empty matplotlib figure and write it to `path` at the end. matplotlib is imported on first use."""
+    """Yield an empty matplotlib figure and write it to `path` at the end. matplotlib is imported on first
+    use."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

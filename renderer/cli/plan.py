@@ -5,10 +5,11 @@
   python -m renderer plan city --plot plan.svg
   python -m renderer plan night --backend gl
 
-A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it writes. The
-commands are counted on the null device, so no GPU is needed. With --technique auto, the device that --backend names
-says which technique is the fastest; the null device doesn't know. In the plot a column is a pass and a row a texture,
-with the resources that share it: dark where they are written, light where they are read.
+A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it
+writes. The commands are counted on the null device, so no GPU is needed. With --technique auto, the device
+that --backend names says which technique is the fastest; the null device doesn't know. In the plot a column
+is a pass and a row a texture, with the resources that share it: dark where they are written, light where they
+are read.
 """
 
 from __future__ import annotations
@@ -40,11 +41,16 @@ _OPTIONS: Final = (
     options.camera(),
     options.frame("frame of the path"),
     options.size(),
-    option("--backend", "with --technique auto, the device that measures which is the fastest", "null",
-           "null, which measures nothing", metavar="NAME"),
+    option(
+        "--backend",
+        "with --technique auto, the device that measures which is the fastest",
+        "null",
+        "null, which measures nothing",
+        metavar="NAME",
+    ),
     options.file("--plot", "chart of passes and textures to write", "F.svg"),
     options.switch("--json", "print the plan as JSON"),
-)  # fmt: skip
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -63,12 +69,16 @@ def _run(arguments: argparse.Namespace) -> None:
         print(f"technique: {explanation['technique']}, {explanation['reason']}\n\n{format_plan(report)}")
 
 
-def choose_technique(arguments: argparse.Namespace, scene: Scene, camera: Camera) -> tuple[Technique, dict[str, str]]:
+def choose_technique(
+    arguments: argparse.Namespace, scene: Scene, camera: Camera
+) -> tuple[Technique, dict[str, str]]:
     """The technique that the arguments name, and the reason for it; `auto` measures a few."""
     with rhi.create_device(arguments.backend) as device:
         technique = make_technique(arguments, scene, device)
         if isinstance(technique, AutoTechnique):
-            with Renderer(device, scene, technique=technique, visibility="frustum", size=arguments.size) as renderer:
+            with Renderer(
+                device, scene, technique=technique, visibility="frustum", size=arguments.size
+            ) as renderer:
                 settle(renderer, camera)
         explanation = explain_technique(technique, arguments)
         return technique.current if isinstance(technique, AutoTechnique) else technique, explanation
@@ -126,7 +136,9 @@ def format_simulations(report: SimulationReport | None) -> str:
 
 def format_memory(memory: MemoryReport) -> str:
     """Format the memory that a renderer uses on a device as text."""
-    rows = [(memory_row.name, memory_row.shape, memory_row.count, memory_row.bytes) for memory_row in memory.rows]
+    rows = [
+        (memory_row.name, memory_row.shape, memory_row.count, memory_row.bytes) for memory_row in memory.rows
+    ]
     table = format_table(("in memory", "is", "count", "bytes"), rows)
     total = f"{memory.bytes:,} bytes"
     if memory.image_bytes:
@@ -145,11 +157,17 @@ def plot_plan(report: PlanReport, path: Path, title: str) -> None:
                 reads = [i for i, pass_row in enumerate(report.passes) if name in pass_row.reads]
                 last = max([*reads, *writes])
                 axes.barh(row, last - writes[0] + 0.9, left=writes[0] - 0.45, height=0.3, color="#d0d7de")
-                axes.barh([row] * len(reads), 0.9, left=[i - 0.45 for i in reads], height=0.7, color="#9ecae1")
-                axes.barh([row] * len(writes), 0.9, left=[i - 0.45 for i in writes], height=0.7, color="#2b6ca3")
+                axes.barh(
+                    [row] * len(reads), 0.9, left=[i - 0.45 for i in reads], height=0.7, color="#9ecae1"
+                )
+                axes.barh(
+                    [row] * len(writes), 0.9, left=[i - 0.45 for i in writes], height=0.7, color="#2b6ca3"
+                )
                 axes.text(writes[0], row, name, ha="center", va="center", color="white", fontsize=8)
         axes.set_xticks(range(len(report.passes)), [pass_row.name for pass_row in report.passes])
-        axes.set_yticks(range(len(report.textures)), [f"texture {i + 1}" for i in range(len(report.textures))])
+        axes.set_yticks(
+            range(len(report.textures)), [f"texture {i + 1}" for i in range(len(report.textures))]
+        )
         axes.invert_yaxis()
         axes.set_xlim(-0.5, max(len(report.passes), 4) - 0.5)
 

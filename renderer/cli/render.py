@@ -13,9 +13,9 @@
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
-Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
-neither are those in which it looks for the fastest visibility algorithm and technique. Counters are those of one frame,
-or with several frames their mean. The image is that of the last frame.
+Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with
+`auto` neither are those in which it looks for the fastest visibility algorithm and technique. Counters are
+those of one frame, or with several frames their mean. The image is that of the last frame.
 """
 
 from __future__ import annotations
@@ -66,18 +66,32 @@ _OPTIONS: Final = (
     options.file("--holes", "as --reproject, and write the right eye's image with its holes in magenta"),
     options.DEPTH,
     options.BLENDING,
-    option("--edge-pixels", "length in pixels that edges of height fields are split down to", None, "the settings', 8",
-           type=float, metavar="N"),
-    option("--show", f"show what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture "
-           "of the technique's plan, such as surface (see `plan`)", metavar="NAME"),
+    option(
+        "--edge-pixels",
+        "length in pixels that edges of height fields are split down to",
+        None,
+        "the settings', 8",
+        type=float,
+        metavar="N",
+    ),
+    option(
+        "--show",
+        f"show what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture "
+        "of the technique's plan, such as surface (see `plan`)",
+        metavar="NAME",
+    ),
     option("--output", "image to write", None, "SCENE.png", type=Path, metavar="F.png"),
     options.file("--trace", "write a trace of all commands (see python -m rhi trace)", "F.zip"),
-    options.file("--record", "write the frames' cameras as a walk-through, for --camera and --camera-path", "F.json"),
+    options.file(
+        "--record", "write the frames' cameras as a walk-through, for --camera and --camera-path", "F.json"
+    ),
     options.switch("--particles", "draw the drops of the hall's fountains as particles, too"),
-    options.switch("--overlay", "draw frame times, counters, the timer tree and the culling over each frame, which "
-                   "costs time, too"),
+    options.switch(
+        "--overlay",
+        "draw frame times, counters, the timer tree and the culling over each frame, which costs time, too",
+    ),
     options.JSON,
-)  # fmt: skip
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -101,7 +115,10 @@ def _run(arguments: argparse.Namespace) -> None:
     with (
         rhi.create_device(arguments.backend, record=True if arguments.trace is not None else None) as device,
         settings.open(
-            device, scene, arguments.size, technique=_make_technique_to_show(arguments, settings, scene, device)
+            device,
+            scene,
+            arguments.size,
+            technique=_make_technique_to_show(arguments, settings, scene, device),
         ) as renderer,
         ExitStack() as layers,
     ):
@@ -184,7 +201,11 @@ def describe_run(
         **summary,
         "image_bytes": renderer.image_bytes,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
-        **({"unshadowed_lights": renderer.shadows.unshadowed_lights} if renderer.shadows.unshadowed_lights else {}),
+        **(
+            {"unshadowed_lights": renderer.shadows.unshadowed_lights}
+            if renderer.shadows.unshadowed_lights
+            else {}
+        ),
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
         "image": None if image is None else str(image),
@@ -220,7 +241,11 @@ def format_report(report: dict[str, Any]) -> str:
     printed.pop("left_out", None)  # printed on stderr already
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in printed.items()}
     names = {"uploads_bytes": "bytes uploaded", "image_bytes": "bytes of images"}
-    return "\n".join(f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items())
+    return "\n".join(
+        f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items()
+    )
 
 
-COMMAND: Final = Subcommand("render", "render a scene to an image and report what it cost", _OPTIONS, _run, __doc__)
+COMMAND: Final = Subcommand(
+    "render", "render a scene to an image and report what it cost", _OPTIONS, _run, __doc__
+)

@@ -31,7 +31,8 @@ class Subcommand:
         summary: one line for the list of commands; it begins the command's own help.
         options: the command's arguments.
         run: executes the command with its parsed arguments.
-        notes: the docstring of the command's module. After its first line it has examples, and says what the results
+        notes: the docstring of the command's module. After its first line it has examples, and says what the
+            results
             mean: the end of the command's help. None where Python keeps no docstrings.
     """
 

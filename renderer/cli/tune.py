@@ -5,12 +5,13 @@
   python -m renderer tune city --executor dask:tcp://scheduler:8786 --output tuned
   python -m renderer compare visibility city --settings tuned/settings.json
 
-b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible object isn't
-queried again. Each trial renders the path with one pair of values and, in turn, with the default pair (b=50, n=20);
-pairs are compared by the ratio of the two times, so trials may run at the same time and on different machines. The best
-three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
-objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
-`render`, `compare visibility` and `debug visibility` read the last with --settings.
+b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible
+object isn't queried again. Each trial renders the path with one pair of values and, in turn, with the default
+pair (b=50, n=20); pairs are compared by the ratio of the two times, so trials may run at the same time and on
+different machines. The best three are then compared in one process. --leaf-size 1:16 then tries the best pair
+with leaves of 1, 2, 4, 8 and 16 objects, which are queried and drawn together. `trials.csv`, `trials.png` and
+`settings.json` are written to DIR; `render`, `compare visibility` and `debug visibility` read the last with
+--settings.
 """
 
 from __future__ import annotations
@@ -31,7 +32,15 @@ from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera_path
-from renderer.lab.accuracy.tuning import ParameterPair, PathFrames, Trial, search, select_best, space_evenly, try_pairs
+from renderer.lab.accuracy.tuning import (
+    ParameterPair,
+    PathFrames,
+    Trial,
+    search,
+    select_best,
+    space_evenly,
+    try_pairs,
+)
 from renderer.lab.measure import format_table, title_of
 from renderer.scene import CameraPath
 from renderer.visibility import VisibilitySettings, list_algorithms
@@ -55,11 +64,18 @@ def _run(arguments: argparse.Namespace) -> None:
     with rhi.create_device(arguments.backend) as device:
         backend, name = device.backend_name, device.capabilities.device
         if "chc_plus_plus" not in list_algorithms(device):
-            raise OutputError(f"--backend: the {backend} device answers no queries, so there is nothing to tune")
+            raise OutputError(
+                f"--backend: the {backend} device answers no queries, so there is nothing to tune"
+            )
     with make_executor(arguments.executor) as executor:
         arguments.output.mkdir(parents=True, exist_ok=True)
         trials = list(
-            search(arguments.b, arguments.n, arguments.rounds, lambda pairs: _try_all(executor, path_frames, pairs))
+            search(
+                arguments.b,
+                arguments.n,
+                arguments.rounds,
+                lambda pairs: _try_all(executor, path_frames, pairs),
+            )
         )
         finalists = select_best(trials)
         pairs = [(trial.batch, trial.persistence) for trial in finalists]
@@ -74,7 +90,9 @@ def _run(arguments: argparse.Namespace) -> None:
     is_better = best.ratio < 1.0  # than the default settings
     settings = VisibilitySettings(emulated=path_frames.emulated)
     if is_better:
-        settings = VisibilitySettings(best.batch, best.persistence, best.leaf_size, emulated=path_frames.emulated)
+        settings = VisibilitySettings(
+            best.batch, best.persistence, best.leaf_size, emulated=path_frames.emulated
+        )
     report = {
         "backend": backend,
         "device": name,
@@ -86,15 +104,23 @@ def _run(arguments: argparse.Namespace) -> None:
         "ratio": min(best.ratio, 1.0),
     }
     write_trials(arguments.output / "trials.csv", trials)
-    plot_trials(trials, finals, f"{scene.name}, {arguments.camera_path}, {name}", arguments.output / "trials.png")
+    plot_trials(
+        trials, finals, f"{scene.name}, {arguments.camera_path}, {name}", arguments.output / "trials.png"
+    )
     settings.save(arguments.output / "settings.json", **report)
     note(f"wrote trials.csv, trials.png and settings.json to {arguments.output}")
     if arguments.json:
-        print_report({**report, "visibility": asdict(settings), "finals": [asdict(final) for final in finals]}, scene)
+        print_report(
+            {**report, "visibility": asdict(settings), "finals": [asdict(final) for final in finals]}, scene
+        )
         return
     names = [field.name for field in fields(Trial)]
     sorted_finals = sorted(finals, key=lambda trial: trial.ratio)
-    print(format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in sorted_finals]))
+    print(
+        format_table(
+            [_title(name) for name in names], [[getattr(t, name) for name in names] for t in sorted_finals]
+        )
+    )
     values_text = f"b={settings.batch}, n={settings.persistence}, leaf size {settings.leaf_size}"
     print(f"{values_text}: {report['ratio']:.2f} of the default's time")
 
@@ -102,7 +128,9 @@ def _run(arguments: argparse.Namespace) -> None:
 def _try_all(executor: Executor, path_frames: PathFrames, pairs: Sequence[ParameterPair]) -> list[Trial]:
     """Try each pair, as many at a time as the executor allows, and return the trials in this order."""
     futures = [executor.submit(try_pairs, path_frames, [pair]) for pair in show_progress(pairs, "tune")]
-    for _ in show_progress(as_completed(futures), "tune", len(pairs)):  # a serial executor has finished them by now
+    for _ in show_progress(
+        as_completed(futures), "tune", len(pairs)
+    ):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
 
@@ -151,7 +179,9 @@ def _parse_range(text: str) -> ParameterPair:
     """Parse `1:100` as (1, 100), and a single number as the range of only that number."""
     low, _, high = text.partition(":")
     high = high or low
-    if not (low.isascii() and low.isdigit() and high.isascii() and high.isdigit()) or not (1 <= int(low) <= int(high)):
+    if not (low.isascii() and low.isdigit() and high.isascii() and high.isdigit()) or not (
+        1 <= int(low) <= int(high)
+    ):
         raise argparse.ArgumentTypeError(f"{text!r} is not a range; give LOW:HIGH, such as 1:100")
     return int(low), int(high)
 
@@ -161,8 +191,14 @@ _OPTIONS: Final = (
     *options.path_range("number of frames that a trial renders"),
     option("--b", "range of b", (1, 100), "1:100", type=_parse_range, metavar="LOW:HIGH"),
     option("--n", "range of n", (1, 40), "1:40", type=_parse_range, metavar="LOW:HIGH"),
-    option("--leaf-size", "range of the leaf size to try with the best pair", (1, 1), "1", type=_parse_range,
-           metavar="LOW:HIGH"),
+    option(
+        "--leaf-size",
+        "range of the leaf size to try with the best pair",
+        (1, 1),
+        "1",
+        type=_parse_range,
+        metavar="LOW:HIGH",
+    ),
     options.rounds("rounds of the search, the first of which tries a grid of values", 4),
     options.executor("trials", KINDS),
     options.queries("native"),
@@ -170,5 +206,7 @@ _OPTIONS: Final = (
     options.size(),
     options.file("--output", "folder for the results", "DIR", "tuned"),
     options.JSON,
-)  # fmt: skip
-COMMAND: Final = Subcommand("tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, __doc__)
+)
+COMMAND: Final = Subcommand(
+    "tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, __doc__
+)

@@ -7,9 +7,10 @@
   python -m renderer view city --live swept --budget-ms 30        after: accuracy city --output swept
   python -m renderer view city --listen 7000            then, in another terminal: nc 127.0.0.1 7000
 
-F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's lines, and
-`wait SECONDS`. --listen takes the same lines from programs of this computer, after a first line that is printed here
-and has a token: whoever knows it can do what the console can, and write below --write-to.
+F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's
+lines, and `wait SECONDS`. --listen takes the same lines from programs of this computer, after a first line
+that is printed here and has a token: whoever knows it can do what the console can, and write below
+--write-to.
 """
 
 from __future__ import annotations
@@ -31,26 +32,44 @@ _OPTIONS: Final = (
     options.BACKEND,
     *options.technique("forward", has_defaults=False),
     options.visibility(None, "the settings', or frustum"),
-    options.settings("file with settings; what is saved to it takes effect; other arguments count more at first"),
+    options.settings(
+        "file with settings; what is saved to it takes effect; other arguments count more at first"
+    ),
     options.camera(),
     options.frame("frame of the path"),
     options.size(what="size of the window in pixels"),
-    options.choice("--shadows", "lights that cast shadows: those of which the scene says so, all, or none", SHADOWS,
-                   SHADOWS[0]),
+    options.choice(
+        "--shadows",
+        "lights that cast shadows: those of which the scene says so, all, or none",
+        SHADOWS,
+        SHADOWS[0],
+    ),
     options.STEREO_OUTPUT,
     option("--show", "show what the frame is made of, as `render` does", metavar="NAME"),
     options.switch("--particles", "draw the drops of the hall's fountains as particles"),
     options.switch("--overlay", "draw times, counters and the culling over each frame"),
-    options.choice("--canvas", "where the image is shown; page is one in the browser", ("window", "qt", "page"),
-                   "window"),
-    option("--budget-ms", "with --live: the most that a frame is to take", type=options.parse_bound, metavar="M"),
-    options.file("--live", "keep --budget-ms by the most accurate settings that do, of a folder of `accuracy`", "DIR"),
+    options.choice(
+        "--canvas", "where the image is shown; page is one in the browser", ("window", "qt", "page"), "window"
+    ),
+    option(
+        "--budget-ms", "with --live: the most that a frame is to take", type=options.parse_bound, metavar="M"
+    ),
+    options.file(
+        "--live", "keep --budget-ms by the most accurate settings that do, of a folder of `accuracy`", "DIR"
+    ),
     options.switch("--immediate", "don't wait for the display's refresh"),
     options.file("--script", "commands to run, a line each", "F"),
-    option("--listen", "run commands from this port of the loopback address", type=options.parse_frame, metavar="PORT"),
-    options.file("--write-to", "with --listen: where alone commands write (default: the working folder)", "DIR"),
+    option(
+        "--listen",
+        "run commands from this port of the loopback address",
+        type=options.parse_frame,
+        metavar="PORT",
+    ),
+    options.file(
+        "--write-to", "with --listen: where alone commands write (default: the working folder)", "DIR"
+    ),
     options.count("--frames", "end after so many frames, and say how fast"),
-)  # fmt: skip
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -63,7 +82,9 @@ def _run(arguments: argparse.Namespace) -> None:
     steps = None if arguments.live is None else load_steps(arguments.live / "pareto_front.json")
     scene = open_scene(arguments.scene)
     camera = None if arguments.camera is None else parse_camera(arguments.camera, scene, arguments.frame)
-    script = "" if arguments.script is None else arguments.script.read_text(encoding="utf-8", errors="replace")
+    script = (
+        "" if arguments.script is None else arguments.script.read_text(encoding="utf-8", errors="replace")
+    )
     settings = load_settings(arguments, PLAIN)
     overrides = {name: getattr(arguments, name) for name in ("technique", "samples", "visibility")}
     overrides["fxaa"] = arguments.fxaa or None
@@ -93,7 +114,10 @@ def _run(arguments: argparse.Namespace) -> None:
         viewer_screen.viewer.run_script(script)
         if arguments.listen is not None:
             port = viewer_screen.listen(arguments.listen, arguments.write_to)
-            note(f"listening on 127.0.0.1:{port}, for connections whose first line is: {viewer_screen.viewer.greeting}")
+            note(
+                f"listening on 127.0.0.1:{port}, for connections whose first line is: "
+                f"{viewer_screen.viewer.greeting}"
+            )
         viewer_screen.end_after = arguments.frames
         viewer_screen.run()
         if arguments.frames is not None:

@@ -1,7 +1,8 @@
 """Assets by content: an image or a mesh that several files hold is one array, however often it is loaded.
 
-An asset's id is a hash of its content: of an image's encoded bytes, so that it is decoded once, or of a mesh's vertices
-and indices. An asset lives as long as a scene or a builder uses it. `SceneBuilder` adds the same array once.
+An asset's id is a hash of its content: of an image's encoded bytes, so that it is decoded once, or of a
+mesh's vertices and indices. An asset lives as long as a scene or a builder uses it. `SceneBuilder` adds the
+same array once.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
 
 
 def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | str]:
-    """Return the pixels of images (PNG, JPEG and others that pillow reads), or the reason why one can't be read.
+    """Return the pixels of images (PNG, JPEG and others that pillow reads), or the reason why one can't be
+    read.
 
     Each content is decoded once, in as many threads as there are processors.
     """
@@ -51,7 +53,9 @@ def share_image(pixels: ImagePixels) -> ImagePixels:
 def share_geometry(geometry: MeshGeometry) -> MeshGeometry:
     """Return the mesh with the same content that is in use already, or this one."""
     vertices = geometry.vertices
-    key = hash_content(repr(vertices.dtype).encode(), vertices.view(np.uint8), geometry.indices.view(np.uint8))
+    key = hash_content(
+        repr(vertices.dtype).encode(), vertices.view(np.uint8), geometry.indices.view(np.uint8)
+    )
     return _meshes.setdefault(key, geometry)
 
 

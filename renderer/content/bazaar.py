@@ -1,8 +1,9 @@
 """The bazaar: rooms full of things, no two neighbours alike, behind walls with doorways.
 
-It has the shape of the scene that Deferred+ was measured with (table 1.1): hundreds of materials, each with a colour, a
-normal, and a metal and roughness texture, thousands of instances of hundreds of meshes of some 240 triangles, many
-lights, each with a bulb that shines; and from the view `corner`, in which all of it is in the frustum, walls hide most.
+It has the shape of the scene that Deferred+ was measured with (table 1.1): hundreds of materials, each with a
+colour, a normal, and a metal and roughness texture, thousands of instances of hundreds of meshes of some 240
+triangles, many lights, each with a bulb that shines; and from the view `corner`, in which all of it is in the
+frustum, walls hide most.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ _TEXELS: Final = 256  # width and height of a surface's images
 def make_bazaar(
     instances: int, materials: int, meshes: int, lights: int, detail: int, seed: int, radius: float = 0.0
 ) -> Scene:
-    """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights` lights:
-    points, or spheres of a `radius`."""
+    """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights`
+    lights: points, or spheres of a `radius`."""
     rng = np.random.default_rng([seed, 21])
     name = f"bazaar:instances={instances},materials={materials},meshes={meshes},lights={lights}"
     builder = SceneBuilder(f"{name},detail={detail},seed={seed}" + (f",radius={radius:g}" if radius else ""))
@@ -99,7 +100,9 @@ def _add_materials(builder: SceneBuilder, rng: np.random.Generator, count: int, 
     return np.array(added)
 
 
-def _add_walls(builder: SceneBuilder, rng: np.random.Generator, side: int, materials: Indices, most: int) -> int:
+def _add_walls(
+    builder: SceneBuilder, rng: np.random.Generator, side: int, materials: Indices, most: int
+) -> int:
     """Add floors and walls of `side` x `side` rooms, `most` of them at most; return how many."""
     floor = builder.add_mesh(shapes.plane(2, (3.0, 3.0)), "floor")
     wall = builder.add_mesh(shapes.box(2), "wall")
@@ -154,7 +157,9 @@ def _add_things(
     """Add `count` things, evenly to all rooms, along the walls and in stacks, out of the way of the doors."""
     if count <= 0:
         return
-    ids = np.array([builder.add_mesh(_make_thing(rng, detail), f"thing {number}") for number in range(meshes)])
+    ids = np.array(
+        [builder.add_mesh(_make_thing(rng, detail), f"thing {number}") for number in range(meshes)]
+    )
     room = np.arange(count) % (side * side)
     middle = (np.stack(np.divmod(room, side), axis=1) + 0.5 - 0.5 * side) * ROOM
     reach = 0.5 * ROOM - 0.7
@@ -165,7 +170,9 @@ def _add_things(
     turned = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, 2.0 * np.pi, count))
     matrices = multiply(multiply(translation(positions), turned), scaling(size[:, None] * np.ones(3)))
     number = np.arange(count)
-    material_number = np.where(number < len(materials), number % len(materials), rng.integers(0, len(materials), count))
+    material_number = np.where(
+        number < len(materials), number % len(materials), rng.integers(0, len(materials), count)
+    )
     which = np.where(number < meshes, number % meshes, rng.integers(0, meshes, count))
     builder.add_objects(builder.add_nodes(matrices), ids[which], materials[material_number])
 
@@ -185,7 +192,9 @@ def _make_thing(rng: np.random.Generator, detail: int) -> MeshGeometry:
     return shapes.lathe(profile, detail)
 
 
-def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, count: int, radius: float) -> None:
+def _add_lights(
+    builder: SceneBuilder, rng: np.random.Generator, side: int, count: int, radius: float
+) -> None:
     lights = builder.lights
     lights.sky, lights.ground = (0.045, 0.05, 0.07), (0.03, 0.027, 0.024)
     if not count:
@@ -198,7 +207,9 @@ def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, coun
     lights.add_points(positions, reach, colors, 0.16 * reach**2, source_radius=radius)
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
     bulb_colors = _hues(np.arange(8) / 8.0)
-    bulb_materials = [builder.add_material(base_color=tuple(color), emission=1.6) for color in bulb_colors.tolist()]
+    bulb_materials = [
+        builder.add_material(base_color=tuple(color), emission=1.6) for color in bulb_colors.tolist()
+    ]
     nodes = builder.add_nodes(multiply(translation(positions), scaling(np.full(3, 2.0 * radius or 0.12))))
     nearest = np.abs(colors[:, None] - bulb_colors).sum(-1).argmin(1)
     builder.add_objects(nodes, bulb, np.array(bulb_materials)[nearest], casts_shadow=False)
@@ -213,9 +224,13 @@ def _hues(turns: Floats) -> Floats:
 def _add_cameras(builder: SceneBuilder, side: int) -> None:
     half = 0.5 * side * ROOM
     projection = Perspective(fov=np.radians(60.0), near=0.1)
-    corner = np.array([-half - 7.5, 11.0, -half - 7.5])  # so far that all is in view, so high that a fifth is seen
+    corner = np.array(
+        [-half - 7.5, 11.0, -half - 7.5]
+    )  # so far that all is in view, so high that a fifth is seen
     builder.views["corner"] = Camera.look_at(corner, (0.0, 1.5, 0.0), projection=projection)
-    builder.views["overview"] = Camera.look_at((-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=projection)
+    builder.views["overview"] = Camera.look_at(
+        (-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=projection
+    )
     row = ROOM * (side // 2 + 0.5) - half
     low = [(-half + 1.0, 1.7, row), (half - 1.0, 1.7, row)]
     builder.paths["ground"] = make_path(low, projection, rounding=2.0, ahead=5.0)

@@ -1,7 +1,7 @@
 """Building meshes on unit lots (x and z from -1/2 to 1/2, y from 0 to 1), which instances scale.
 
-`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is part of
-its outline: pilasters stand out from the wall, so that one loft makes walls, cornices and roof.
+`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is
+part of its outline: pilasters stand out from the wall, so that one loft makes walls, cornices and roof.
 """
 
 from __future__ import annotations
@@ -65,7 +65,9 @@ def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
             _block((-0.2, 0.9, -0.1), (0.09, 0.2, 0.09)),
         ]
         dormers = [
-            _block((x, 0.74, side * 0.33), (0.11, 0.16, 0.16)) for x in (-0.3, -0.1, 0.1, 0.3) for side in (-1.0, 1.0)
+            _block((x, 0.74, side * 0.33), (0.11, 0.16, 0.16))
+            for x in (-0.3, -0.1, 0.1, 0.3)
+            for side in (-1.0, 1.0)
         ]
         return join([body, *chimneys, *dormers])
     outline = _divided(_SQUARE * (0.92, 0.62), bays)
@@ -76,10 +78,12 @@ def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
 def intersect_windows(
     building: MeshGeometry, windows: int, start: Floats, along: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the middles (k, 3) of the windows that rays meet, and the vectors across and up a window and its frame.
+    """Return the middles (k, 3) of the windows that rays meet, and the vectors across and up a window and its
+    frame.
 
     Rays begin at `start` (k, 3) and run along unit vectors (k, 3); each must meet the front of a wall. Their
-    intersection with triangles is that of Möller and Trumbore (1997). The texture has `windows` x `windows` windows.
+    intersection with triangles is that of Möller and Trumbore (1997). The texture has `windows` x `windows`
+    windows.
     """
     table = building.vertices[building.indices].reshape(-1, 3)
     uv = table["uv"].astype(np.float64)
@@ -122,7 +126,9 @@ def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:
         middle = (spot[0], 0.62 * height, spot[1])
         width = 0.16 * rng.uniform(0.8, 1.2)
         parts.append(crown.transformed(_box_transform(middle, (width, 0.75 * height, width))))
-        parts.append(trunk.transformed(_box_transform((spot[0], 0.15 * height, spot[1]), (0.02, 0.3 * height, 0.02))))
+        parts.append(
+            trunk.transformed(_box_transform((spot[0], 0.15 * height, spot[1]), (0.02, 0.3 * height, 0.02)))
+        )
     return join(parts)
 
 
@@ -147,7 +153,9 @@ _CHAMFERED: Final = np.array(
         (0.36, 0.48),
     ]
 )
-_ANGLE: Final = np.array([(0.66, 0.16), (0.66, -0.24), (-0.24, -0.24), (-0.24, 0.66), (0.16, 0.66), (0.16, 0.16)])
+_ANGLE: Final = np.array(
+    [(0.66, 0.16), (0.66, -0.24), (-0.24, -0.24), (-0.24, 0.66), (0.16, 0.66), (0.16, 0.16)]
+)
 """An L-shaped outline; its origin is in the corner where the wings meet, from where all of it can be seen."""
 
 

@@ -1,9 +1,9 @@
 """The city: blocks of buildings of several shapes between streets, taller downtown.
 
-Each block has one building, and blocks are `PITCH` metres apart. So streets are straight, views along them are deep,
-and at eye level most of the city is hidden. Buildings share meshes by shape and height, and differ by transform and
-material. By default there are about 1,900 objects and 1.1 million triangles, as in the thesis's model of New York
-(7.1). The same seed gives the same city.
+Each block has one building, and blocks are `PITCH` metres apart. So streets are straight, views along them
+are deep, and at eye level most of the city is hidden. Buildings share meshes by shape and height, and differ
+by transform and material. By default there are about 1,900 objects and 1.1 million triangles, as in the
+thesis's model of New York (7.1). The same seed gives the same city.
 """
 
 from __future__ import annotations
@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 
 from renderer.content.buildings import KINDS, make_building, make_street_light, make_trees
 from renderer.content.shapes import plane
-from renderer.content.specs import BLOOM, FOG, SEED, SHADOWS, Generator, Option, add_fog_and_bloom, cast_shadows
+from renderer.content.specs import (
+    BLOOM,
+    FOG,
+    SEED,
+    SHADOWS,
+    Generator,
+    Option,
+    add_fog_and_bloom,
+    cast_shadows,
+)
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry
@@ -52,7 +61,8 @@ class CityPlan:
 
     Attributes:
         centres: (n,) the middles of the blocks (x, z). half: half the width of the city.
-        building: (n,) the building on each block, or -1. shapes: the meshes of buildings on lots of 1 x 1 x 1.
+        building: (n,) the building on each block, or -1. shapes: the meshes of buildings on lots of 1 x 1 x
+            1.
         shape: (k,) the mesh of each building. places: (k, 4, 4) the transforms of their lots.
         route: (c, 3) the corners of the route through the streets.
     """
@@ -66,8 +76,11 @@ class CityPlan:
     route: Floats
 
 
-def make_city(blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, bloom: float = 0.0) -> Scene:
-    """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
+def make_city(
+    blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, bloom: float = 0.0
+) -> Scene:
+    """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies
+    everything."""
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     plan = add_city(builder, blocks, detail, seed)
     add_daylight(builder)
@@ -158,7 +171,9 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -
     tiles = (blocks + 1) // 2 if at_night else min(blocks, 4)
     edges = np.linspace(0, blocks, tiles + 1).astype(np.int64)
     meshes = {
-        (w, d): builder.add_mesh(plane(1, (w, d)), f"ground {w}x{d}") for w in _steps(edges) for d in _steps(edges)
+        (w, d): builder.add_mesh(plane(1, (w, d)), f"ground {w}x{d}")
+        for w in _steps(edges)
+        for d in _steps(edges)
     }
     for x0, x1 in pairwise(edges.tolist()):
         for z0, z1 in pairwise(edges.tolist()):
@@ -195,7 +210,8 @@ def _add_buildings(
     materials: dict[str, NDArray[np.int64]],
     at_night: bool,
 ) -> tuple[list[MeshGeometry], Indices, Floats]:
-    """Add a building on each block; return the meshes, which of them is each building's, and the lots' transforms."""
+    """Add a building on each block; return the meshes, which of them is each building's, and the lots'
+    transforms."""
     count = len(centre)
     floors = height / _STOREY
     storeys = np.abs(np.log(floors[:, None] / np.array(_FLOORS))).argmin(1)
@@ -217,7 +233,9 @@ def _add_buildings(
     transforms = multiply(to_centre, multiply(turn, scaling(size)))
     nodes = builder.add_nodes(transforms)
 
-    glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (near * rng.random(count) > 0.45)
+    glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (
+        near * rng.random(count) > 0.45
+    )
     ribbon = ~glass & (rng.random(count) < 0.35)
     color = rng.random(count)
     material = np.empty(count, np.int64)
@@ -228,7 +246,9 @@ def _add_buildings(
     return shapes, mesh, transforms
 
 
-def _add_parks(builder: SceneBuilder, rng: np.random.Generator, centre: Floats, detail: int, seed: int) -> None:
+def _add_parks(
+    builder: SceneBuilder, rng: np.random.Generator, centre: Floats, detail: int, seed: int
+) -> None:
     side = PITCH - STREET - 2.0
     lawn = builder.add_mesh(plane(), "lawn")
     trees = [builder.add_mesh(make_trees(9, detail, seed + i), f"trees {i}") for i in range(3)]
@@ -265,7 +285,9 @@ def _add_street_lights(builder: SceneBuilder, route: Floats, detail: int) -> Non
     """Add street lights along the route, a spot and a point light in turn."""
     lights = builder.lights
     mesh = builder.add_mesh(make_street_light(detail), "street light")
-    metal = builder.add_material(base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0)
+    metal = builder.add_material(
+        base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0
+    )
     to_kerb = 0.5 * STREET + 0.8
     lit = np.concatenate([route[1:-1], np.round(0.5 * (route[1:] + route[:-1]) / PITCH) * PITCH])
     for number, crossing in enumerate(lit):
@@ -283,8 +305,12 @@ def _add_cameras(builder: SceneBuilder, route: Floats, half: float, top: float) 
     projection = Perspective(fov=np.radians(60.0), near=0.2)
     builder.paths["ground"] = make_path(route, projection, rounding=48.0, ahead=44.0)
     roofs = top + 12.0
-    flight = [(-half, roofs, -0.7 * half), (-0.3 * half, roofs + 25.0, 0.2 * half),
-              (0.3 * half, roofs, -0.2 * half), (half, roofs + 10.0, 0.7 * half)]  # fmt: skip
+    flight = [
+        (-half, roofs, -0.7 * half),
+        (-0.3 * half, roofs + 25.0, 0.2 * half),
+        (0.3 * half, roofs, -0.2 * half),
+        (half, roofs + 10.0, 0.7 * half),
+    ]
     builder.paths["sky"] = make_path(flight, projection, rounding=0.5 * half, ahead=160.0, sink=85.0)
     builder.views["overview"] = Camera.look_at(
         (0.62 * half, top * 0.80 + 20.0, 0.70 * half),
@@ -295,6 +321,10 @@ def _add_cameras(builder: SceneBuilder, route: Floats, half: float, top: float) 
         route[0] + (2.0, 0.6, 0.0), route[1] + (0.0, 9.0, 0.0), projection=projection
     )
     builder.views["roofs"] = Camera.look_at(
-        (-0.5 * half, 0.5 * top + 12.0, 0.5 * half), (0.2 * half, 0.25 * top, -0.1 * half), projection=projection
+        (-0.5 * half, 0.5 * top + 12.0, 0.5 * half),
+        (0.2 * half, 0.25 * top, -0.1 * half),
+        projection=projection,
     )
-    builder.views["above"] = Camera.look_at((0.0, 2.1 * half + top, 0.0), (0.0, 0.0, 0.0), (0, 0, -1), projection)
+    builder.views["above"] = Camera.look_at(
+        (0.0, 2.1 * half + top, 0.0), (0.0, 0.0, 0.0), (0, 0, -1), projection
+    )

@@ -2,8 +2,8 @@
 
 - The index remembers files that were loaded: path, size and id, a hash of the content as in
   `renderer.content.assets`, and the models that use them.
-- A file that isn't where it was is looked for at the other paths that are remembered for its content, then in the
-  folder and below. Only a file of the same size is read, and only the same content is taken.
+- A file that isn't where it was is looked for at the other paths that are remembered for its content, then in
+  the folder and below. Only a file of the same size is read, and only the same content is taken.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class FileIndex(PersistentDict):
         self[path] = FileRecord(len(content), hash_content(content).hex(), [*users, *more])
 
     def find(self, file: Path, folder: Path, allows: Callable[[Path], bool] = lambda path: True) -> Path:
-        """Return a file, or if it is missing, a file with the content that it had: from a remembered path, or from
-        `folder` or below. A warning names both paths.
+        """Return a file, or if it is missing, a file with the content that it had: from a remembered path, or
+        from `folder` or below. A warning names both paths.
 
         Args:
             allows: which paths may be read.
@@ -62,7 +62,9 @@ class FileIndex(PersistentDict):
             with suppress(OSError, ValueError):
                 is_alike = candidate.stat().st_size == listed.bytes and allows(candidate)
                 if is_alike and hash_content(read_file(candidate, listed.bytes)).hex() == listed.id:
-                    _LOGGER.warning("%s isn't there; %s has its content, and is read instead", file, candidate)
+                    _LOGGER.warning(
+                        "%s isn't there; %s has its content, and is read instead", file, candidate
+                    )
                     return candidate
         return file
 

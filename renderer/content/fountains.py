@@ -1,8 +1,9 @@
 """Fountains: drops that are thrown up, fall, and are thrown again; the simulation of the hall.
 
-A fountain throws one drop in each step. Its direction is a function of the fountain's and the step's number, so a
-drop's flight depends on nothing but the step in which it was thrown. When all drops have been thrown again, nothing
-is left of an earlier state. With fewer drops steps are longer, and the drops are some of those that there would be.
+A fountain throws one drop in each step. Its direction is a function of the fountain's and the step's number,
+so a drop's flight depends on nothing but the step in which it was thrown. When all drops have been thrown
+again, nothing is left of an earlier state. With fewer drops steps are longer, and the drops are some of those
+that there would be.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from renderer.scene.catch_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
 DROPS: Final = 90
-"""Number of drops of a fountain, unless it is asked for others. One is thrown in each step, so each flies for this
-number of steps."""
+"""Number of drops of a fountain, unless it is asked for others. One is thrown in each step, so each flies for
+this number of steps."""
 
 _STEP: Final = 1.0 / 60.0
 _STEPS_PER_FRAME: Final = 2048
@@ -65,7 +66,8 @@ class FountainSimulation:
         self.position[members], self.velocity[members] = position, velocity
 
     def _throw(self, members: Indices, numbers: Indices) -> Floats:
-        """Return velocities (j, 3): hashes of member and step number, so that skipping steps needs no state."""
+        """Return velocities (j, 3): hashes of member and step number, so that skipping steps needs no
+        state."""
         key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
         angle, away, up = (hash_to_unit(key * np.uint64(3) + np.uint64(part)) for part in range(3))
         away = _AWAY * np.sqrt(away)

@@ -1,7 +1,8 @@
-"""Glass: coloured panes behind each other and balls of glass, between columns, to test objects seen through others.
+"""Glass: coloured panes behind each other and balls of glass, between columns, to test objects seen through
+others.
 
-Panes stand in rows across the view, each of a colour and an opacity of its own, so that several cover each other
-wherever one looks along the rows.
+Panes stand in rows across the view, each of a colour and an opacity of its own, so that several cover each
+other wherever one looks along the rows.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ _STEP: Final = 1.3
 
 
 def make_glass(panes: int, lights: int, seed: int) -> Scene:
-    """Make a scene of `panes` panes and half as many balls of glass, lit by the sun and by `lights` point lights."""
+    """Make a scene of `panes` panes and half as many balls of glass, lit by the sun and by `lights` point
+    lights."""
     rng = np.random.default_rng([seed, 11])
     builder = SceneBuilder(f"glass:panes={panes},lights={lights},seed={seed}")
     builder.background = (0.16, 0.24, 0.36)
@@ -41,15 +43,23 @@ def make_glass(panes: int, lights: int, seed: int) -> Scene:
 
     floor = builder.add_material(base_color=(0.30, 0.28, 0.26), specular_color=(0.02, 0.02, 0.02))
     builder.add_objects(
-        builder.add_node(multiply(translation((0, -0.1, 0)), scaling((2 * half[0], 0.2, 2 * half[1])))), box, floor
+        builder.add_node(multiply(translation((0, -0.1, 0)), scaling((2 * half[0], 0.2, 2 * half[1])))),
+        box,
+        floor,
     )
     stone = builder.add_material(base_color=(0.55, 0.48, 0.38), specular_color=(0.03, 0.03, 0.03))
     ends = np.arange(rows + 1) * _GAP - 0.5 * rows * _GAP
     for side in (-1.0, 1.0):
-        positions = np.stack([np.full(rows + 1, side * (half[0] - 1.2)), np.full(rows + 1, 1.2), ends], axis=1)
-        builder.add_objects(builder.add_nodes(multiply(translation(positions), scaling((0.35, 2.4, 0.35)))), box, stone)
+        positions = np.stack(
+            [np.full(rows + 1, side * (half[0] - 1.2)), np.full(rows + 1, 1.2), ends], axis=1
+        )
+        builder.add_objects(
+            builder.add_nodes(multiply(translation(positions), scaling((0.35, 2.4, 0.35)))), box, stone
+        )
 
-    tints = np.clip(_TINTS[rng.integers(0, len(_TINTS), panes)] + rng.uniform(-0.08, 0.08, (panes, 3)), 0.02, 1.0)
+    tints = np.clip(
+        _TINTS[rng.integers(0, len(_TINTS), panes)] + rng.uniform(-0.08, 0.08, (panes, 3)), 0.02, 1.0
+    )
     clear = rng.uniform(0.35, 0.7, panes)
     materials = [
         builder.add_material(
@@ -69,7 +79,9 @@ def make_glass(panes: int, lights: int, seed: int) -> Scene:
     builder.add_objects(builder.add_nodes(multiply(stands, cut)), box, np.array(materials))
     balls = panes // 2
     size = rng.uniform(0.4, 0.8, balls)
-    where = np.stack([rng.uniform(-1, 1, balls) * (half[0] - 2.0), 0.5 * size, z[:balls] + 0.5 * _GAP], axis=1)
+    where = np.stack(
+        [rng.uniform(-1, 1, balls) * (half[0] - 2.0), 0.5 * size, z[:balls] + 0.5 * _GAP], axis=1
+    )
     nodes = builder.add_nodes(multiply(translation(where), scaling(np.stack([size] * 3, axis=1))))
     builder.add_objects(nodes, ball, np.array(materials)[::-1][:balls])
 
@@ -82,10 +94,14 @@ def make_glass(panes: int, lights: int, seed: int) -> Scene:
         builder.lights.add_points(positions, 3.0, 0.55 + 0.45 * np.cos(hue), 1.5)
     projection = Perspective(near=0.05)
     builder.views["along"] = Camera.look_at((0.8, 1.9, half[1] + 0.9), (0.0, 0.7, 0.0), projection=projection)
-    builder.views["overview"] = Camera.look_at((half[0], 3.0, half[1] + 1.5), (0.0, 0.6, 0.0), projection=projection)
+    builder.views["overview"] = Camera.look_at(
+        (half[0], 3.0, half[1] + 1.5), (0.0, 0.6, 0.0), projection=projection
+    )
     way = np.array([(0.2, 1.4, half[1] + 2.0), (0.2, 1.4, -half[1] - 1.0)])
     builder.paths["ground"] = make_path(way, projection, rounding=_GAP, ahead=_GAP)
-    builder.paths["sky"] = make_path(np.add(way, (0.0, 2.0, 0.0)), projection, _GAP, ahead=2.0 * _GAP, sink=2.0)
+    builder.paths["sky"] = make_path(
+        np.add(way, (0.0, 2.0, 0.0)), projection, _GAP, ahead=2.0 * _GAP, sink=2.0
+    )
     return builder.build()
 
 

@@ -1,7 +1,8 @@
 """The grid: many copies of one mesh, a built-in one or a model file, in a square on the ground.
 
-With lights it is the scene of Wilks's tests (2019): objects times lights, where nothing changes but their numbers. The
-view `field` sees all lights, and neither it nor any light moves when there are more lights or, up to 256, more copies.
+With lights it is the scene of Wilks's tests (2019): objects times lights, where nothing changes but their
+numbers. The view `field` sees all lights, and neither it nor any light moves when there are more lights or,
+up to 256, more copies.
 """
 
 from __future__ import annotations
@@ -28,27 +29,36 @@ _FIELD: Final = 16
 """Copies along each side of the area over which lights are spread."""
 
 _STRIDES: Final = np.array([0.7548776662466927, 0.5698402909980532])
-"""Those of the R2 sequence, which fills a square evenly, however many of its points are used (Roberts, 2018)."""
+"""Those of the R2 sequence, which fills a square evenly, however many of its points are used (Roberts,
+2018)."""
 
 
 def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> Scene:
-    """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0. They are lit by
-    the sun, or by `lights` coloured lights above them."""
+    """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0. They
+    are lit by the sun, or by `lights` coloured lights above them."""
     rng = np.random.default_rng([seed, 3])
     geometry = _unit(BUILT_IN[mesh]() if mesh in BUILT_IN else read_geometry(mesh))
     options = f"mesh={mesh},count={count},spacing={spacing:g},seed={seed}"
     builder = SceneBuilder(f"grid:lights={lights},{options}" if lights else f"grid:{options}")
     materials = np.array(
         [
-            builder.add_material(base_color=c, specular_color=(0.3, 0.3, 0.3), shininess=48.0, rim_strength=0.2)
+            builder.add_material(
+                base_color=c, specular_color=(0.3, 0.3, 0.3), shininess=48.0, rim_strength=0.2
+            )
             for c in _COLORS
         ]
     )
     side = int(np.ceil(np.sqrt(count)))
     row, column = np.divmod(np.arange(count), side)
-    positions = np.stack([column - 0.5 * (side - 1), np.zeros(count), row - 0.5 * (side - 1)], axis=1) * spacing
-    nodes = builder.add_nodes(multiply(translation(positions), rotation((0, 1, 0), rng.uniform(0, 6.28, count))))
-    builder.add_objects(nodes, builder.add_mesh(geometry, mesh), materials[rng.integers(0, len(_COLORS), count)])
+    positions = (
+        np.stack([column - 0.5 * (side - 1), np.zeros(count), row - 0.5 * (side - 1)], axis=1) * spacing
+    )
+    nodes = builder.add_nodes(
+        multiply(translation(positions), rotation((0, 1, 0), rng.uniform(0, 6.28, count)))
+    )
+    builder.add_objects(
+        nodes, builder.add_mesh(geometry, mesh), materials[rng.integers(0, len(_COLORS), count)]
+    )
 
     half = 0.5 * side * spacing
     projection = Perspective(near=0.05)

@@ -1,9 +1,10 @@
-"""The hall: rows of columns, swaying flags on poles, fountains, banners of cloth, point and spot lights, deep views.
+"""The hall: rows of columns, swaying flags on poles, fountains, banners of cloth, point and spot lights, deep
+views.
 
-Flags are chains of nodes (the pole, then the segments of the cloth, each of which rotates about the end of the one
-before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the time alone. Cross
-walls with doorways divide the hall: most of what lies behind them is hidden. Banners are cloth in the draught that goes
-through the hall.
+Flags are chains of nodes (the pole, then the segments of the cloth, each of which rotates about the end of
+the one before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the
+time alone. Cross walls with doorways divide the hall: most of what lies behind them is hidden. Banners are
+cloth in the draught that goes through the hall.
 """
 
 from __future__ import annotations
@@ -17,7 +18,16 @@ from numpy.typing import NDArray
 
 from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, DROPS, FountainSimulation, make_drops
-from renderer.content.specs import BLOOM, FOG, SEED, SHADOWS, Generator, Option, add_fog_and_bloom, cast_shadows
+from renderer.content.specs import (
+    BLOOM,
+    FOG,
+    SEED,
+    SHADOWS,
+    Generator,
+    Option,
+    add_fog_and_bloom,
+    cast_shadows,
+)
 from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.catch_up import Recompute
@@ -79,8 +89,9 @@ def make_hall(
     fog: float = 0.0,
     bloom: float = 0.0,
 ) -> Scene:
-    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle and
-    `cloths` banners between its columns, lit by its bulbs, or by `lights` coloured lights among the columns."""
+    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle
+    aisle and `cloths` banners between its columns, lit by its bulbs, or by `lights` coloured lights among the
+    columns."""
     rng = np.random.default_rng([seed, 8])
     options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
     others = {"drops": drops, "cloth_detail": cloth_detail, "cloth_rate": cloth_rate, "sub_steps": sub_steps}
@@ -96,7 +107,9 @@ def make_hall(
     _add_fountains(builder, fountains, length, detail, seed, drops)
     bars = _list_bars(cloths, columns, rows, length)
     if cloths:
-        _add_banners(builder, bars, make_banner(2 * cloth_detail or detail, sub_steps, 1.0 / cloth_rate), seed)
+        _add_banners(
+            builder, bars, make_banner(2 * cloth_detail or detail, sub_steps, 1.0 / cloth_rate), seed
+        )
     if lights:
         _add_colored_lights(builder, lights, feet, length, width, seed)
     else:
@@ -123,7 +136,13 @@ HALL: Final = Generator(
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
         SHADOWS,
-        Option("drops", DROPS, "drops of a fountain, one of which is thrown in each step; they fly 1.5 s", 1, DROPS),
+        Option(
+            "drops",
+            DROPS,
+            "drops of a fountain, one of which is thrown in each step; they fly 1.5 s",
+            1,
+            DROPS,
+        ),
         Option("cloth_detail", 0, "parts of a banner between two of its rings; 0: half of `detail`", 0, 10),
         Option("cloth_rate", round(1.0 / INTERVAL), "steps of banners a second", 10, 1000),
         Option("sub_steps", SUB_STEPS, "sub-steps of a step of banners", 1, 32),
@@ -150,10 +169,14 @@ def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int)
     builder.add_objects(builder.add_nodes(tiles), tile, floor, casts_shadow=False)
     lids = multiply(translation(np.stack([bays, zero + _HEIGHT + 0.2, zero], 1)), scaling((BAY, 0.4, width)))
     builder.add_objects(builder.add_nodes(lids), cube, ceiling)
-    sides = [multiply(translation((0.0, 0.5 * _HEIGHT, z)), scaling((length, _HEIGHT, 0.4)))
-             for z in (-0.5 * width, 0.5 * width)]  # fmt: skip
-    ends = [multiply(translation((x, 0.5 * _HEIGHT, 0.0)), scaling((0.4, _HEIGHT, width)))
-            for x in (-0.5 * length, 0.5 * length)]  # fmt: skip
+    sides = [
+        multiply(translation((0.0, 0.5 * _HEIGHT, z)), scaling((length, _HEIGHT, 0.4)))
+        for z in (-0.5 * width, 0.5 * width)
+    ]
+    ends = [
+        multiply(translation((x, 0.5 * _HEIGHT, 0.0)), scaling((0.4, _HEIGHT, width)))
+        for x in (-0.5 * length, 0.5 * length)
+    ]
     door, lintel = 3.2, 5.0
     wing = 0.5 * (width - door)
     crossed = []
@@ -174,14 +197,17 @@ def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, 
     profile = [(0.0, 0.0), (0.75, 0.0), (0.75, 0.25), (0.6, 0.4), (0.62, 0.55), (0.5, 0.7), (0.48, 3.0),
                (0.42, 7.4), (0.5, 7.6), (0.48, 7.75), (0.8, 8.5), (0.8, _HEIGHT)]  # fmt: skip
     mesh = builder.add_mesh(shapes.lathe(profile, 3 * detail), "column")
-    x, z = np.meshgrid((np.arange(columns) + 0.5) * BAY - 0.5 * length, (np.arange(rows) - 0.5 * (rows - 1)) * BAY)
+    x, z = np.meshgrid(
+        (np.arange(columns) + 0.5) * BAY - 0.5 * length, (np.arange(rows) - 0.5 * (rows - 1)) * BAY
+    )
     feet = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
     builder.add_objects(builder.add_nodes(translation(feet)), mesh, marble)
     return feet
 
 
 def _flag_positions(flags: int, length: float) -> Floats:
-    """Return the feet of the poles (flags, 3): two lines along the middle aisle, or more if there are many flags."""
+    """Return the feet of the poles (flags, 3): two lines along the middle aisle, or more if there are many
+    flags."""
     number = np.arange(flags)
     lines = max(2, 2 * int(np.ceil(flags / (2.0 * length))))  # at least one metre between poles
     per_line = int(np.ceil(flags / lines)) or 1
@@ -202,11 +228,15 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, positions: Float
     pole = builder.add_mesh(shapes.lathe([(0.06, 0.0), (0.04, 4.6), (0.09, 4.7), (0.0, 4.8)], detail), "pole")
     cloth = [builder.add_mesh(_cloth(part, detail), f"cloth {part}") for part in range(SEGMENTS)]
 
-    poles = builder.add_nodes(multiply(translation(positions), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count))))
+    poles = builder.add_nodes(
+        multiply(translation(positions), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count)))
+    )
     builder.add_objects(poles, pole, iron)
     material = cloths[np.arange(count) % len(cloths)]
     phase = rng.uniform(0.0, 2.0 * np.pi, count)
-    hinges = np.array([translation((0.0, 4.55 - height, 0.0) if part == 0 else (width, 0.0, 0.0)) for part in _PARTS])
+    hinges = np.array(
+        [translation((0.0, 4.55 - height, 0.0) if part == 0 else (width, 0.0, 0.0)) for part in _PARTS]
+    )
     above, segments = poles, []
     for part in range(SEGMENTS):
         above = builder.add_nodes(np.repeat(hinges[part : part + 1], count, axis=0), above, dynamic=True)
@@ -224,7 +254,8 @@ def _add_striped(builder: SceneBuilder, colors: Sequence[Any], stripes: int, **v
 
 
 class _Sway:
-    """The motion of the segments of all flags, part after part: a wave that runs along the cloth and grows outwards."""
+    """The motion of the segments of all flags, part after part: a wave that runs along the cloth and grows
+    outwards."""
 
     catch_up: Final = Recompute()
 
@@ -259,7 +290,8 @@ def _sway_bounds() -> tuple[Floats, Floats]:
 
 
 def _cloth(part: int, detail: int) -> MeshGeometry:
-    """Make both sides of one segment from its hinge at x = 0; the flag's stripes continue through all segments."""
+    """Make both sides of one segment from its hinge at x = 0; the flag's stripes continue through all
+    segments."""
     width, height = _CLOTH
     x, y = np.meshgrid(np.linspace(0.0, width, detail + 1), np.linspace(0.0, height, detail + 1))
     uv = np.stack([(part + x / width) / SEGMENTS, 1.0 - y / height], axis=-1).reshape(-1, 2)
@@ -277,11 +309,15 @@ def _cloth(part: int, detail: int) -> MeshGeometry:
     )
 
 
-def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int, seed: int, drops: int) -> None:
+def _add_fountains(
+    builder: SceneBuilder, count: int, length: float, detail: int, seed: int, drops: int
+) -> None:
     """Add basins on alternating sides of the middle aisle, with a fountain in each."""
     if not count:
         return
-    stone = builder.add_material(base_color=(0.46, 0.45, 0.43), specular_color=(0.2, 0.2, 0.2), shininess=48.0)
+    stone = builder.add_material(
+        base_color=(0.46, 0.45, 0.43), specular_color=(0.2, 0.2, 0.2), shininess=48.0
+    )
     water = builder.add_material(
         base_color=(0.45, 0.62, 0.75), specular_color=(0.6, 0.6, 0.6), shininess=90.0, emission=0.25
     )
@@ -306,11 +342,14 @@ def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int
 
 
 def _list_bars(count: int, columns: int, rows: int, length: float) -> Floats:
-    """Return the middles of the bars that `count` banners hang from (count, 3): first along the middle aisle, from its
-    middle outwards, then along the others, and then between those."""
+    """Return the middles of the bars that `count` banners hang from (count, 3): first along the middle aisle,
+    from its middle outwards, then along the others, and then between those."""
     bays = (np.arange(columns) + 0.5) * BAY - 0.5 * length
     aisles = (np.arange(rows - 1) - 0.5 * (rows - 2)) * BAY
-    bays, aisles = bays[np.argsort(np.abs(bays), kind="stable")], aisles[np.argsort(np.abs(aisles), kind="stable")]
+    bays, aisles = (
+        bays[np.argsort(np.abs(bays), kind="stable")],
+        aisles[np.argsort(np.abs(aisles), kind="stable")],
+    )
     slot = np.arange(count)
     layer, bay = np.divmod(slot, columns * (rows - 1))
     layers = -(-count // (columns * (rows - 1))) or 1
@@ -340,7 +379,9 @@ def make_banner(detail: int, sub_steps: int = SUB_STEPS, interval: float = INTER
     x, y = np.meshgrid(np.linspace(-0.5 * width, 0.5 * width, columns), np.linspace(0.0, -height, rows))
     flat = np.stack([x, y, np.zeros_like(x)], 2)
     ring = width / (_RINGS - 1)
-    fold = 2.0 * ring / np.pi * np.sqrt(1.0 - _GATHERED)  # as deep as makes a wave's length that of the flat cloth
+    fold = (
+        2.0 * ring / np.pi * np.sqrt(1.0 - _GATHERED)
+    )  # as deep as makes a wave's length that of the flat cloth
     folded = np.stack([_GATHERED * x, y, fold * np.sin(np.pi * (x + 0.5 * width) / ring)], 2)
     pinned = np.zeros((rows, columns), bool)
     pinned[0, ::part] = True
@@ -348,7 +389,7 @@ def make_banner(detail: int, sub_steps: int = SUB_STEPS, interval: float = INTER
     fabric = Fabric(density=0.3, drag=3.0)
     return make_cloth_grid(
         folded, pinned, flat=flat, fabric=fabric, bounds=room, sub_steps=sub_steps, interval=interval
-    )  # fmt: skip
+    )
 
 
 DRAUGHT: Final = Wind(
@@ -369,7 +410,9 @@ def _add_banner_camera(builder: SceneBuilder, first: float) -> None:
     builder.views["banners"] = Camera.look_at(eye, aim, projection=projection)
 
 
-def _add_bulbs(builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float) -> None:
+def _add_bulbs(
+    builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float
+) -> None:
     lights = builder.lights
     lights.sky, lights.ground = (0.05, 0.055, 0.075), (0.035, 0.028, 0.02)
     bulb_material = builder.add_material(base_color=(1.0, 0.78, 0.45), emission=3.0)
@@ -381,7 +424,9 @@ def _add_bulbs(builder: SceneBuilder, rng: np.random.Generator, columns: int, le
         position = np.array([x, 4.2, side * 0.25 * width])
         color = ((1.0, 0.72, 0.40), (0.55, 0.72, 1.0), (1.0, 0.52, 0.36))[number % 3]
         lights.add_point(position, 16.0, color, 26.0)
-        node = builder.add_node(multiply(translation(position), scaling((0.3, 0.3, 0.3))), name=f"bulb {number}")
+        node = builder.add_node(
+            multiply(translation(position), scaling((0.3, 0.3, 0.3))), name=f"bulb {number}"
+        )
         builder.add_objects(node, bulb, bulb_material)
         aim = (float(rng.uniform(-0.2, 0.2)), -1.0, -0.1 * side)
         lights.add_spot((x, _HEIGHT - 0.4, 0.0), aim, 14.0, 0.30, 0.55, (1.0, 0.95, 0.85), 55.0)
@@ -398,8 +443,8 @@ class _HallLight(IntEnum):
 def _add_colored_lights(
     builder: SceneBuilder, count: int, columns: Floats, length: float, width: float, seed: int
 ) -> None:
-    """Add `count` coloured lights outside of the `columns` (k, 3): of eight, five float between floor and ceiling, one
-    is near the floor, one near the ceiling, and one is a spot that hangs from it.
+    """Add `count` coloured lights outside of the `columns` (k, 3): of eight, five float between floor and
+    ceiling, one is near the floor, one near the ceiling, and one is a spot that hangs from it.
 
     Ranges shrink as lights get denser, so that about as many reach a place, and it is about as bright.
     """
@@ -412,7 +457,9 @@ def _add_colored_lights(
     nearest = zs[np.abs(z[:, None] - zs).argmin(1)]
     away = np.maximum(np.hypot(x - middle, z - nearest), 1e-6)
     further = np.maximum(_CLEAR / away, 1.0)
-    positions = np.stack([middle + (x - middle) * further, 0.0 * x, nearest + (z - nearest) * further], axis=1)
+    positions = np.stack(
+        [middle + (x - middle) * further, 0.0 * x, nearest + (z - nearest) * further], axis=1
+    )
     positions[:, 1] = np.select(
         [kind == _HallLight.NEAR_FLOOR, kind >= _HallLight.NEAR_CEILING],
         [0.25, _HEIGHT - 0.35],
@@ -441,7 +488,9 @@ def _add_cameras(builder: SceneBuilder, length: float, width: float) -> None:
     builder.views["aisle"] = Camera.look_at(
         (-end, 1.7, 0.5 * width - 2.0), (end, 2.2, 0.5 * width - 2.6), projection=projection
     )
-    builder.views["flags"] = Camera.look_at((-end + 4.0, 3.4, 0.0), (-end + 10.0, 3.9, 2.2), projection=projection)
+    builder.views["flags"] = Camera.look_at(
+        (-end + 4.0, 3.4, 0.0), (-end + 10.0, 3.9, 2.2), projection=projection
+    )
     low = [(-end, 1.7, 0.0), (end, 1.7, 0.0)]
     high = [(-end, _HEIGHT - 1.2, 0.0), (-1.0, 3.6, 0.0), (1.0, 3.6, 0.0), (end, _HEIGHT - 1.2, 0.0)]
     builder.paths["ground"] = make_path(low, projection, rounding=4.0, ahead=8.0)

@@ -1,6 +1,7 @@
 """Scenes and cameras by name, as users type them.
 
-A scene is a generator with options, or a model file. A camera is a frame of a path, a named view, or coordinates.
+A scene is a generator with options, or a model file. A camera is a frame of a path, a named view, or
+coordinates.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ def change_options(scene: str, text: str) -> str:
 
 
 def parse_camera_path(text: str, scene: Scene) -> CameraPath:
-    """Return the camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
+    """Return the camera path that `text` names: one of the scene's, or the file of a walk-through
+    (`.json`)."""
     if text in scene.paths:
         return scene.paths[text]
     if Path(text).suffix.lower() != ".json":
@@ -77,8 +79,9 @@ def parse_camera_path(text: str, scene: Scene) -> CameraPath:
 def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
     """Return the camera that `text` names in `scene`.
 
-    `text` is the name of a path or the file of a walk-through, whose frame `frame` is used; the name of a view; a
-    position `x,y,z`, from which the camera looks at the scene's centre; or a position and a target `x,y,z,x,y,z`.
+    `text` is the name of a path or the file of a walk-through, whose frame `frame` is used; the name of a
+    view; a position `x,y,z`, from which the camera looks at the scene's centre; or a position and a target
+    `x,y,z,x,y,z`.
     """
     call = f"parse_camera({text!r})"
     if text in scene.paths or Path(text).suffix.lower() == ".json":

@@ -43,7 +43,8 @@ class ModelLimits:
 
     @classmethod
     def parse(cls, words: str) -> ModelLimits | None:
-        """Parse the options of a model file in a scene's text: `outside`, `unlimited` or both; None for other words."""
+        """Parse the options of a model file in a scene's text: `outside`, `unlimited` or both; None for other
+        words."""
         choices = set(words.split(","))
         if not choices <= {"outside", "unlimited"}:
             return None
@@ -109,7 +110,8 @@ class Budget:
         return self.index.find(file, Path(self.path).parent, self.allows)
 
     def allows(self, file: Path) -> bool:
-        """Return whether a file may be read: if it isn't in the folder of this one, only if that was asked for."""
+        """Return whether a file may be read: if it isn't in the folder of this one, only if that was asked
+        for."""
         return self.limits.outside or file.resolve().is_relative_to(Path(self.path).parent.resolve())
 
     def _refuse(self, value: str, allowed: str) -> None:

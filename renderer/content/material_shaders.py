@@ -1,5 +1,5 @@
-"""Shaders of materials: parallax, marble, and a checkerboard. They show how materials get shaders of their own, and the
-scene `yard` has them."""
+"""Shaders of materials: parallax, marble, and a checkerboard. They show how materials get shaders of their
+own, and the scene `yard` has them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _FLAT: Final = 0.05
 
 
 class ParallaxParameters(sl.Struct):
-    """Parameters of `Parallax`: the texture of heights (red, 1 at the surface), the depth of height 0 in texture
-    coordinates, and the number of steps in which a ray looks for the heights."""
+    """Parameters of `Parallax`: the texture of heights (red, 1 at the surface), the depth of height 0 in
+    texture coordinates, and the number of steps in which a ray looks for the heights."""
 
     height_texture: int
     depth: float
@@ -24,8 +24,8 @@ class ParallaxParameters(sl.Struct):
 
 
 class Parallax(MaterialShader):
-    """Relief below a surface: what is seen is where the ray meets a map of heights (Tatarchuk 2006, steep parallax with
-    a linear last step). All textures are read there."""
+    """Relief below a surface: what is seen is where the ray meets a map of heights (Tatarchuk 2006, steep
+    parallax with a linear last step). All textures are read there."""
 
     parameter_defaults: ClassVar = {"depth": 0.04, "steps": 24}
     parameter_textures: ClassVar = {"height_texture": False}
@@ -66,7 +66,8 @@ class Parallax(MaterialShader):
 
 
 class MarbleParameters(sl.Struct):
-    """Parameters of `Marble`: the colour of its veins, their number in a metre, and how much noise bends them."""
+    """Parameters of `Marble`: the colour of its veins, their number in a metre, and how much noise bends
+    them."""
 
     vein_color: sl.vec3
     frequency: float
@@ -75,7 +76,8 @@ class MarbleParameters(sl.Struct):
 
 @sl.function
 def value_noise(position: sl.vec3) -> float:
-    """Return smooth noise of -1 to 1, which changes over lengths of 1: a number for each corner of a grid, mixed."""
+    """Return smooth noise of -1 to 1, which changes over lengths of 1: a number for each corner of a grid,
+    mixed."""
     cell = sl.floor(position)
     part = position - cell
     weight = part * part * part * (part * (part * 6.0 - 15.0) + 10.0)
@@ -98,8 +100,8 @@ def hash_corner(corner: sl.ivec3) -> float:
 
 
 class Marble(MaterialShader):
-    """Stone with veins through the whole of it: waves in the world's space, bent by noise (Perlin 1985, turbulence).
-    Objects that move move through it."""
+    """Stone with veins through the whole of it: waves in the world's space, bent by noise (Perlin 1985,
+    turbulence). Objects that move move through it."""
 
     parameter_defaults: ClassVar = {"vein_color": (0.2, 0.18, 0.16), "frequency": 1.6, "turbulence": 1.2}
 
@@ -129,8 +131,8 @@ class CheckerParameters(sl.Struct):
 
 
 class Checker(MaterialShader):
-    """A checkerboard that doesn't alias: the mean over a pixel's box, in closed form (Quílez 2017). Its numbers of
-    squares are even, so that it goes on where texture coordinates begin again."""
+    """A checkerboard that doesn't alias: the mean over a pixel's box, in closed form (Quílez 2017). Its
+    numbers of squares are even, so that it goes on where texture coordinates begin again."""
 
     parameter_defaults: ClassVar = {"squares": (8.0, 8.0), "second_color": (0.1, 0.1, 0.1)}
 
@@ -139,8 +141,11 @@ class Checker(MaterialShader):
     def describe(self, at: SurfaceInput) -> SurfaceParameters:
         board = self.parameters[at.material]
         position = at.uv * board.squares
-        width = sl.max((sl.abs(at.uv_gradients.xy) + sl.abs(at.uv_gradients.zw)) * board.squares, sl.vec2(1e-4))
-        # The integral of a square wave of +1 and -1 is a triangle wave; their differences over a box are its mean.
+        width = sl.max(
+            (sl.abs(at.uv_gradients.xy) + sl.abs(at.uv_gradients.zw)) * board.squares, sl.vec2(1e-4)
+        )
+        # The integral of a square wave of +1 and -1 is a triangle wave; their differences over a box are its
+        # mean.
         ahead = sl.abs(sl.fract((position + 0.5 * width) * 0.5) - 0.5)
         behind = sl.abs(sl.fract((position - 0.5 * width) * 0.5) - 0.5)
         mean = 2.0 * (behind - ahead) / width

@@ -1,8 +1,8 @@
 """Model files as scenes: glTF is read by `renderer.content.gltf`, OBJ, PLY and STL by trimesh.
 
-Both are imported on first use: trimesh takes 0.3 s, glTF 0.05 s. Meshes far from their origin would lose precision in
-float32: the positions that trimesh has read in float64 are stored relative to the mesh's centre, and a node moves them
-back.
+Both are imported on first use: trimesh takes 0.3 s, glTF 0.05 s. Meshes far from their origin would lose
+precision in float32: the positions that trimesh has read in float64 are stored relative to the mesh's centre,
+and a node moves them back.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
 
 _GLTF: Final = (".gltf", ".glb")
 
-_FAR: Final = 64.0  # a mesh farther from its origin than this many times its size is stored relative to its centre
+_FAR: Final = (
+    64.0  # a mesh farther from its origin than this many times its size is stored relative to its centre
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +55,12 @@ class _FileNode:
 
 
 def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
-    """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light. Its name is the path.
+    """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light. Its name is
+    the path.
 
-    A glTF file with only lights, cameras or empty nodes is a scene with one object that is reserved, and so hidden.
-    `Scene.omissions` lists what the file has and the scene hasn't. `limits`: what the file may ask for. Refused as by
-    `add_model`.
+    A glTF file with only lights, cameras or empty nodes is a scene with one object that is reserved, and so
+    hidden. `Scene.omissions` lists what the file has and the scene hasn't. `limits`: what the file may ask
+    for. Refused as by `add_model`.
     """
     path = _find_file(path)
     builder = SceneBuilder(path)
@@ -72,7 +75,9 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
         builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
     if not builder.object_count:
         triangle = make_geometry(np.eye(3), range(3))
-        builder.reserve(1, builder.add_mesh(triangle), builder.add_material())  # the renderer's arrays have rows
+        builder.reserve(
+            1, builder.add_mesh(triangle), builder.add_material()
+        )  # the renderer's arrays have rows
     scene = builder.build()
     scene.files = tuple(builder.files)
     if scene_extras is None:
@@ -81,8 +86,8 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
 
 
 def add_model(builder: SceneBuilder, path: str | Path, limits: ModelLimits | None = None) -> None:
-    """Add everything in a model file to a scene under construction. An image or a mesh that is there already, from
-    whichever file, is added once.
+    """Add everything in a model file to a scene under construction. An image or a mesh that is there already,
+    from whichever file, is added once.
 
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`, `scene-model-limit`.
@@ -93,9 +98,9 @@ def add_model(builder: SceneBuilder, path: str | Path, limits: ModelLimits | Non
 def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     """Write a scene as glTF: `.glb`, or `.gltf` with a `.bin` beside it. Return what the file can't hold.
 
-    `load_model` reads the same scene from it: the same rows of nodes, objects, meshes, materials, images, lights, and
-    the same views and paths. Animations that were read from glTF are written; other simulations are left out, and what
-    they move is written as it is now.
+    `load_model` reads the same scene from it: the same rows of nodes, objects, meshes, materials, images,
+    lights, and the same views and paths. Animations that were read from glTF are written; other simulations
+    are left out, and what they move is written as it is now.
 
     Refused: `scene-unknown-format`.
     """
@@ -155,7 +160,8 @@ def read_geometry(path: str) -> MeshGeometry:
 
 
 def _read(path: str, budget: Budget) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
-    """Read the file's triangle meshes by name, its nodes, parents before children, and which files that took."""
+    """Read the file's triangle meshes by name, its nodes, parents before children, and which files that
+    took."""
     file, call = Path(path), f"load_model({path!r})"
     with _quiet():
         import trimesh
@@ -186,7 +192,8 @@ def _read(path: str, budget: Budget) -> tuple[dict[str, Any], list[_FileNode], l
 
 
 def _make_resolver(file: Path, budget: Budget) -> Any:
-    """Return trimesh's reader of materials and images beside a file, which notes in `files` what it looks for."""
+    """Return trimesh's reader of materials and images beside a file, which notes in `files` what it looks
+    for."""
     from trimesh.resolvers import FilePathResolver
 
     class Noting(FilePathResolver):
@@ -196,7 +203,9 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
             self.refusal: RhiError | None = None
 
         def get(self, name: str) -> Any:
-            beside = [Path(self.parent) / relative for relative in (name.strip().lstrip("/"), Path(name).name)]
+            beside = [
+                Path(self.parent) / relative for relative in (name.strip().lstrip("/"), Path(name).name)
+            ]
             file = budget.find(([path for path in beside if path.is_file()] or beside)[0])
             self.files.append(file)
             if not budget.allows(file):
@@ -215,7 +224,9 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
 def _check_file(path: str) -> None:
     file, call = Path(path), f"load_model({path!r})"
     if not file.exists():
-        moved = "if it was moved after it was loaded, `python -m renderer assets FOLDER` finds it in that folder"
+        moved = (
+            "if it was moved after it was loaded, `python -m renderer assets FOLDER` finds it in that folder"
+        )
         refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}; {moved}")
     if file.suffix.lower() not in FORMATS:
         refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
@@ -301,9 +312,13 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     material = getattr(visual, "material", None)
     image = getattr(material, "image", None)
     texture = -1 if image is None else builder.add_image(share_image(_pixels(image)))
-    diffuse = getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
+    diffuse = (
+        getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
+    )
     color = np.ones(4) if diffuse is None or texture >= 0 else _unit_range(diffuse)
-    return builder.add_material(base_color=(*from_srgb(color[:3]), color[3]), texture=texture, rim_strength=0.1)
+    return builder.add_material(
+        base_color=(*from_srgb(color[:3]), color[3]), texture=texture, rim_strength=0.1
+    )
 
 
 def _pixels(image: Any) -> ImagePixels:

@@ -1,8 +1,8 @@
 """The city at night: street lights, lit windows, lanterns and cars, up to thousands of lights.
 
-Blocks are lit from the middle of the city outwards, each with `_PER_BLOCK` lights: more lights light more blocks, as
-densely, and the first lights stay where they are. Only if there are more lights than the blocks have room for, the
-others are windows. The seed that makes a city makes the same city here.
+Blocks are lit from the middle of the city outwards, each with `_PER_BLOCK` lights: more lights light more
+blocks, as densely, and the first lights stay where they are. Only if there are more lights than the blocks
+have room for, the others are windows. The seed that makes a city makes the same city here.
 """
 
 from __future__ import annotations
@@ -15,7 +15,16 @@ from renderer.content import furniture, shapes
 from renderer.content.buildings import intersect_windows
 from renderer.content.city import PITCH, STREET, CityPlan, add_city, add_daylight
 from renderer.content.furniture import CAR_LENGTH, HEADLIGHT, STREET_LIGHT_REACH, TAIL_LIGHT
-from renderer.content.specs import BLOOM, FOG, SEED, SHADOWS, Generator, Option, add_fog_and_bloom, cast_shadows
+from renderer.content.specs import (
+    BLOOM,
+    FOG,
+    SEED,
+    SHADOWS,
+    Generator,
+    Option,
+    add_fog_and_bloom,
+    cast_shadows,
+)
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.lights import Lights
@@ -37,7 +46,8 @@ _KINDS: Final = (
     _STREET_LIGHT,
     _WINDOW,
 )
-"""The lights of a block, in the order in which they are added; a car has two headlights and two tail lights."""
+"""The lights of a block, in the order in which they are added; a car has two headlights and two tail
+lights."""
 
 _PER_BLOCK: Final = len(_KINDS)
 _WINDOWS: Final = _KINDS.count(_WINDOW)
@@ -64,9 +74,17 @@ _LIT_FOG: Final = (0.045, 0.042, 0.045)
 
 
 def make_night(
-    lights: int, sun: int, blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, bloom: float = 0.0
+    lights: int,
+    sun: int,
+    blocks: int,
+    detail: int,
+    seed: int,
+    shadows: int,
+    fog: float = 0.0,
+    bloom: float = 0.0,
 ) -> Scene:
-    """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun shines."""
+    """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun
+    shines."""
     options = f"lights={lights},sun={sun},blocks={blocks},detail={detail},seed={seed}"
     builder = SceneBuilder(f"night:{options}")
     rng = np.random.default_rng([seed, 23])
@@ -77,8 +95,12 @@ def make_night(
     number = np.arange(lights)
     block, slot = nearest[number // per_block], number % per_block
     kind = kinds[slot]
-    rank = (kinds[:, None] == np.arange(3)).cumsum(0)[slot, kind] - 1  # which one of its kind it is in its block
-    slots = [(block[kind == light_kind], rank[kind == light_kind]) for light_kind in (_STREET_LIGHT, _WINDOW, _CAR)]
+    rank = (kinds[:, None] == np.arange(3)).cumsum(0)[
+        slot, kind
+    ] - 1  # which one of its kind it is in its block
+    slots = [
+        (block[kind == light_kind], rank[kind == light_kind]) for light_kind in (_STREET_LIGHT, _WINDOW, _CAR)
+    ]
     _add_street_lights(builder, plan, *slots[_STREET_LIGHT], detail)
     _add_windows(builder, plan, *slots[_WINDOW], rng, detail, np.sqrt(_PER_BLOCK / per_block))
     _add_cars(builder, plan, *slots[_CAR], rng, detail)
@@ -118,8 +140,8 @@ def _along_street(plan: CityPlan, block: Indices, along_x: Indices, at: Floats, 
     """Return places (k, 3) on one of the two streets of each block, which run along its lower edges.
 
     Args:
-        along_x: (k,) 1 for the street that runs along x, 0 for that along z. at: (k,) metres along the street from the
-            middle of the block. aside: (k,) metres from the middle of the street.
+        along_x: (k,) 1 for the street that runs along x, 0 for that along z. at: (k,) metres along the street
+            from the middle of the block. aside: (k,) metres from the middle of the street.
     """
     edge = plan.centres[block] - 0.5 * PITCH
     middle = plan.centres[block]
@@ -128,20 +150,29 @@ def _along_street(plan: CityPlan, block: Indices, along_x: Indices, at: Floats, 
     return np.stack([x, np.zeros(len(block)), z], axis=1)
 
 
-def _add_street_lights(builder: SceneBuilder, plan: CityPlan, block: Indices, rank: Indices, detail: int) -> None:
-    """Add the street lights `rank` (k,), 0 to 3, of the blocks `block` (k,): two in each street, one on either side."""
+def _add_street_lights(
+    builder: SceneBuilder, plan: CityPlan, block: Indices, rank: Indices, detail: int
+) -> None:
+    """Add the street lights `rank` (k,), 0 to 3, of the blocks `block` (k,): two in each street, one on
+    either side."""
     along_x, second = rank % 2, rank // 2
     side = np.where(second ^ along_x, 1.0, -1.0)
-    feet = _along_street(plan, block, along_x, np.where(second, 0.25, -0.25) * PITCH, side * (0.5 * STREET + 0.8))
+    feet = _along_street(
+        plan, block, along_x, np.where(second, 0.25, -0.25) * PITCH, side * (0.5 * STREET + 0.8)
+    )
     # The arm points along +x, and is turned to the middle of the street: -x or +x, -z or +z.
     angle = np.where(along_x, side * 0.5 * np.pi, np.where(side > 0.0, np.pi, 0.0))
     transforms = multiply(translation(feet), rotation((0, 1, 0), angle))
-    metal = builder.add_material(base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0)
+    metal = builder.add_material(
+        base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0
+    )
     cover_material = builder.add_material(base_color=_SODIUM, emission=6.0)
     nodes = builder.add_nodes(transforms)
     builder.add_objects(nodes, builder.add_mesh(furniture.make_post(detail), "post"), metal)
     builder.add_objects(
-        nodes, builder.add_mesh(furniture.make_street_light_cover(detail), "street light cover"), cover_material
+        nodes,
+        builder.add_mesh(furniture.make_street_light_cover(detail), "street light cover"),
+        cover_material,
     )
     heads = (transforms @ (STREET_LIGHT_REACH, 5.6, 0.0, 1.0))[:, :3]
     is_spot = second == 0
@@ -158,8 +189,9 @@ def _add_windows(
     detail: int,
     strength: float,
 ) -> None:
-    """Add lit windows to the buildings of the blocks `block` (k,), every other one a shop's, and lanterns where there
-    is no building. `rank` (k,) numbers those of a block; `strength` is below 1 if they are many."""
+    """Add lit windows to the buildings of the blocks `block` (k,), every other one a shop's, and lanterns
+    where there is no building. `rank` (k,) numbers those of a block; `strength` is below 1 if they are
+    many."""
     draws = rng.random((int(rank.max(initial=_WINDOWS - 1)) + 1, len(plan.centres), 4))[rank, block]
     building = plan.building_index[block]
     _add_lanterns(builder, plan, block[building < 0], draws[building < 0], detail, strength)
@@ -192,7 +224,9 @@ def _add_windows(
     sign_materials = np.array(
         [builder.add_material(base_color=tuple(sign_color), emission=1.6) for sign_color in _SIGNS]
     )
-    width, tall = (np.linalg.norm((lots[:, :3, :3] @ side[..., None])[..., 0], axis=1) for side in (across, up))
+    width, tall = (
+        np.linalg.norm((lots[:, :3, :3] @ side[..., None])[..., 0], axis=1) for side in (across, up)
+    )
     sign, pane = (
         np.array((3.4, 0.7, 0.24)),
         np.stack([0.48 * width, 0.54 * tall, np.full(len(tall), 0.1)], axis=1),
@@ -220,10 +254,15 @@ def _add_lanterns(
 
 
 def _add_cars(
-    builder: SceneBuilder, plan: CityPlan, block: Indices, rank: Indices, rng: np.random.Generator, detail: int
+    builder: SceneBuilder,
+    plan: CityPlan,
+    block: Indices,
+    rank: Indices,
+    rng: np.random.Generator,
+    detail: int,
 ) -> None:
-    """Add a car in a street of each of the blocks `block` (k,), and its lights `rank` (k,): 0 and 1 are headlights, 2
-    and 3 are tail lights."""
+    """Add a car in a street of each of the blocks `block` (k,), and its lights `rank` (k,): 0 and 1 are
+    headlights, 2 and 3 are tail lights."""
     draws = rng.random((4, len(plan.centres)))[:, block]
     along_x, onwards = draws[0] < 0.5, np.where(draws[1] < 0.5, 1.0, -1.0)
     # Traffic keeps to the right, and cars stand off the crossings.
@@ -235,11 +274,15 @@ def _add_cars(
     nodes = builder.add_nodes(transforms[first])
     paints = np.array(
         [
-            builder.add_material(base_color=c, specular_color=(0.25, 0.25, 0.25), shininess=70.0, rim_strength=0.3)
+            builder.add_material(
+                base_color=c, specular_color=(0.25, 0.25, 0.25), shininess=70.0, rim_strength=0.3
+            )
             for c in _PAINTS
         ]
     )
-    trim = builder.add_material(base_color=(0.02, 0.02, 0.025), specular_color=(0.3, 0.3, 0.3), shininess=90.0)
+    trim = builder.add_material(
+        base_color=(0.02, 0.02, 0.025), specular_color=(0.3, 0.3, 0.3), shininess=90.0
+    )
     white = builder.add_material(base_color=(1.0, 0.95, 0.85), emission=6.0)
     red = builder.add_material(base_color=(1.0, 0.06, 0.03), emission=2.5)
     for mesh, name, material in (
@@ -252,7 +295,9 @@ def _add_cars(
     right = np.where(rank % 2, 1.0, -1.0)[:, None] * (0.0, 0.0, 1.0) + (1.0, 1.0, 0.0)
     is_head = rank < 2
     heads = _transform_points(transforms[is_head], (HEADLIGHT + np.array((0.12, 0.0, 0.0))) * right[is_head])
-    tails = _transform_points(transforms[~is_head], (TAIL_LIGHT - np.array((0.25, 0.0, 0.0))) * right[~is_head])
+    tails = _transform_points(
+        transforms[~is_head], (TAIL_LIGHT - np.array((0.25, 0.0, 0.0))) * right[~is_head]
+    )
     ahead = transforms[is_head, :3, 0] - (0.0, 0.09, 0.0)
     builder.lights.add_spots(heads, ahead, 20.0, 0.16, 0.5, (1.0, 0.93, 0.80), 90.0)
     builder.lights.add_points(tails, 5.0, (1.0, 0.08, 0.04), 1.6)

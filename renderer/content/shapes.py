@@ -1,8 +1,8 @@
 """Built-in meshes: sheets, lathes, lofts, and the solids made of them.
 
 A sheet is a grid of points; its normal is columns x rows. Outlines are closed polygons in the xz plane,
-counter-clockwise seen from above, around a point from which every corner can be seen, so that their caps are fans.
-Texture coordinates have v = 0 at the first row of an image, its top, so v decreases where y increases.
+counter-clockwise seen from above, around a point from which every corner can be seen, so that their caps are
+fans. Texture coordinates have v = 0 at the first row of an image, its top, so v decreases where y increases.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from renderer.scene.meshes import VERTEX, MeshGeometry, join
 _SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this times its longest edge squared
 
 
-def grid_mesh(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
-    """Make quads over a grid of points (rows, columns, 3), or over each of several (..., rows, columns, 3); rows and
-    columns are at least 2.
+def grid_mesh(
+    points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None
+) -> MeshGeometry:
+    """Make quads over a grid of points (rows, columns, 3), or over each of several (..., rows, columns, 3);
+    rows and columns are at least 2.
 
     Without `normals`, of the shape of the points, each quad is flat and has vertices of its own. `uv` is
     (..., rows, columns, 2). Of degenerate quads, as at a pole, only the triangles with an area are kept.
@@ -72,7 +74,9 @@ def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> MeshGe
     """Make a square from -1/2 to 1/2 in xz, facing up."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     x, z = np.meshgrid(steps, -steps)
-    return grid_mesh(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
+    return grid_mesh(
+        np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale
+    )
 
 
 def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
@@ -87,7 +91,9 @@ def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
     angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
     u = np.broadcast_to(angle / (2.0 * np.pi), (len(bands), 2, segments + 1))
     points, normals = (
-        np.stack(np.broadcast_arrays(np.cos(angle) * of[:, :, 0], of[:, :, 1], -np.sin(angle) * of[:, :, 0]), -1)
+        np.stack(
+            np.broadcast_arrays(np.cos(angle) * of[:, :, 0], of[:, :, 1], -np.sin(angle) * of[:, :, 0]), -1
+        )
         for of in (bands, np.broadcast_to(slope, bands.shape))
     )
     return grid_mesh(points, np.stack([u, -points[..., 1]], axis=-1), normals)
@@ -137,7 +143,8 @@ def loft(
     roof_uv: tuple[float, float] = (0.0, 0.0),
     smooth: bool = False,
 ) -> MeshGeometry:
-    """Make walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
+    """Make walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last
+    ring.
 
     On steep parts the texture repeats `walls` = (times around, times per unit of y); flatter parts all get
     `roof_uv`. With `smooth`, steep parts that face outwards have normals away from the axis.
@@ -164,7 +171,9 @@ def loft(
     return join(parts)
 
 
-def _smooth_surface(point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int) -> MeshGeometry:
+def _smooth_surface(
+    point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int
+) -> MeshGeometry:
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, columns + 1), np.linspace(-0.5, 0.5, rows + 1) * np.pi)
     positions, normals = point(u, v)
     return grid_mesh(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)

@@ -1,7 +1,7 @@
 """Scene text: the grammar of generators, `name:key=value,key=value`.
 
-A generator lists its options with defaults and ranges. The text is parsed by that list, so that error messages, the
-output of `scenes` and the arguments of a generator come from one table.
+A generator lists its options with defaults and ranges. The text is parsed by that list, so that error
+messages, the output of `scenes` and the arguments of a generator come from one table.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ BLOOM: Final = Option("bloom", 0.0, "share of all light that is scattered in the
 def add_fog_and_bloom(
     builder: SceneBuilder, fog: float, bloom: float, color: tuple[float, float, float], falloff: float
 ) -> None:
-    """Add fog and bloom to a scene unless they are 0; its name then says so. The fog is of this colour, and thins with
-    the height."""
+    """Add fog and bloom to a scene unless they are 0; its name then says so. The fog is of this colour, and
+    thins with the height."""
     if fog:
         builder.fog = Fog(fog, color, falloff)
         builder.name += f",fog={fog:g}"

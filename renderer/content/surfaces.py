@@ -1,8 +1,9 @@
-"""Surfaces painted with NumPy, each as three images that belong together: colour, normals, and metal with roughness.
+"""Surfaces painted with NumPy, each as three images that belong together: colour, normals, and metal with
+roughness.
 
-A surface is a height field that repeats seamlessly. Its colour and its roughness follow from the height, and its normal
-map is the slope, so that light and colour agree. Images are as glTF has them: normals with +Y up in the image,
-roughness in green and metal in blue.
+A surface is a height field that repeats seamlessly. Its colour and its roughness follow from the height, and
+its normal map is the slope, so that light and colour agree. Images are as glTF has them: normals with +Y up
+in the image, roughness in green and metal in blue.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ _STEEP: Final = 6.0  # texels of height for a difference of 1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Surface:
-    """The images (size, size, 4) of a surface: sRGB `color`, `normal`, `metal_roughness`, and grey `height`."""
+    """The images (size, size, 4) of a surface: sRGB `color`, `normal`, `metal_roughness`, and grey
+    `height`."""
 
     color: ImagePixels
     normal: ImagePixels
@@ -99,7 +101,9 @@ def _studs(x: Floats, y: Floats, noise: Floats) -> Floats:
 
 def _stone(x: Floats, y: Floats, noise: Floats) -> Floats:
     bent = 0.12 * (noise - 0.5)
-    return _joints(3.0 * x + 3.0 * bent + 0.5 * (np.floor(3.0 * y) % 2.0), 3.0 * y, 0.08) * (0.6 + 0.4 * noise)
+    return _joints(3.0 * x + 3.0 * bent + 0.5 * (np.floor(3.0 * y) % 2.0), 3.0 * y, 0.08) * (
+        0.6 + 0.4 * noise
+    )
 
 
 def _grooves(x: Floats, y: Floats, noise: Floats) -> Floats:

@@ -1,9 +1,10 @@
 """The terrain: an island of mountains in the sea, with firs on its slopes.
 
-Its ground is a height field, whose triangles are chosen for each view. Heights are a sum of noise in which each octave
-is damped where the coarser ones are steep, so that ridges stay sharp and valleys smooth, as if eroded (Quilez, 2008).
-Colours follow from height and slope; the sun's shadows are painted into them. A normal map of the same resolution has
-the slopes, so the light on the ground doesn't depend on the triangles that show it.
+Its ground is a height field, whose triangles are chosen for each view. Heights are a sum of noise in which
+each octave is damped where the coarser ones are steep, so that ridges stay sharp and valleys smooth, as if
+eroded (Quilez, 2008). Colours follow from height and slope; the sun's shadows are painted into them. A normal
+map of the same resolution has the slopes, so the light on the ground doesn't depend on the triangles that
+show it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ _ROCK, _GRASS, _MEADOW, _SNOW, _SAND = (
 
 
 def make_terrain(cells: int, trees: int, limit: int, seed: int) -> Scene:
-    """Make an island 4 km wide of `cells` × `cells` cells, with `trees` firs, and at most `limit` triangles."""
+    """Make an island 4 km wide of `cells` × `cells` cells, with `trees` firs, and at most `limit`
+    triangles."""
     builder = SceneBuilder(f"terrain:cells={cells},trees={trees},limit={limit},seed={seed}")
     heights = _make_heights(cells, seed)
     field = make_height_field(heights, _SIZE, limit=limit, has_normal_map=True)
@@ -55,7 +57,9 @@ def make_terrain(cells: int, trees: int, limit: int, seed: int) -> Scene:
         roughness=0.92,
         metallic=0.0,
     )
-    builder.add_objects(builder.add_node(), builder.add_height_field(field, "island"), ground, casts_shadow=False)
+    builder.add_objects(
+        builder.add_node(), builder.add_height_field(field, "island"), ground, casts_shadow=False
+    )
     water = builder.add_material(base_color=(0.012, 0.055, 0.075), roughness=0.16, metallic=0.0)
     sea = builder.add_mesh(plane(16), "sea")
     builder.add_objects(builder.add_node(scaling((_SEA, 1.0, _SEA))), sea, water, casts_shadow=False)
@@ -75,10 +79,16 @@ def make_terrain(cells: int, trees: int, limit: int, seed: int) -> Scene:
     inland /= np.linalg.norm(inland) or 1.0
     eye = above(peak[0] + 1450.0, peak[2] - 1200.0, 70.0)
     builder.views["shore"] = Camera.look_at(eye, peak * (1.0, 0.42, 1.0), projection=projection)
-    builder.views["overview"] = Camera.look_at((2300.0, 1500.0, 2900.0), (0.0, 100.0, 100.0), projection=projection)
+    builder.views["overview"] = Camera.look_at(
+        (2300.0, 1500.0, 2900.0), (0.0, 100.0, 100.0), projection=projection
+    )
     top = peak - 120.0 * inland + (0.0, 60.0, 0.0)
-    builder.views["summit"] = Camera.look_at(top, top + 600.0 * inland - (0.0, 170.0, 0.0), projection=projection)
-    walk = np.array([above(x, z, 12.0) for x, z in np.linspace((-1300.0, 700.0), (1300.0, -300.0), 160).tolist()])
+    builder.views["summit"] = Camera.look_at(
+        top, top + 600.0 * inland - (0.0, 170.0, 0.0), projection=projection
+    )
+    walk = np.array(
+        [above(x, z, 12.0) for x, z in np.linspace((-1300.0, 700.0), (1300.0, -300.0), 160).tolist()]
+    )
     walk[:, 1] = np.lib.stride_tricks.sliding_window_view(np.pad(walk[:, 1], 8, "edge"), 17).max(-1)
     builder.paths["ground"] = make_path(walk, projection, rounding=220.0, ahead=220.0)
     angles = np.linspace(0.0, 1.9 * np.pi, 40)
@@ -166,7 +176,9 @@ def _paint(field: HeightField, normals: Floats, seed: int) -> ImagePixels:
 
     color = _ROCK * strata[..., None]
     green = _mix(_GRASS, _MEADOW, _ramp(patches, 0.35, 0.65))
-    color = _mix(color, green, _ramp(level, 0.72, 0.86) * (1.0 - _ramp(heights + 90.0 * patches, 300.0, 400.0)))
+    color = _mix(
+        color, green, _ramp(level, 0.72, 0.86) * (1.0 - _ramp(heights + 90.0 * patches, 300.0, 400.0))
+    )
     color = _mix(color, _SNOW, _ramp(heights + 110.0 * patches, 400.0, 470.0) * _ramp(level, 0.60, 0.78))
     color = _mix(color, _SAND, 1.0 - _ramp(heights + 5.0 * patches, 5.0, 10.0))
     color = _mix(color, np.array([0.02, 0.08, 0.09]), 1.0 - _ramp(heights, -14.0, 0.0))
@@ -227,7 +239,9 @@ def _plant(builder: SceneBuilder, field: HeightField, normals: Floats, count: in
     nodes = builder.add_nodes(multiply(turned, scaling(np.stack([0.42 * size, size, 0.42 * size], axis=1))))
     greens = np.array(
         [
-            builder.add_material(base_color=(0.055 * shade, 0.105 * shade, 0.04 * shade), roughness=0.95, metallic=0.0)
+            builder.add_material(
+                base_color=(0.055 * shade, 0.105 * shade, 0.04 * shade), roughness=0.95, metallic=0.0
+            )
             for shade in (0.7, 0.9, 1.15)
         ]
     )

@@ -31,7 +31,8 @@ _PANES: Final = {
 
 
 def paint_facade(style: str, seed: int) -> ImagePixels:
-    """Paint a facade of `WINDOWS` x `WINDOWS` windows, almost white, to be tinted by a material's base colour.
+    """Paint a facade of `WINDOWS` x `WINDOWS` windows, almost white, to be tinted by a material's base
+    colour.
 
     Styles: "punched" windows in a wall, "ribbon" windows between bands, "glass" panes in thin frames.
     """
@@ -59,8 +60,8 @@ def paint_facade(style: str, seed: int) -> ImagePixels:
 def paint_lit_facade(style: str, seed: int) -> ImagePixels:
     """Paint a facade of `NIGHT_WINDOWS` x `NIGHT_WINDOWS` windows at night, for a material that emits light.
 
-    The walls are dark, so that they emit as faintly as under the sky of a city, and about a third of the windows are
-    bright. The first one is shuttered, as in `paint_facade`, and paints the roofs.
+    The walls are dark, so that they emit as faintly as under the sky of a city, and about a third of the
+    windows are bright. The first one is shuttered, as in `paint_facade`, and paints the roofs.
     """
     rng = np.random.default_rng([seed, 31, list(_PANES).index(style)])
     cell = IMAGE_SIZE // NIGHT_WINDOWS
@@ -88,10 +89,11 @@ _WINDOW_COLORS: Final = (
 
 
 def paint_street(street: float, seed: int) -> ImagePixels:
-    """Paint one block of ground with streets along its edges; `street` is the fraction of the width that they take.
+    """Paint one block of ground with streets along its edges; `street` is the fraction of the width that they
+    take.
 
-    There is pavement in the middle, and around it asphalt with a dashed centre line on the texture's border and
-    zebra crossings.
+    There is pavement in the middle, and around it asphalt with a dashed centre line on the texture's border
+    and zebra crossings.
     """
     rng = np.random.default_rng([seed, 17])
     noise = rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE))
@@ -110,12 +112,19 @@ def paint_street(street: float, seed: int) -> ImagePixels:
         other = z if across is x else x
         line = (across < 0.006) & along & (other > half + 0.05)
         pixels[line] = 0.75
-        stripes = (other > half + 0.008) & (other < half + 0.05) & (across < half - 0.01) & (across * 60 % 1.0 < 0.5)
+        stripes = (
+            (other > half + 0.008)
+            & (other < half + 0.05)
+            & (across < half - 0.01)
+            & (across * 60 % 1.0 < 0.5)
+        )
         pixels[stripes] = 0.72
     return make_opaque(pixels)
 
 
-def paint_stripes(first: tuple[float, float, float], second: tuple[float, float, float], count: int) -> ImagePixels:
+def paint_stripes(
+    first: tuple[float, float, float], second: tuple[float, float, float], count: int
+) -> ImagePixels:
     """Paint a flag: `count` pairs of horizontal stripes in two sRGB colours."""
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)

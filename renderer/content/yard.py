@@ -1,5 +1,6 @@
-"""A yard whose materials have shaders of their own: walls of bricks in relief, columns and balls of marble, and a floor
-of squares. Materials of one shader are instances of one parent, which differ in a colour or in a parameter."""
+"""A yard whose materials have shaders of their own: walls of bricks in relief, columns and balls of marble,
+and a floor of squares. Materials of one shader are instances of one parent, which differ in a colour or in a
+parameter."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ _RIM: Final = (0.12, 0.22)  # width and height of a pool's rim, metres
 
 
 def make_yard(columns: int, lights: int, pools: int, shadows: int, seed: int) -> Scene:
-    """Make a yard with `columns` columns, each with a ball beside it, and `pools` pools, lit by the sun and by `lights`
-    point lights."""
+    """Make a yard with `columns` columns, each with a ball beside it, and `pools` pools, lit by the sun and
+    by `lights` point lights."""
     rng = np.random.default_rng([seed, 29])
     wet = f"pools={pools}," if pools else ""
     builder = SceneBuilder(f"yard:columns={columns},lights={lights},{wet}shadows={shadows},seed={seed}")
@@ -33,21 +34,33 @@ def make_yard(columns: int, lights: int, pools: int, shadows: int, seed: int) ->
     half = 0.5 * _SIDE
 
     bricks = paint_surface("bricks", 256, 3)
-    texture, normal, height = (builder.add_image(image) for image in (bricks.color, bricks.normal, bricks.height))
+    texture, normal, height = (
+        builder.add_image(image) for image in (bricks.color, bricks.normal, bricks.height)
+    )
     wall = builder.add_material(
-        shader=Parallax, base_color=(0.55, 0.25, 0.17), texture=texture, normal_texture=normal, height_texture=height,
-        roughness=0.85, metallic=0.0,
-    )  # fmt: skip
+        shader=Parallax,
+        base_color=(0.55, 0.25, 0.17),
+        texture=texture,
+        normal_texture=normal,
+        height_texture=height,
+        roughness=0.85,
+        metallic=0.0,
+    )
     walls = [
         wall,
-        *(builder.add_material(parent=wall, base_color=tint) for tint in ((0.5, 0.42, 0.3), (0.4, 0.4, 0.42))),
+        *(
+            builder.add_material(parent=wall, base_color=tint)
+            for tint in ((0.5, 0.42, 0.3), (0.4, 0.4, 0.42))
+        ),
     ]
     wall_mesh = builder.add_mesh(plane(uv_scale=(4.0, 1.5)), "wall")
     upright = multiply(rotation((1, 0, 0), 0.5 * np.pi), scaling((_SIDE, 1.0, _HEIGHT)))
     for turn, material in zip((0.0, 0.5 * np.pi, -0.5 * np.pi), walls, strict=True):
         transform = translation((0.0, 0.5 * _HEIGHT, -half))
         builder.add_objects(
-            builder.add_node(multiply(multiply(rotation((0, 1, 0), turn), transform), upright)), wall_mesh, material
+            builder.add_node(multiply(multiply(rotation((0, 1, 0), turn), transform), upright)),
+            wall_mesh,
+            material,
         )
 
     floor = builder.add_material(
@@ -73,7 +86,9 @@ def make_yard(columns: int, lights: int, pools: int, shadows: int, seed: int) ->
         beside = multiply(translation(np.add(0.5 * feet, (0.0, 0.3, 0.0))), scaling((0.6, 0.6, 0.6)))
         builder.add_objects(builder.add_nodes(beside), ball, np.array(stones)[::-1])
     plain = builder.add_material(base_color=(0.7, 0.55, 0.2), metallic=1.0, roughness=0.3)
-    builder.add_objects(builder.add_node(multiply(translation((0, 0.5, 0)), scaling((0.5, 0.5, 0.5)))), ball, plain)
+    builder.add_objects(
+        builder.add_node(multiply(translation((0, 0.5, 0)), scaling((0.5, 0.5, 0.5)))), ball, plain
+    )
 
     _add_pools(builder, pools, marble, seed)
     builder.lights.sky, builder.lights.ground = (0.22, 0.26, 0.32), (0.10, 0.09, 0.08)
@@ -98,7 +113,9 @@ def _add_pools(builder: SceneBuilder, count: int, stone: int, seed: int) -> None
     """Add pools one behind the other, in the rain, each with a rim of stone."""
     if not count:
         return
-    pool = WaterPool(_POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, max_height=0.15)
+    pool = WaterPool(
+        _POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, max_height=0.15
+    )
     water = builder.add_material(base_color=(0.10, 0.24, 0.28), roughness=0.15, metallic=0.0)
     away = 0.5 * _SIDE + 1.9 * np.arange(count)
     positions = np.stack([np.zeros(count), np.full(count, _RIM[1] - 0.08), away], axis=1)

@@ -1,10 +1,12 @@
-"""The first batch of a view, and its repetitions: commands that are recorded once, and arguments that they refer to.
+"""The first batch of a view, and its repetitions: commands that are recorded once, and arguments that they
+refer to.
 
-An algorithm that knows all visible objects before the first draw draws them in one batch. Which objects these are, and
-their order, changes with the camera; how they are drawn doesn't. So the draws' arguments lie in a buffer, and the
-commands depend only on their number, which is rounded up: the rest are draws of nothing. So `none` records them once,
-and `frustum` mostly submits what it has recorded, although a moving camera sees more objects or fewer in each frame.
-Further passes and the second eye draw the same objects, so they use the same arguments.
+An algorithm that knows all visible objects before the first draw draws them in one batch. Which objects these
+are, and their order, changes with the camera; how they are drawn doesn't. So the draws' arguments lie in a
+buffer, and the commands depend only on their number, which is rounded up: the rest are draws of nothing. So
+`none` records them once, and `frustum` mostly submits what it has recorded, although a moving camera sees
+more objects or fewer in each frame. Further passes and the second eye draw the same objects, so they use the
+same arguments.
 """
 
 from __future__ import annotations
@@ -85,8 +87,8 @@ class FrameBatch:
 
         Args:
             draws: (n,) of `rhi.DRAW`, one for each object; another array stands for another scene.
-            parts: the rows (k,) of each part that is drawn by a command of its own; `issue` gets their arguments, None
-                for an empty part.
+            parts: the rows (k,) of each part that is drawn by a command of its own; `issue` gets their
+                arguments, None for an empty part.
         """
         room = len(draws) + _STEP * max(len(parts), DRAW_LISTS)
         if self._buffer is None or draws is not self._draws or room > self._buffer.count:

@@ -37,8 +37,8 @@ FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 """The depth function that nearer fragments pass."""
 NOT_BEHIND: Final = {Depth.REVERSED: DepthFunction.GREATER_EQUAL, Depth.STANDARD: DepthFunction.LESS_EQUAL}
-"""The depth function of the scene's surfaces. Of those in one place the one that is drawn last is seen: so it is in a
-later pass that draws them again where depth is equal, in the same order."""
+"""The depth function of the scene's surfaces. Of those in one place the one that is drawn last is seen: so it
+is in a later pass that draws them again where depth is equal, in the same order."""
 
 
 class BoundProgram(NamedTuple):
@@ -56,8 +56,8 @@ def choose_program(programs: Sequence[BoundProgram], group: int) -> BoundProgram
 class DrawResult:
     """The objects drawn in a frame: indices that the CPU selected, and draw lists that the device wrote.
 
-    A list is read back when it is first needed, which waits for the device. It is available until the next frame
-    makes another one.
+    A list is read back when it is first needed, which waits for the device. It is available until the next
+    frame makes another one.
     """
 
     def __init__(self, resources: SceneResources) -> None:
@@ -163,13 +163,14 @@ class TechniqueDrawer:
     """The `SceneDrawer` of techniques: draws the scene to one set of targets, as a visibility algorithm
     decides, with one program per shader of materials.
 
-    Transparent objects are only recorded when an algorithm draws them (`draw_result.transparent`). So what it draws
-    and asks about is never hidden by them, and a later pass draws them in an order of their own (`draw_in_order`).
+    Transparent objects are only recorded when an algorithm draws them (`draw_result.transparent`). So what it
+    draws and asks about is never hidden by them, and a later pass draws them in an order of their own
+    (`draw_in_order`).
 
-    The pass may be closed and opened again; its targets are cleared when it is first opened. The rows of a batch are
-    drawn in one call, front to back, because near objects hide what is drawn after them. They are sorted by the depth
-    of their boxes' farthest corners, so that objects on a wide ground are drawn before the ground. Each group of
-    objects that needs another program or other states takes a call.
+    The pass may be closed and opened again; its targets are cleared when it is first opened. The rows of a
+    batch are drawn in one call, front to back, because near objects hide what is drawn after them. They are
+    sorted by the depth of their boxes' farthest corners, so that objects on a wide ground are drawn before
+    the ground. Each group of objects that needs another program or other states takes a call.
 
     Attributes:
         depth: the depth target. drawn: the objects drawn. was_opened: whether the pass has ever been open.
@@ -191,10 +192,11 @@ class TechniqueDrawer:
         """Describe a pass without issuing any command.
 
         Args:
-            programs: one for all objects, or one for each of the scene's shaders of materials, the renderer's first.
+            programs: one for all objects, or one for each of the scene's shaders of materials, the renderer's
+                first.
             clear: the colour of pixels on which nothing is drawn; None keeps what the color targets hold.
-            states: states of the pass, besides the faces to cull, which each group has, and a depth test that passes
-                and writes what isn't behind (`NOT_BEHIND`) unless they say otherwise.
+            states: states of the pass, besides the faces to cull, which each group has, and a depth test that
+                passes and writes what isn't behind (`NOT_BEHIND`) unless they say otherwise.
             clears: whether the depth is cleared.
         """
         self.depth = depth
@@ -391,7 +393,9 @@ class TechniqueDrawer:
         """Record that a draw list is drawn. Any simulated object in view may be on it, so all are
         simulated but the paused ones."""
         self._simulate_in_view()
-        if self.draw_result.is_on_cpu:  # transparent objects are on no list: all that aren't outside the view are drawn
+        if (
+            self.draw_result.is_on_cpu
+        ):  # transparent objects are on no list: all that aren't outside the view are drawn
             resources, camera = self._resources, self._view.camera
             self.draw_result.add_transparent(resources.select_in_view(camera, resources.transparent_indices))
         self.draw_result.add_list(draws)
@@ -419,7 +423,9 @@ class TechniqueDrawer:
         if not self._has_all_in_view:
             self._has_all_in_view = True
             resources, simulated = self._resources, self._resources.simulator.objects
-            object_indices = resources.select_in_view(self._view.around, simulated[~resources.hidden.paused[simulated]])
+            object_indices = resources.select_in_view(
+                self._view.around, simulated[~resources.hidden.paused[simulated]]
+            )
             resources.simulate(object_indices, leave=self.close)
 
     def __enter__(self) -> Self:

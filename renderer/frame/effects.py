@@ -1,7 +1,7 @@
 """The needs of a frame: the effects that its scene has and its view shows.
 
-A technique declares only the passes and shaders of these effects, so what a scene lacks costs nothing. Each effect
-comes with the reason why it is needed or not.
+A technique declares only the passes and shaders of these effects, so what a scene lacks costs nothing. Each
+effect comes with the reason why it is needed or not.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from rhi import Format, refuse
 
 
 class Effect(Enum):
-    """An effect that a scene may call for. Each kind of lights with a position has three: `…_LIGHTS`, `…_SPHERES` (such
-    lights with a radius) and `…_SHADOWS`."""
+    """An effect that a scene may call for. Each kind of lights with a position has three: `…_LIGHTS`,
+    `…_SPHERES` (such lights with a radius) and `…_SHADOWS`."""
 
     _ignore_ = "kind sphere_kind shadow_kind"
 
@@ -71,8 +71,8 @@ _EFFECTS: Final = {effect.value: effect for effect in Effect}
 
 
 class LocalLightEffects(NamedTuple):
-    """The effects of a kind of lights with a position besides the lights themselves: their shadows, and those that are
-    spheres."""
+    """The effects of a kind of lights with a position besides the lights themselves: their shadows, and those
+    that are spheres."""
 
     kind: LocalLightKind
     shadows: Effect
@@ -109,9 +109,10 @@ class BloomSettings:
 
     Attributes:
         levels: how often the light is halved in size; each level spreads it twice as far.
-        karis_average: whether single bright pixels count less (Karis 2013), which may flicker as things move. Otherwise
-            all light counts the same, and bloom has exactly as much light as is scattered.
-        bits: those of a channel of the image and of its levels while they hold light: 11 (10 of blue), 16 or 32.
+        karis_average: whether single bright pixels count less (Karis 2013), which may flicker as things move.
+            Otherwise all light counts the same, and bloom has exactly as much light as is scattered.
+        bits: those of a channel of the image and of its levels while they hold light: 11 (10 of blue), 16 or
+            32.
     """
 
     levels: int = 6
@@ -121,10 +122,18 @@ class BloomSettings:
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_BLOOM)
         if not 1 <= self.levels <= _MAX_LEVELS:
-            refuse(rules.BAD_BLOOM, "BloomSettings(levels=...)", self.levels, f"a whole number from 1 to {_MAX_LEVELS}")
+            refuse(
+                rules.BAD_BLOOM,
+                "BloomSettings(levels=...)",
+                self.levels,
+                f"a whole number from 1 to {_MAX_LEVELS}",
+            )
         if self.bits not in LIGHT_FORMATS:
             refuse(
-                rules.BAD_BLOOM, "BloomSettings(bits=...)", self.bits, f"one of {', '.join(map(str, LIGHT_FORMATS))}"
+                rules.BAD_BLOOM,
+                "BloomSettings(bits=...)",
+                self.bits,
+                f"one of {', '.join(map(str, LIGHT_FORMATS))}",
             )
 
 
@@ -143,14 +152,20 @@ _NOUNS: Final = {
     Effect.METALS: ("metallic-roughness material", "metallic-roughness materials"),
     Effect.EMISSIVE_COLORS: ("material with an emissive color", "materials with an emissive color"),
     Effect.NORMAL_MAPS: ("material with a normal map", "materials with a normal map"),
-    Effect.ROUGHNESS_MAPS: ("material with a metallic-roughness map", "materials with a metallic-roughness map"),
+    Effect.ROUGHNESS_MAPS: (
+        "material with a metallic-roughness map",
+        "materials with a metallic-roughness map",
+    ),
     Effect.OCCLUSION_MAPS: ("material with an occlusion map", "materials with an occlusion map"),
     Effect.EMISSIVE_MAPS: ("material with an emissive map", "materials with an emissive map"),
     Effect.MASKS: ("material with a mask", "materials with a mask"),
     Effect.TWO_SIDES: ("material with two sides", "materials with two sides"),
     Effect.VERTEX_COLORS: ("mesh with colors", "meshes with colors"),
     Effect.SECOND_UVS: ("texture with a second uv", "textures with a second uv"),
-    Effect.TEXTURE_TRANSFORMS: ("texture that is transformed or clamped", "textures that are transformed or clamped"),
+    Effect.TEXTURE_TRANSFORMS: (
+        "texture that is transformed or clamped",
+        "textures that are transformed or clamped",
+    ),
     Effect.MIXED_COORDINATES: (
         "material with unlike texture coordinates",
         "materials with unlike texture coordinates",
@@ -158,7 +173,10 @@ _NOUNS: Final = {
     Effect.MATERIAL_SHADERS: ("material with a shader of its own", "materials with shaders of their own"),
     Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
     Effect.HEIGHT_FIELDS: ("height field", "height fields"),
-    Effect.DIRECTIONAL_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
+    Effect.DIRECTIONAL_SHADOWS: (
+        "directional light that casts shadows",
+        "directional lights that cast shadows",
+    ),
 }
 for _effect, _row in LOCAL_LIGHTS.items():
     _noun = _row.kind.noun
@@ -169,12 +187,15 @@ for _effect, _row in LOCAL_LIGHTS.items():
 
 @dataclass(frozen=True, eq=False, slots=True)
 class EffectSources:
-    """What may cause effects in a scene, seen from anywhere; it is kept while the scene is in the same `state`.
+    """What may cause effects in a scene, seen from anywhere; it is kept while the scene is in the same
+    `state`.
 
     Attributes:
-        counts: of each effect, how many causes there are. features: the names of those that materials and meshes have.
+        counts: of each effect, how many causes there are. features: the names of those that materials and
+            meshes have.
         local_lights: the positions (k, 3) and ranges (k,) of the point and of the spot lights.
-        height_fields: the object indices of the height fields. shaders: those that materials have of their own.
+        height_fields: the object indices of the height fields. shaders: those that materials have of their
+            own.
     """
 
     state: tuple[object, ...]
@@ -192,13 +213,15 @@ class FrameEffects:
     Attributes:
         enabled: the effects that are needed. counts: of each effect, how many of its causes the scene has.
         material_count: the number of materials.
-        in_view: the rows of the point and of the spot lights whose light may reach something in view; as their shadows,
-            the rows of those of them that cast some, none if no object does; as spheres, those that have a radius; and
-            of the transparent objects and of the height fields in view, or that cast shadows.
+        in_view: the rows of the point and of the spot lights whose light may reach something in view; as
+            their shadows, the rows of those of them that cast some, none if no object does; as spheres, those
+            that have a radius; and of the transparent objects and of the height fields in view, or that cast
+            shadows.
         blending: how transparent objects are put together. bloom: how bloom is made.
         has_bloom: whether the scene has bloom, whatever shines in it.
         shaders: those that the scene's materials have of their own.
-        sources: what of this doesn't depend on the view. visible_features: those of surfaces that shaders have.
+        sources: what of this doesn't depend on the view. visible_features: those of surfaces that shaders
+            have.
     """
 
     enabled: frozenset[Effect]
@@ -214,7 +237,8 @@ class FrameEffects:
 
     @property
     def image(self) -> Target:
-        """The target of a technique: the image itself, or where there is bloom, linear light of any strength."""
+        """The target of a technique: the image itself, or where there is bloom, linear light of any
+        strength."""
         return _BRIGHT_IMAGES[self.bloom.bits] if Effect.BLOOM in self.enabled else _PLAIN_IMAGE
 
     @property
@@ -267,7 +291,9 @@ class FrameEffects:
             return f"the scene has no {noun}"
         nouns = f"{count} {plural if count > 1 else noun}"
         if effect not in self.in_view:
-            return f"the scene has {nouns}" if effect in self.enabled else f"the scene has {nouns}, none in view"
+            return (
+                f"the scene has {nouns}" if effect in self.enabled else f"the scene has {nouns}, none in view"
+            )
         count_in_view = len(self.in_view[effect])
         if effect in (Effect.TRANSPARENCY, Effect.HEIGHT_FIELDS):
             return f"{count_in_view or 'none'} of {nouns} {'is' if count_in_view == 1 else 'are'} in view"
@@ -301,7 +327,8 @@ def collect_frame_effects(
     Args:
         reaches: whether any light reaches an object, for each kind of lights with a position.
         blending: how transparent surfaces are to be put together. bloom: how bloom is to be made.
-        visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are in view.
+        visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
+            in view.
         lights: the scene's, with the ranges that count; by default as they are.
         last: what the last frame of the scene needed: it is returned again if nothing has changed.
     """
@@ -310,21 +337,28 @@ def collect_frame_effects(
     )
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
     in_view |= {
-        effect: select_lights_in_view(camera.frustum.planes, *spheres) if reached and len(spheres[0]) else _NONE
+        effect: select_lights_in_view(camera.frustum.planes, *spheres)
+        if reached and len(spheres[0])
+        else _NONE
         for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True)
     }
     height_fields = sources.height_fields
     if len(height_fields):
-        casts = scene.objects.casts_shadow[height_fields] & any(sources.counts[effect] for effect in SHADOW_EFFECTS)
+        casts = scene.objects.casts_shadow[height_fields] & any(
+            sources.counts[effect] for effect in SHADOW_EFFECTS
+        )
         height_fields = np.union1d(height_fields[casts], select_in_view(scene, camera, height_fields))
     in_view[Effect.HEIGHT_FIELDS] = height_fields
-    visible_features = VisibleFeatures(scene).collect(camera) if visible_features is None else visible_features
+    visible_features = (
+        VisibleFeatures(scene).collect(camera) if visible_features is None else visible_features
+    )
     same = (sources, blending, bloom, visible_features)
     if (
         last is not None
         and same == (last.sources, last.blending, last.bloom, last.visible_features)
         and all(
-            object_indices.tobytes() == last.in_view[effect].tobytes() for effect, object_indices in in_view.items()
+            object_indices.tobytes() == last.in_view[effect].tobytes()
+            for effect, object_indices in in_view.items()
         )
     ):
         return last
@@ -332,7 +366,9 @@ def collect_frame_effects(
         lights_of_kind, light_indices = scene.lights.of_kind(row.kind), in_view[effect]
         in_view[row.spheres] = light_indices[lights_of_kind["source_radius"][light_indices] > 0.0]
         in_view[row.shadows] = (
-            light_indices[lights_of_kind["casts_shadow"][light_indices]] if sources.counts[row.shadows] else _NONE
+            light_indices[lights_of_kind["casts_shadow"][light_indices]]
+            if sources.counts[row.shadows]
+            else _NONE
         )
     hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)}
     hidden |= {
@@ -342,18 +378,32 @@ def collect_frame_effects(
     }
     enabled = frozenset(effect for effect, count in sources.counts.items() if count and effect not in hidden)
     return FrameEffects(
-        enabled, sources.counts, len(scene.materials), in_view, blending, bloom, scene.bloom is not None,
-        sources.shaders, sources, visible_features,
-    )  # fmt: skip
+        enabled,
+        sources.counts,
+        len(scene.materials),
+        in_view,
+        blending,
+        bloom,
+        scene.bloom is not None,
+        sources.shaders,
+        sources,
+        visible_features,
+    )
 
 
 def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | None) -> EffectSources:
     """Find what may cause effects, or return what was found last if the scene is as it was."""
     lights.refresh()
     state = (
-        scene.material_version, len(scene.materials), lights.snapshot, scene.haze > 0.0, scene.fog is None,
-        scene.bloom is None, bool(scene.objects.casts_shadow.any()), tuple(scene.height_fields),
-    )  # fmt: skip
+        scene.material_version,
+        len(scene.materials),
+        lights.snapshot,
+        scene.haze > 0.0,
+        scene.fog is None,
+        scene.bloom is None,
+        bool(scene.objects.casts_shadow.any()),
+        tuple(scene.height_fields),
+    )
     if last is not None and last.state == state:
         return last
     features = scene.count_features()

@@ -1,12 +1,13 @@
 """Haze and fog, in every technique: the effect of the air on the light of surfaces and of the background.
 
-All shaders that make pixels end in `FinishShader.finish`, those of transparent surfaces before they are multiplied by
-their opacity. Light goes through the fog there, so opaque surfaces need no pass, and a transparent one has the fog in
-front of it while what is behind it has its own: `a · (T c + (1 - T) F) + (1 - a) · behind` is what fog in front of both
-makes of `a · c + (1 - a) · b`. What no surface covers is fogged by the pass `sky`, to infinity.
+All shaders that make pixels end in `FinishShader.finish`, those of transparent surfaces before they are
+multiplied by their opacity. Light goes through the fog there, so opaque surfaces need no pass, and a
+transparent one has the fog in front of it while what is behind it has its own: `a · (T c + (1 - T) F) + (1 -
+a) · behind` is what fog in front of both makes of `a · c + (1 - a) · b`. What no surface covers is fogged by
+the pass `sky`, to infinity.
 
-Haze fades to the colour of the background, after tones have been mapped. Where there is bloom, tones are mapped last,
-and haze fades to the light that is seen as that colour.
+Haze fades to the colour of the background, after tones have been mapped. Where there is bloom, tones are
+mapped last, and haze fades to the light that is seen as that colour.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ def bind_fog(frame: Frame) -> UniformBuffer[FogConstants]:
     assert fog is not None, "fog is bound where the scene has some"
     height = fog.falloff * (float(frame.camera.position[1]) - fog.base)
     return frame.view.mirror(
-        FogConstants(color=inverse_tone_map(fog.color), density=fog.density, falloff=fog.falloff, height=height)
+        FogConstants(
+            color=inverse_tone_map(fog.color), density=fog.density, falloff=fog.falloff, height=height
+        )
     )
 
 

@@ -94,8 +94,8 @@ class Frame:
         nothing is issued.
 
         Args:
-            in_order: whether they are drawn back to front, by the distances of their boxes' centres. Otherwise it is in
-                as few calls as there are groups.
+            in_order: whether they are drawn back to front, by the distances of their boxes' centres.
+                Otherwise it is in as few calls as there are groups.
         """
         view = view or self.view
         seen = self._seen.get(view)
@@ -111,9 +111,9 @@ class Frame:
     def draw_visible(self, scene_drawer: TechniqueDrawer, view: View | None = None) -> None:
         """Draw what a view sees in a pass: the main view by default.
 
-        The first pass of a view finds the visible objects, in as many batches as its algorithm likes, which issues its
-        own commands there. It must be the first to write the view's depth. Later passes draw the same objects again,
-        and so does the right eye if the left one's were found by the frustum around both.
+        The first pass of a view finds the visible objects, in as many batches as its algorithm likes, which
+        issues its own commands there. It must be the first to write the view's depth. Later passes draw the
+        same objects again, and so does the right eye if the left one's were found by the frustum around both.
         """
         view = view or self.view
         seen = self._seen.get(view) or self._shared_record(view)

@@ -1,13 +1,13 @@
-"""The objects that a view has found hidden for some frames: their vertex simulations are paused, and terrain keeps its
-triangles.
+"""The objects that a view has found hidden for some frames: their vertex simulations are paused, and terrain
+keeps its triangles.
 
-An algorithm whose draws the CPU chooses knows in each frame what it hides, and a paused simulation is brought to the
-frame's time right before its draw. With one that leaves the choice to the device, by lists or on conditions, the CPU
-learns it later: results are read without waiting, as soon as they are there. So an object that shows again is late by
-as many frames as the results are, and is drawn meanwhile as it was when it was paused. As algorithms test boxes, which
-mostly show before what is inside, that is rarely visible; and where the eye jumps, everything counts as visible. The
-motion of whole nodes is never paused here: the device tests an object's box where it stands, and it would never come
-out from behind a wall.
+An algorithm whose draws the CPU chooses knows in each frame what it hides, and a paused simulation is brought
+to the frame's time right before its draw. With one that leaves the choice to the device, by lists or on
+conditions, the CPU learns it later: results are read without waiting, as soon as they are there. So an object
+that shows again is late by as many frames as the results are, and is drawn meanwhile as it was when it was
+paused. As algorithms test boxes, which mostly show before what is inside, that is rarely visible; and where
+the eye jumps, everything counts as visible. The motion of whole nodes is never paused here: the device tests
+an object's box where it stands, and it would never come out from behind a wall.
 """
 
 from __future__ import annotations
@@ -27,14 +27,16 @@ from rhi import Readback
 PATIENCE: Final = 8
 """The number of frames in a row in which something is hidden before its simulation is paused."""
 _JUMP: Final = 0.1
-"""The eye jumps if between two frames it turns by this angle, or moves by this share of an object's distance."""
+"""The eye jumps if between two frames it turns by this angle, or moves by this share of an object's
+distance."""
 
 
 class HiddenObjects:
     """Counts for how many frames each object has been hidden.
 
     Attributes:
-        paused: (n,) bool, whether each object of the scene has been hidden so long that its simulation is paused.
+        paused: (n,) bool, whether each object of the scene has been hidden so long that its simulation is
+            paused.
     """
 
     def __init__(self, scene: Scene, deformed: Indices) -> None:
@@ -79,7 +81,9 @@ class HiddenObjects:
         """Count a frame that drew the objects `drawn`; the `conditional` ones among them were hidden
         before."""
         assert self._camera is not None
-        fields = select_in_view(self._scene, self._camera, self._fields) if len(self._fields) else self._fields
+        fields = (
+            select_in_view(self._scene, self._camera, self._fields) if len(self._fields) else self._fields
+        )
         self._count(np.isin(self._object_indices, np.union1d(conditional, np.setdiff1d(fields, drawn))))
 
     def request_marks(self, read: Callable[[int, int], Readback]) -> None:

@@ -1,4 +1,5 @@
-"""The protocol of layers: what is drawn over a frame that a technique has finished, such as a debug overlay."""
+"""The protocol of layers: what is drawn over a frame that a technique has finished, such as a debug
+overlay."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Lights on a device, of all kinds with a position, with positions relative to each eye of a frame.
 
-One eye is given relative positions by the CPU, whenever it has moved. For two eyes positions are uploaded once, as
-pairs of floats, and only when lights change; a kernel subtracts both eyes' from them, which it takes from the constants
-of their views, and shaders of light read what it has written. For one eye a kernel would save an upload, but llvmpipe
-waits with it for the frame before, so the CPU could no longer record a frame while the last one is drawn. A device
-without kernels is given relative positions for both.
+One eye is given relative positions by the CPU, whenever it has moved. For two eyes positions are uploaded
+once, as pairs of floats, and only when lights change; a kernel subtracts both eyes' from them, which it takes
+from the constants of their views, and shaders of light read what it has written. For one eye a kernel would
+save an upload, but llvmpipe waits with it for the frame before, so the CPU could no longer record a frame
+while the last one is drawn. A device without kernels is given relative positions for both.
 """
 
 from __future__ import annotations
@@ -121,7 +121,8 @@ class _KindBuffers:
 
 
 class LocalLightBuffers:
-    """The lights of a scene that have a position, on a device; `radii` has those of sources, if there are any."""
+    """The lights of a scene that have a position, on a device; `radii` has those of sources, if there are
+    any."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -144,7 +145,9 @@ class LocalLightBuffers:
         """Return the lights relative to an eye, by the names of their kinds."""
         return {buffers.kind.name: buffers.by_eye[eye] for buffers in self._kinds}
 
-    def update(self, lights: Lights, reaching: Sequence[bool], eyes: Sequence[Floats], views: Views = ()) -> None:
+    def update(
+        self, lights: Lights, reaching: Sequence[bool], eyes: Sequence[Floats], views: Views = ()
+    ) -> None:
         """Make the lights relative to the positions (3,) of `eyes`.
 
         Args:

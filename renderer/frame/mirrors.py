@@ -29,8 +29,8 @@ S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
 _GAP: Final = 128
-"""Rows to upload that are at most this many bytes apart are uploaded together with those between them: a write takes as
-long as copying 16 KB (llvmpipe, PoCL), but where bytes cross a bus they are scarcer."""
+"""Rows to upload that are at most this many bytes apart are uploaded together with those between them: a
+write takes as long as copying 16 KB (llvmpipe, PoCL), but where bytes cross a bus they are scarcer."""
 
 
 class MirroredArray(Generic[T]):
@@ -49,8 +49,8 @@ class MirroredArray(Generic[T]):
     def write(self, array: NDArray[Any], indices: NDArray[np.int64] | None = None) -> None:
         """Make the buffer equal `array`, whose dtype has the element's std430 layout, names aside.
 
-        The rows that differ are uploaded, near ones together. Only the rows `indices` (k,), ascending, are compared:
-        the others must be unchanged.
+        The rows that differ are uploaded, near ones together. Only the rows `indices` (k,), ascending, are
+        compared: the others must be unchanged.
         """
         if not len(array):
             self.destroy()
@@ -117,7 +117,9 @@ class MirroredTable:
             self.texture = None
 
 
-def join_runs(begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0) -> list[tuple[int, int]]:
+def join_runs(
+    begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0
+) -> list[tuple[int, int]]:
     """Join ascending ranges that are at most `gap` apart, and return the begin and end of each run.
     `begins` is (k,); `sizes` is (k,) or one size."""
     if not len(begins):

@@ -1,15 +1,17 @@
 """The plan of a frame: which passes run, in which order, and which textures they draw to.
 
-A technique declares its passes with the *resources* that each of them reads and writes. Resources have names, such as
-`depth`, and every name is written by one pass. A pass that draws over a resource gives the result a new name, so what a
-name means never depends on an order. From this `make_plan` finds everything else:
+A technique declares its passes with the *resources* that each of them reads and writes. Resources have names,
+such as `depth`, and every name is written by one pass. A pass that draws over a resource gives the result a
+new name, so what a name means never depends on an order. From this `make_plan` finds everything else:
 
 - **order**: resources are written before they are read, and read before they are drawn over. Passes that
-  don't depend on each other keep the order of their declaration. A circle is refused by the names of its passes.
-- **what runs**: the frame's outputs are needed as the last pass that draws over them leaves them, and so is what a
-  needed pass reads. A pass with side effects is needed, and so are its inputs. Resources that a needed pass reads from
-  the last frame are needed, too. The rest is dropped.
-- **memory**: resources of the same format, size and samples share a texture unless both are needed at the same time.
+  don't depend on each other keep the order of their declaration. A circle is refused by the names of its
+  passes.
+- **what runs**: the frame's outputs are needed as the last pass that draws over them leaves them, and so is
+  what a needed pass reads. A pass with side effects is needed, and so are its inputs. Resources that a needed
+  pass reads from the last frame are needed, too. The rest is dropped.
+- **memory**: resources of the same format, size and samples share a texture unless both are needed at the
+  same time.
 
 A plan depends on the declaration only. It knows no device, and is kept until the declaration changes.
 """
@@ -58,10 +60,12 @@ class FramePass(Generic[F]):
         run: issues the commands.
         reason: why the pass is in the frame, such as the effect that calls for it; part of a sentence.
         reads: names of resources that are read.
-        writes: resources that are written from scratch; a name alone is for those in a buffer that a technique keeps.
+        writes: resources that are written from scratch; a name alone is for those in a buffer that a
+            technique keeps.
         changes: names of resources that are drawn over, each with the name of the result.
         reads_previous: names of resources that are read as the last frame left them.
-        has_side_effects: whether something besides the resources depends on the pass, so that it is never dropped.
+        has_side_effects: whether something besides the resources depends on the pass, so that it is never
+            dropped.
     """
 
     name: str
@@ -173,7 +177,9 @@ class _PassGraph(Generic[F]):
         for number, frame_pass in enumerate(passes):
             for name in resource_names(frame_pass.writes):
                 self._add_writer(name, number)
-            self._targets.update((target.name, target) for target in frame_pass.writes if isinstance(target, Target))
+            self._targets.update(
+                (target.name, target) for target in frame_pass.writes if isinstance(target, Target)
+            )
             for old, new in frame_pass.changes.items():
                 self._add_writer(new, number)
                 if old in self._results:
@@ -282,7 +288,9 @@ class _PassGraph(Generic[F]):
             else:
                 textures.append((kind, is_kept, names[root]))
                 ends.append(end)
-        return tuple(SharedTexture(*kind, tuple(held_names), is_kept) for kind, is_kept, held_names in textures)
+        return tuple(
+            SharedTexture(*kind, tuple(held_names), is_kept) for kind, is_kept, held_names in textures
+        )
 
     def _last_version(self, name: str) -> str:
         """Name of the last version of the resource `name`."""

@@ -1,13 +1,15 @@
 """The buffers of a scene on a device. They are written only where they differ from what the device holds.
 
 - All meshes are one mesh, all images are layers of a few arrays (`images`), and per-object data is one
-  element each. So a whole scene can be one `draw_many`, in which an object's index is the base instance of its draw.
+  element each. So a whole scene can be one `draw_many`, in which an object's index is the base instance of
+  its draw.
 - An object is an element of two arrays: `object_positions` (32 bytes) has its position and mesh, `objects`
-  (112 bytes) all else. Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye
-  changes one constant.
-- Vertices of what is simulated are uploaded, or computed on the device where they lie (`DeviceVertexSimulation`).
-- Objects that can't move aren't examined again, and simulated ones only before they are drawn. So a frame costs the
-  CPU the same however many there are of them that aren't drawn.
+  (112 bytes) all else. Positions are pairs of floats, from which shaders subtract the eye's position: a moved
+  eye changes one constant.
+- Vertices of what is simulated are uploaded, or computed on the device where they lie
+  (`DeviceVertexSimulation`).
+- Objects that can't move aren't examined again, and simulated ones only before they are drawn. So a frame
+  costs the CPU the same however many there are of them that aren't drawn.
 """
 
 from __future__ import annotations
@@ -67,9 +69,9 @@ DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
     (FrontFace.COUNTER_CLOCKWISE, CullMode.NONE),
     (FrontFace.CLOCKWISE, CullMode.NONE),
 )
-"""The states by which the groups of objects of one shader are drawn, beside those of a pass, which culls backs. A
-transform that mirrors objects reverses the winding of their triangles, and of materials with two sides no faces are
-culled."""
+"""The states by which the groups of objects of one shader are drawn, beside those of a pass, which culls
+backs. A transform that mirrors objects reverses the winding of their triangles, and of materials with two
+sides no faces are culled."""
 
 
 def draw_group_states(group: int) -> tuple[State, ...]:
@@ -86,9 +88,11 @@ class SceneResources:
 
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
-        mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
-        group: (n,) the number of each object's group: objects of one group are drawn with the same program and states.
-            It is the index of the states in `DRAW_GROUPS`, and 4 for each shader before that of the object's material.
+        mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its
+            triangles.
+        group: (n,) the number of each object's group: objects of one group are drawn with the same program
+            and states. It is the index of the states in `DRAW_GROUPS`, and 4 for each shader before that of
+            the object's material.
         groups: the numbers of the groups that have objects, ascending.
         parameters: of each of the scene's shaders of materials, the values that it has for each material.
         tessellated_indices: the indices of the height fields, ascending. The device chooses their triangles;
@@ -99,7 +103,8 @@ class SceneResources:
         light_cutoff: the irradiance at which local lights end; 0 for none (`Lights.cut`).
         images: the scene's images; None if no material reads any.
         objects, object_positions, materials, directional, light_list: the arrays that shaders read.
-        local_lights: those of the lights of each kind with a position, by its name; empty if none reaches an object.
+        local_lights: those of the lights of each kind with a position, by its name; empty if none reaches an
+            object.
         source_radii: the radii of lights, a channel for each kind.
         ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
@@ -126,7 +131,9 @@ class SceneResources:
         self.simulator: Simulator = scene.make_simulator()
         self.hidden = HiddenObjects(scene, self.simulator.deformed)
         self.resume: Callable[[NDArray[np.int64]], None] = lambda _: None
-        self._vertex_states = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
+        self._vertex_states = np.zeros(
+            len(scene.objects)
+        )  # by object, the state of the vertices on the device
         self._device = device
         self._material_version = -1  # that of the materials on the device
         self.light_cutoff = 0.0
@@ -137,7 +144,9 @@ class SceneResources:
             for simulated in scene.simulated
             if isinstance(simulated.simulation, DeviceVertexSimulation)
         ]
-        self._is_computed: NDArray[np.bool_] | None = None  # by object, whether the device computes its vertices
+        self._is_computed: NDArray[np.bool_] | None = (
+            None  # by object, whether the device computes its vertices
+        )
         self._computing: dict[Simulator, list[DeviceVertexSimulation]] = {}  # what holds memory on the device
         if computed and device.capabilities.compute:
             self._is_computed = np.zeros(len(objects), bool)
@@ -166,7 +175,9 @@ class SceneResources:
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light list, as it is on the device
         self._fixed_lists: tuple[NDArray[Any], ...] = ()  # those of the objects with fixed bounds
-        self._reaching = (False,) * len(LOCAL_LIGHT_KINDS)  # for each kind, whether any of its lights is on a list
+        self._reaching = (False,) * len(
+            LOCAL_LIGHT_KINDS
+        )  # for each kind, whether any of its lights is on a list
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._object_positions: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
@@ -219,11 +230,17 @@ class SceneResources:
         own = np.isin(object_indices, self.tessellated_indices)
         if not own.any():
             return self.scene.count_triangles(object_indices)
-        counts = self.tessellated_draws.read()["count"][np.searchsorted(self.tessellated_indices, object_indices[own])]
+        counts = self.tessellated_draws.read()["count"][
+            np.searchsorted(self.tessellated_indices, object_indices[own])
+        ]
         return self.scene.count_triangles(object_indices[~own]) + int(counts.sum()) // 3
 
     def draw_objects(
-        self, device: Device, program: Program[...], bindings: dict[str, Any], object_indices: NDArray[np.int64]
+        self,
+        device: Device,
+        program: Program[...],
+        bindings: dict[str, Any],
+        object_indices: NDArray[np.int64],
     ) -> None:
         """Draw objects in one call, plus one for each height field."""
         if len(self.tessellated_indices):
@@ -276,7 +293,11 @@ class SceneResources:
         return SceneArrays(view, objects, object_positions, self.mesh_parts)
 
     def simulate(
-        self, object_indices: NDArray[np.int64], *, is_drawn: bool = True, leave: Callable[[], None] | None = None
+        self,
+        object_indices: NDArray[np.int64],
+        *,
+        is_drawn: bool = True,
+        leave: Callable[[], None] | None = None,
     ) -> None:
         """Advance the simulated objects among `object_indices` to the frame's time, before they are drawn.
 
@@ -315,7 +336,9 @@ class SceneResources:
             self._note_computing(deformed.simulation)
             stride = self.scene.meshes.vertices.itemsize // 4
             with self._device.event(SIMULATION_EVENT):
-                deformed.simulation.deform(self._device, deformed.members[changed], self._vertex_floats, begins, stride)
+                deformed.simulation.deform(
+                    self._device, deformed.members[changed], self._vertex_floats, begins, stride
+                )
             self._vertex_states[deformed.object_indices] = deformed.states
             return
         order = np.argsort(begins)
@@ -363,7 +386,9 @@ class SceneResources:
     ) -> None:
         """Simulate the objects among `object_indices` that `camera` may see, and all shown ones among
         `others`, in one call: steps then don't depend on what was drawn."""
-        object_indices = self.select_in_view(camera, object_indices) if len(object_indices) else object_indices
+        object_indices = (
+            self.select_in_view(camera, object_indices) if len(object_indices) else object_indices
+        )
         if others is not None:
             object_indices = np.union1d(object_indices, self.scene.objects.select_shown(others))
         if len(object_indices):
@@ -443,7 +468,10 @@ class SceneResources:
         """Update which objects are shown, transparent and two-sided, and their shaders, meshes and
         materials; return whether any changed."""
         scene, objects = self.scene, self.scene.objects
-        object_indices, two_sided = scene.list_transparent(), scene.materials["double_sided"][objects.material] != 0
+        object_indices, two_sided = (
+            scene.list_transparent(),
+            scene.materials["double_sided"][objects.material] != 0,
+        )
         shader = scene.materials["shader"][objects.material]
         has_others = not np.array_equal(objects.mesh, self._object_positions["mesh"])
         if has_others:
@@ -478,7 +506,9 @@ class SceneResources:
 
     def _group_all(self) -> None:
         """Divide the objects into groups."""
-        self.group = self.mirrored + 2 * self._has_two_sides.astype(np.int32) + len(DRAW_GROUPS) * self._shader
+        self.group = (
+            self.mirrored + 2 * self._has_two_sides.astype(np.int32) + len(DRAW_GROUPS) * self._shader
+        )
         self.groups = tuple(np.unique(self.group).tolist())
 
     def _transform(self, object_indices: NDArray[np.int64]) -> None:
@@ -523,7 +553,9 @@ class SceneResources:
         self._lit = state
         order = np.concatenate([fixed, object_indices])
         ends, listed = self._fixed_lists
-        more, following = list_lights(objects.lower[object_indices], objects.upper[object_indices], positions, ranges)
+        more, following = list_lights(
+            objects.lower[object_indices], objects.upper[object_indices], positions, ranges
+        )
         ends, listed = np.concatenate([ends, ends[-1] + more[1:]]), np.concatenate([listed, following])
         self._rows["lights_begin"][order] = ends[:-1]
         for field, light_end in zip(BOUND_FIELDS[1:-1], light_ends, strict=False):

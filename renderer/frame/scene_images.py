@@ -1,13 +1,13 @@
 """The images of a scene on a device: arrays of textures, one for each size and kind of image.
 
-A shader reads all images of a scene in one draw, so images are layers of arrays, whose layers have one size. An image
-becomes a layer of the array of its size; colours (sRGB) and data (linear) have arrays of their own. So they take the
-memory of their texels and mip levels, and no more.
+A shader reads all images of a scene in one draw, so images are layers of arrays, whose layers have one size.
+An image becomes a layer of the array of its size; colours (sRGB) and data (linear) have arrays of their own.
+So they take the memory of their texels and mip levels, and no more.
 
-A shader binds each array once for each sampler that reads it, at most `MAX_ARRAYS` in all. If a scene has more sizes,
-arrays are joined, those first that cost the fewest bytes; the smaller images are stretched, so that texture coordinates
-hold. If that would take more than `MAX_MEMORY_RATIO` times the memory of the images, the layers of joined arrays are
-made smaller instead, and their largest images lose detail.
+A shader binds each array once for each sampler that reads it, at most `MAX_ARRAYS` in all. If a scene has
+more sizes, arrays are joined, those first that cost the fewest bytes; the smaller images are stretched, so
+that texture coordinates hold. If that would take more than `MAX_MEMORY_RATIO` times the memory of the images,
+the layers of joined arrays are made smaller instead, and their largest images lose detail.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class TextureSettings:
         mip: whether mip levels are mixed, or the nearest is read; None for the largest level alone.
         anisotropy: the most samples along a pixel's longer side, where the device has that: at most its
             `capabilities.max_anisotropy`.
-        mip_bias: what is added to the mip level, −16 to 16: a pixel is taken to cover 2^bias times as many texels in
-            each direction. Below 0 textures are sharper, and flicker.
+        mip_bias: what is added to the mip level, −16 to 16: a pixel is taken to cover 2^bias times as many
+            texels in each direction. Below 0 textures are sharper, and flicker.
     """
 
     filter: Filter = Filter.LINEAR
@@ -70,7 +70,9 @@ class TextureSettings:
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_TEXTURES)
         if not 1.0 <= self.anisotropy < inf:
-            refuse(rules.BAD_TEXTURES, "TextureSettings(anisotropy=...)", self.anisotropy, "1 or more, finite")
+            refuse(
+                rules.BAD_TEXTURES, "TextureSettings(anisotropy=...)", self.anisotropy, "1 or more, finite"
+            )
         if not -_MAX_BIAS <= self.mip_bias <= _MAX_BIAS:
             allowed = f"{-_MAX_BIAS:g} to {_MAX_BIAS:g}"
             refuse(rules.BAD_TEXTURES, "TextureSettings(mip_bias=...)", self.mip_bias, allowed)
@@ -124,7 +126,8 @@ def plan_arrays(
 
     Args:
         uses: image, whether it holds colours, and sampler, of each texture.
-        most: the most pairs of an array and a sampler. There must not be more samplers of colours and data than that.
+        most: the most pairs of an array and a sampler. There must not be more samplers of colours and data
+            than that.
     """
     groups: dict[tuple[Size, bool], tuple[dict[int, None], set[int]]] = {}
     for image, is_color, sampler in uses:
@@ -143,7 +146,9 @@ def plan_arrays(
             for j, other in enumerate(arrays[:i])
             if first.is_color == other.is_color
         ]
-        joined, i, j = min(pairs, key=lambda pair: pair[0].bytes - arrays[pair[1]].bytes - arrays[pair[2]].bytes)
+        joined, i, j = min(
+            pairs, key=lambda pair: pair[0].bytes - arrays[pair[1]].bytes - arrays[pair[2]].bytes
+        )
         arrays[j] = joined
         del arrays[i]
     return _shrink(arrays, sizes, limit)
@@ -171,10 +176,11 @@ class SceneImages:
 
     Attributes:
         textures: the arrays. arrays: what a shader binds: each array with a sampler. samplers: those.
-        colors, data: the arrays of colours, which come first, and of data. A texture's row of the table has its place
+        colors, data: the arrays of colours, which come first, and of data. A texture's row of the table has
+            its place
             among those of its kind: a shader compares it with no others.
-        table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is its layer,
-            and texture coordinates are read as they are.
+        table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is
+            its layer, and texture coordinates are read as they are.
         gradient_scale: the factor of texture gradients, 2^`mip_bias`.
         bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
     """
@@ -185,17 +191,21 @@ class SceneImages:
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())
         uses = [
-            (int(row["image"]), bool(row["is_color"]), sampler) for row, sampler in zip(textures, samplers, strict=True)
+            (int(row["image"]), bool(row["is_color"]), sampler)
+            for row, sampler in zip(textures, samplers, strict=True)
         ]
         planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
         self.bytes = sum(array.bytes for array in planned)
         self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
         self.textures = tuple(_make_array(device, scene, array) for array in planned)
-        bound = [(array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)]
+        bound = [
+            (array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)
+        ]
         most = device.capabilities.max_anisotropy
         self.samplers = tuple(settings.adjust(scene.samplers[sampler], most) for _, sampler in bound)
         self.arrays = tuple(
-            self.textures[array].sampled(sampler) for (array, _), sampler in zip(bound, self.samplers, strict=True)
+            self.textures[array].sampled(sampler)
+            for (array, _), sampler in zip(bound, self.samplers, strict=True)
         )
         color_count = sum(planned[array].is_color for array, _ in bound)
         self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]

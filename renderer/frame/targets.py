@@ -20,8 +20,8 @@ DEPTH_FORMAT: Final = Format.D32F
 class Targets:
     """The textures that the passes of a frame draw to, by the names of the plan's resources.
 
-    A frame with another plan keeps the textures that it can use, and destroys the others. The texture of the image is
-    created at once, so that a size that the device can't have is refused when it is set.
+    A frame with another plan keeps the textures that it can use, and destroys the others. The texture of the
+    image is created at once, so that a size that the device can't have is refused when it is set.
 
     Attributes:
         output_image: the image at the size that is shown, if passes draw to a smaller or a larger one.
@@ -46,12 +46,16 @@ class Targets:
     def resize(self, output_size: tuple[int, int], scale: float = 1.0) -> None:
         """Create new textures, if needed, for output images of `output_size` that are drawn at `scale`."""
         size = fit_size(output_size, scale)
-        if size == self._size and output_size == (size if self.output_image is None else self.output_image.size):
+        if size == self._size and output_size == (
+            size if self.output_image is None else self.output_image.size
+        ):
             return
         with ExitStack() as stack:
             image = stack.enter_context(self._device.texture(size, IMAGE_FORMAT, label="image"))
             output_image = (
-                None if size == output_size else self._device.texture(output_size, IMAGE_FORMAT, label="output image")
+                None
+                if size == output_size
+                else self._device.texture(output_size, IMAGE_FORMAT, label="output image")
             )
             stack.pop_all()
         self.destroy()
@@ -89,7 +93,11 @@ class Targets:
                 return
             self._plan = textures
         for name, other in self._others.items():
-            self._last[name], self._by_name[name], self._others[name] = self._by_name[name], other, self._by_name[name]
+            self._last[name], self._by_name[name], self._others[name] = (
+                self._by_name[name],
+                other,
+                self._by_name[name],
+            )
 
     def _replace(self, textures: Sequence[SharedTexture]) -> None:
         free = {kind: list(textures_of_kind) for kind, textures_of_kind in self._textures.items()}

@@ -19,9 +19,9 @@ from rhi import Device, UniformBuffer
 class View:
     """A camera, and the algorithm that finds the visible objects, with its state of the last frames.
 
-    The first pass of a view in a frame finds the visible objects, by a visibility algorithm that may issue commands of
-    its own. Each further pass draws the same objects again (`Frame.draw_visible`). So the objects of a view are found
-    once a frame, however many passes draw them.
+    The first pass of a view in a frame finds the visible objects, by a visibility algorithm that may issue
+    commands of its own. Each further pass draws the same objects again (`Frame.draw_visible`). So the objects
+    of a view are found once a frame, however many passes draw them.
 
     Attributes:
         name: what the view is called in plans and events.
@@ -68,7 +68,8 @@ class View:
         """Set the camera of the next frame; its constants are uploaded if they have changed.
 
         Args:
-            around: a camera that sees at least as much, with which objects are sought for several views at once.
+            around: a camera that sees at least as much, with which objects are sought for several views at
+                once.
         """
         self._camera = camera
         self.around = around or camera

@@ -1,8 +1,8 @@
 """The features of the surfaces that a view shows: what a shader reads of materials, and bright light.
 
-Each set of features has its own shaders, which take long to build. So a renderer begins with all that its scene has,
-and then nothing is built when the eye turns to what wasn't in view. When the view has shown fewer for a while, shaders
-for these alone take their place.
+Each set of features has its own shaders, which take long to build. So a renderer begins with all that its
+scene has, and then nothing is built when the eye turns to what wasn't in view. When the view has shown fewer
+for a while, shaders for these alone take their place.
 """
 
 from __future__ import annotations
@@ -91,5 +91,7 @@ class VisibleFeatures:
             and len(self._feature_sets) < _MAX_SETS
         ):
             self._feature_sets.append(seen)
-        self._shader_features = min((features for features in self._feature_sets if features >= seen), key=len)
+        self._shader_features = min(
+            (features for features in self._feature_sets if features >= seen), key=len
+        )
         return self._shader_features

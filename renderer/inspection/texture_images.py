@@ -1,8 +1,8 @@
 """Images of any texture of a frame, so that people can look at it.
 
 - Colours and light are shown unchanged; light beyond 1 is tone-mapped like the frame.
-- One or two channels of numbers are grey: the smallest of the texture is black, the greatest white. If the greatest is
-  more than 100 times the smallest above 0, the scale is logarithmic.
+- One or two channels of numbers are grey: the smallest of the texture is black, the greatest white. If the
+  greatest is more than 100 times the smallest above 0, the scale is logarithmic.
 - Normals are decoded and shown as `render --show normals` does.
 - Integers have false colours: equal numbers have the same one.
 

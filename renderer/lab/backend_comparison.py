@@ -17,9 +17,14 @@ COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(), "ratio_to_gl": rati
 
 
 def compare_backends(
-    scene: Scene, camera: Camera, backends: Sequence[str], passes: Sequence[str], size: tuple[int, int],
-    rounds: Callable[[str], Iterable[int]], devices: dict[str, str],
-) -> Iterator[Record]:  # fmt: skip
+    scene: Scene,
+    camera: Camera,
+    backends: Sequence[str],
+    passes: Sequence[str],
+    size: tuple[int, int],
+    rounds: Callable[[str], Iterable[int]],
+    devices: dict[str, str],
+) -> Iterator[Record]:
     """Yield a row for each pass on each backend. Within a pass the backends take turns.
 
     Args:
@@ -29,8 +34,8 @@ def compare_backends(
         devices: filled with the name of each backend's device.
 
     Raises:
-        ValidationError: `measure-no-images` for a textured pass of a scene without images, `measure-no-rendering`
-            for a backend that doesn't draw.
+        ValidationError: `measure-no-images` for a textured pass of a scene without images,
+            `measure-no-rendering` for a backend that doesn't draw.
     """
     call = "compare_backends"
     if "textured" in passes and not scene.images:
@@ -46,7 +51,11 @@ def compare_backends(
             devices[backend] = device.capabilities.device
         for name in passes:
             subjects = [
-                Subject({"pass": name, "backend": backend}, backend_passes.work(name), device=backend_passes.device)
+                Subject(
+                    {"pass": name, "backend": backend},
+                    backend_passes.work(name),
+                    device=backend_passes.device,
+                )
                 for backend, backend_passes in passes_by_backend.items()
             ]
             yield from compare(subjects, COLUMNS, rounds(name), warm_ups=2)

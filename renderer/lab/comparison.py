@@ -1,8 +1,8 @@
 """Comparisons: subjects take turns in one process, and become rows of times and counts.
 
-A comparison is a table of subjects and a table of columns. A subject says how it is run; a column says how the
-measurements of all rounds become a cell. A new comparison needs neither a clock nor a median. `renderer.cli.comparison`
-makes tables, charts and JSON of the rows.
+A comparison is a table of subjects and a table of columns. A subject says how it is run; a column says how
+the measurements of all rounds become a cell. A new comparison needs neither a clock nor a median.
+`renderer.cli.comparison` makes tables, charts and JSON of the rows.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Subject:
         run: does the work of a round, given its number, and waits for it.
         before: called before each run, outside the timed part.
         count: returns counters of the run that was just timed, by name.
-        device: where it runs; its row then has a cell `kernels`, after those of the columns, and a device that records
-            commands forgets them before each run. `Frames` say it.
+        device: where it runs; its row then has a cell `kernels`, after those of the columns, and a device
+            that records commands forgets them before each run. `Frames` say it.
         summarize: returns the last cells of its row, once all rounds are over.
     """
 
@@ -66,7 +66,9 @@ Column = Callable[[Result, str], object]
 
 def time(scale: float = 1e3, digits: int = 3, *, processor: bool = False) -> Column:
     """A column of the median time: milliseconds, or seconds times another `scale`."""
-    return lambda result, _: round(scale * (result.time.processor_median if processor else result.time.median), digits)
+    return lambda result, _: round(
+        scale * (result.time.processor_median if processor else result.time.median), digits
+    )
 
 
 def rate(amount: float, *, processor: bool = False) -> Column:
@@ -107,7 +109,9 @@ def median_of(scale: float = 1.0, digits: int = 3) -> Column:
 def count_ratio(counted: str, digits: int = 3) -> Column:
     """A column of the median ratio of a count to the base's count in the same round, for times that subjects
     measure with clocks of their own."""
-    return lambda result, _: round(median(map(truediv, result.counts[counted], result.base_counts[counted])), digits)
+    return lambda result, _: round(
+        median(map(truediv, result.counts[counted], result.base_counts[counted])), digits
+    )
 
 
 def max_size(result: Result, name: str) -> Any:
@@ -151,17 +155,21 @@ def describe_kernels(quick_rounds: Sequence[bool | None]) -> str | None:
 
 
 def compare(
-    subjects: Sequence[Subject], columns: Mapping[str, Column], rounds: Iterable[int], *, warm_ups: int = 1,
+    subjects: Sequence[Subject],
+    columns: Mapping[str, Column],
+    rounds: Iterable[int],
+    *,
+    warm_ups: int = 1,
     group_by: Sequence[str] = (),
-) -> list[Record]:  # fmt: skip
+) -> list[Record]:
     """Time subjects in turn, and return a row for each: its labels, the columns' cells, the `kernels` that
     ran if it has a device, and its summary.
 
     Each round starts with the next subject.
 
     Args:
-        rounds: the rounds' numbers, at least one. A generator's code before a `yield` runs untimed before
-            the subjects' round (frames that aren't counted, the image that others are compared with), its code
+        rounds: the rounds' numbers, at least one. A generator's code before a `yield` runs untimed before the
+            subjects' round (frames that aren't counted, the image that others are compared with), its code
             after the `yield` when all are done (comparing their images).
         warm_ups: how often all subjects are run beforehand, untimed, with the number 0.
         group_by: names of labels; ratios are to the first subject with the same values of these.
@@ -186,7 +194,9 @@ def compare(
         ran[name].append(None if done is None else done > (quick[name] or 0))
         counted[name].append(named[name].count())
 
-    times = alternate({name: subject.run for name, subject in named.items()}, rounds, warm_ups, prepare, count)
+    times = alternate(
+        {name: subject.run for name, subject in named.items()}, rounds, warm_ups, prepare, count
+    )
     counts = {
         name: {key: [round_counts[key] for round_counts in rounds_of] for key in rounds_of[0]}
         for name, rounds_of in counted.items()
@@ -215,7 +225,8 @@ class Frames:
         """A camera without a path is frame 0."""
         self.renderer = renderer
         self.path_frames = [
-            path_frame if isinstance(path_frame, PathFrame) else PathFrame(0, path_frame) for path_frame in path_frames
+            path_frame if isinstance(path_frame, PathFrame) else PathFrame(0, path_frame)
+            for path_frame in path_frames
         ]
 
     def __call__(self, number: int) -> None:

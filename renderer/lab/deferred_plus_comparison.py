@@ -1,11 +1,11 @@
 """Deferred+ compared with clustered forward shading, with and without culling (Deferred+, Tables 1.1 to 1.4).
 
-All techniques draw the same frames of a walk in turn, each with an algorithm of its own that knows its last frame. The
-walk is drawn twice: first for the times of whole frames, then for those of their steps, between timestamps, for the
-numbers of objects, and for images that are compared with those of frustum culling.
+All techniques draw the same frames of a walk in turn, each with an algorithm of its own that knows its last
+frame. The walk is drawn twice: first for the times of whole frames, then for those of their steps, between
+timestamps, for the numbers of objects, and for images that are compared with those of frustum culling.
 
-Processor time is that of all threads, which other programs disturb less than the clock; of a device that isn't the
-processor it says nothing.
+Processor time is that of all threads, which other programs disturb less than the clock; of a device that
+isn't the processor it says nothing.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ _WARM_UP_FRAMES: Final = 4
 
 
 TIMES: Final[dict[str, Column]] = {
-    "milliseconds": time(), "processor_milliseconds": time(processor=True),
-}  # fmt: skip
+    "milliseconds": time(),
+    "processor_milliseconds": time(processor=True),
+}
 
 
 def median_step_times(result: Result, name: str) -> dict[str, float]:
@@ -67,17 +68,21 @@ def median_step_times(result: Result, name: str) -> dict[str, float]:
 
 
 def compare_deferred_plus(
-    device: Device, scene: Scene, cameras: Sequence[Camera], size: tuple[int, int], *,
+    device: Device,
+    scene: Scene,
+    cameras: Sequence[Camera],
+    size: tuple[int, int],
+    *,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Draw a walk with all techniques, with and without culling.
 
-    Returns `rows` with, for each technique with two-pass culling and with frustum culling only, median times of frames;
-    `steps`, the median milliseconds of each pass between timestamps, empty on a device without them; and
-    `wrong_pixels`: in all frames, those that are not as without culling. And `culling`, means of the walk:
-    `instances` are the objects in the view's frustum; `first` those that the first pass draws, `second` those that only
-    the second one finds, and `visible` both; `culled` is the percentage of the instances that neither draws, `missed`
-    the one that the second pass adds; `steps` as those of rows.
+    Returns `rows` with, for each technique with two-pass culling and with frustum culling only, median times
+    of frames; `steps`, the median milliseconds of each pass between timestamps, empty on a device without
+    them; and `wrong_pixels`: in all frames, those that are not as without culling. And `culling`, means of
+    the walk: `instances` are the objects in the view's frustum; `first` those that the first pass draws,
+    `second` those that only the second one finds, and `visible` both; `culled` is the percentage of the
+    instances that neither draws, `missed` the one that the second pass adds; `steps` as those of rows.
 
     Args:
         progress: wraps the numbers of cameras, and may show how many are done.
@@ -91,7 +96,10 @@ def compare_deferred_plus(
                 renderer = Renderer(device, scene, technique=make(), visibility=algorithm, size=size)
                 drawn.append(_TechniqueVariant(name, opened.enter_context(renderer), cameras))
         rows = compare(
-            [variant.timed for variant in drawn], TIMES, progress(range(len(cameras))), warm_ups=_WARM_UP_FRAMES
+            [variant.timed for variant in drawn],
+            TIMES,
+            progress(range(len(cameras))),
+            warm_ups=_WARM_UP_FRAMES,
         )
         first_culling, frustum = drawn[0].renderer.visibility, FrustumCulling(scene)
         assert isinstance(first_culling, TwoPassCulling)
@@ -103,7 +111,10 @@ def compare_deferred_plus(
                 for culled, other in zip(drawn[::2], drawn[1::2], strict=True):
                     culled.wrong_pixels += int(np.count_nonzero((culled.image != other.image).any(2)))
                 in_view = list_visible_objects(frustum, cameras[number].with_aspect(size[0] / size[1]))
-                likely, missed = first_culling.first.read_object_indices(), first_culling.second.read_object_indices()
+                likely, missed = (
+                    first_culling.first.read_object_indices(),
+                    first_culling.second.read_object_indices(),
+                )
                 counts.append((len(in_view), len(likely), len(missed)))
 
         before, device.timing = device.timing, device.capabilities.timestamps
@@ -148,7 +159,11 @@ class _TechniqueVariant:
         device = self.renderer.device
         self.image = self._draw.result.image.read()
         nodes = device.timers if device.timing else []
-        parts = [part for node in nodes for part in node.children if self._is_culled and part.name in CULLING_STEPS]
+        parts = [
+            part for node in nodes for part in node.children if self._is_culled and part.name in CULLING_STEPS
+        ]
         steps = {part.name: part.gpu_milliseconds for part in parts}
-        steps |= {f"{part.name}: {step.name}": step.gpu_milliseconds for part in parts for step in part.children}
+        steps |= {
+            f"{part.name}: {step.name}": step.gpu_milliseconds for part in parts for step in part.children
+        }
         return {"steps": {node.name: node.gpu_milliseconds for node in nodes}, "culling_steps": steps}

@@ -23,8 +23,8 @@ def compare_encodings(
     """Measure each encoding with `count` random values of the kind that it stores, and return a row for each.
 
     A row has the encoding's `name`, what it `stores`, its `bits` and the `unit` of errors; `mean_error` and
-    `max_error`, the larger ones of the devices'; and `nanoseconds` by backend: the median time to encode and decode a
-    value, all lanes and cores taken together.
+    `max_error`, the larger ones of the devices'; and `nanoseconds` by backend: the median time to encode and
+    decode a value, all lanes and cores taken together.
 
     Raises:
         ValidationError `measure-no-shaders`: a device runs no shaders.
@@ -37,7 +37,9 @@ def compare_encodings(
         subjects = []
         for encoding in encodings:
             values = encoding.sample(np.random.default_rng(0), count)
-            errors = encoding.measure(values, run_round_trip(device, encoding.shader, values, **encoding.uniforms))
+            errors = encoding.measure(
+                values, run_round_trip(device, encoding.shader, values, **encoding.uniforms)
+            )
             row = rows.setdefault(
                 encoding.name, {name: getattr(encoding, name) for name in ("name", "stores", "bits", "unit")}
             )
@@ -45,6 +47,8 @@ def compare_encodings(
             row["max_error"] = max(row.get("max_error", 0.0), float(errors.max()))
             work = time_round_trip(device, encoding.shader, values, **encoding.uniforms)
             subjects.append(Subject({"name": encoding.name}, work, device=device))
-        for timed_row in compare(subjects, {"time": time(1e9 / count / ROUND_TRIPS, 2)}, progress(range(rounds))):
+        for timed_row in compare(
+            subjects, {"time": time(1e9 / count / ROUND_TRIPS, 2)}, progress(range(rounds))
+        ):
             rows[timed_row["name"]].setdefault("nanoseconds", {})[device.backend_name] = timed_row["time"]
     return list(rows.values())

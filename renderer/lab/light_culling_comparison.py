@@ -1,11 +1,12 @@
 """Compares light culling tests: how exact their lists are, and what they cost (Thatcher 2014, tables 1 to 3).
 
-- The scene is drawn once, so that tiles end at their surfaces. Then every test makes the lists of the same frame, in
-  turn in one process.
-- Kept pairs of a cell and a light are compared with those that overlap, found in float64 on the CPU: from positions in
-  float64, and from the depths that the device has drawn. Of a spot light that is the sphere around its cone.
-- A test of cones or a depth mask drops pairs of which only these spheres overlap. Then what is missed are *lit* pairs:
-  those with a pixel of the cell whose surface the light reaches, found from the same depths.
+- The scene is drawn once, so that tiles end at their surfaces. Then every test makes the lists of the same
+  frame, in turn in one process.
+- Kept pairs of a cell and a light are compared with those that overlap, found in float64 on the CPU: from
+  positions in float64, and from the depths that the device has drawn. Of a spot light that is the sphere
+  around its cone.
+- A test of cones or a depth mask drops pairs of which only these spheres overlap. Then what is missed are
+  *lit* pairs: those with a pixel of the cell whose surface the light reaches, found from the same depths.
 - With the lists of each test the scene is drawn, too, as forward shading by cells does it.
 """
 
@@ -148,15 +149,15 @@ def compare_light_culling(
     """Return a row for each number of lights and each combination of tests: sphere tests, cone tests, with
     and without the depth mask and the pre-filter. The lights of the renderer's scene are exchanged meanwhile.
 
-    A row has the tests, as `CullingTests` names them, and the number of `lights`; `pairs` of a cell and a light that
-    were kept, `over_exact`: these divided by the number of those that overlap, and `missed`: those that overlap
-    and weren't kept, or with cones or a mask, lit ones; `tests_made` of lights against cells and blocks;
-    `collect_ms`, the median time from the upload of the lights until the lists are finished, and `draw_ms` that of
-    drawing the scene by them, where its depth was drawn before; and which `kernels` drew.
+    A row has the tests, as `CullingTests` names them, and the number of `lights`; `pairs` of a cell and a
+    light that were kept, `over_exact`: these divided by the number of those that overlap, and `missed`: those
+    that overlap and weren't kept, or with cones or a mask, lit ones; `tests_made` of lights against cells and
+    blocks; `collect_ms`, the median time from the upload of the lights until the lists are finished, and
+    `draw_ms` that of drawing the scene by them, where its depth was drawn before; and which `kernels` drew.
 
     Raises:
-        ValidationError `measure-too-few-lights`: the scene has fewer lights. `measure-no-rendering`: the device draws
-            nothing.
+        ValidationError `measure-too-few-lights`: the scene has fewer lights. `measure-no-rendering`: the
+            device draws nothing.
     """
     device = renderer.device
     if not device.capabilities.shading:
@@ -241,14 +242,18 @@ def _compare_tests(
         return {"draw_ms": technique.seconds}
 
     collecting = [Subject(rows_by_tests[tests], partial(collect, grid)) for tests, grid in grids.items()]
-    drawing = [Subject({}, draw, partial(exchange, tests), partial(count, tests), device) for tests in drawn.values()]
+    drawing = [
+        Subject({}, draw, partial(exchange, tests), partial(count, tests), device) for tests in drawn.values()
+    ]
     numbers = list(rounds)
     collected = compare(collecting, {"collect_ms": time()}, numbers)
     timed_rows = compare(drawing, {"draw_ms": median_of(1e3)}, numbers, warm_ups=3)
     return [row | times for row, times in zip(collected, timed_rows, strict=True)]
 
 
-def lit_cells(grid: ClusterGrid, camera: Camera, lights: Lights, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def lit_cells(
+    grid: ClusterGrid, camera: Camera, lights: Lights, depth: NDArray[np.float32]
+) -> NDArray[np.bool_]:
     """Compute in float64 which cells (c, l) have a pixel whose surface a light reaches, point lights first:
     within the range and, for a spot light, within the cone."""
     z = _surface_distances(grid, depth)
@@ -257,7 +262,9 @@ def lit_cells(grid: ClusterGrid, camera: Camera, lights: Lights, depth: NDArray[
     rays = compute_pixel_rays(camera, (depth.shape[1], depth.shape[0]))
     at = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1)
     width = rays.projection.y - rays.projection.w * z
-    across, along, start = (np.asarray(ray_array, np.float64) for ray_array in (rays.across, rays.along, rays.start))
+    across, along, start = (
+        np.asarray(ray_array, np.float64) for ray_array in (rays.across, rays.along, rays.start)
+    )
     positions = at @ across.T * width[:, None] + along * z[:, None] + start + camera.position
     layers = np.arange(grid.count.z + 1)[:, None]
     starts = evaluate(slice_start, grid, layers, dtype=np.float64).ravel()
@@ -276,7 +283,9 @@ def lit_cells(grid: ClusterGrid, camera: Camera, lights: Lights, depth: NDArray[
     return is_lit
 
 
-def overlapping_cells(grid: ClusterGrid, volumes: LightVolumes, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def overlapping_cells(
+    grid: ClusterGrid, volumes: LightVolumes, depth: NDArray[np.float32]
+) -> NDArray[np.bool_]:
     """Compute in float64 which cells (c, l) the spheres of lights overlap, point lights first.
 
     Cells end at the surfaces of their tile, as `depth` (h, w) has them.
@@ -293,8 +302,12 @@ def overlapping_cells(grid: ClusterGrid, volumes: LightVolumes, depth: NDArray[n
     overlaps = np.zeros((len(near), len(spheres)), bool)
     for first in range(0, len(spheres), _LIGHT_BATCH):
         batch = spheres[None, first : first + _LIGHT_BATCH]
-        row, light = np.nonzero(evaluate(overlaps_planes, cells, batch[..., :3], batch[..., 3], dtype=np.float64))
-        exact = evaluate(overlaps_exactly, cells[row, 0], batch[0, light, :3], batch[0, light, 3], dtype=np.float64)
+        row, light = np.nonzero(
+            evaluate(overlaps_planes, cells, batch[..., :3], batch[..., 3], dtype=np.float64)
+        )
+        exact = evaluate(
+            overlaps_exactly, cells[row, 0], batch[0, light, :3], batch[0, light, 3], dtype=np.float64
+        )
         overlaps[rows[row[exact]], first + light[exact]] = True
     return overlaps
 

@@ -50,15 +50,22 @@ def make_stereo(name: str, rig: StereoRig) -> Stereo | None:
 
 
 def compare_stereo(
-    device: Device, scenes: Mapping[bool, Scene], path: CameraPath, rig: StereoRig, sizes: Sequence[tuple[int, int]],
-    stereos: Sequence[str], frames: range, technique: Callable[[], Technique],
+    device: Device,
+    scenes: Mapping[bool, Scene],
+    path: CameraPath,
+    rig: StereoRig,
+    sizes: Sequence[tuple[int, int]],
+    stereos: Sequence[str],
+    frames: range,
+    technique: Callable[[], Technique],
     progress: Callable[[range], Iterable[int]] = lambda frames: frames,
-) -> Iterator[Record]:  # fmt: skip
+) -> Iterator[Record]:
     """Yield a row for each size, with and without shadows, for one eye and for each stereo output.
 
     Args:
         scenes: the scene without shadows (False), with them (True), or both.
-        stereos: names of `list_stereos`. frames: numbers of frames of the path; the one before them is drawn first.
+        stereos: names of `list_stereos`. frames: numbers of frames of the path; the one before them is drawn
+            first.
         technique: makes a technique for each row.
     """
     start = max(frames.start - 1, 0)
@@ -75,7 +82,9 @@ def compare_stereo(
                     way = _StereoFrames(renderer, *path_frames)
                     labels = {"stereo": name, "shadows": has_shadows, "size": size}
                     subjects.append(Subject(labels, way, way.prepare, way.count))
-                yield from compare(subjects, COLUMNS, progress(range(1, len(frames) + 1)), warm_ups=_WARM_UP_FRAMES)
+                yield from compare(
+                    subjects, COLUMNS, progress(range(1, len(frames) + 1)), warm_ups=_WARM_UP_FRAMES
+                )
 
 
 class _StereoFrames(Frames):

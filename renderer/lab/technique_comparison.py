@@ -1,10 +1,10 @@
 """Compares techniques: the cost of a frame of each, for several numbers of objects and lights (Wilks 2019).
 
-- A scene's text names its generator; numbers of objects and lights are options of it. So nothing else changes, and the
-  camera is the view of the same name.
+- A scene's text names its generator; numbers of objects and lights are options of it. So nothing else
+  changes, and the camera is the view of the same name.
 - All techniques draw the same frame in turn with one renderer, without occlusion culling.
-- Light evaluations are counted by the device (`light_evaluations`), bytes are those of the plan's textures, and draws
-  are counted in the stream of commands that the null device records.
+- Light evaluations are counted by the device (`light_evaluations`), bytes are those of the plan's textures,
+  and draws are counted in the stream of commands that the null device records.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from rhi import Device, refuse
 OPTIONS: Final = {"objects": "count", "lights": "lights"}
 """The options of scene generators that set the numbers of objects and of lights."""
 COLUMNS: Final[dict[str, Column]] = {
-    "milliseconds": time(), "processor_milliseconds": time(processor=True),
-}  # fmt: skip
+    "milliseconds": time(),
+    "processor_milliseconds": time(processor=True),
+}
 _WARM_UP_FRAMES: Final = 3
 """Untimed frames before a technique is timed: light lists grow to their size."""
 
@@ -57,10 +58,17 @@ def vary_scene(text: str, objects: int | None, lights: int | None) -> str:
 
 
 def compare_techniques(
-    device: Device, scenes: Iterable[Scene], techniques: Mapping[str, Technique], size: tuple[int, int], *,
-    camera: str | None = None, frame: int = 0, rounds: int = 5, settings: RenderSettings | None = None,
+    device: Device,
+    scenes: Iterable[Scene],
+    techniques: Mapping[str, Technique],
+    size: tuple[int, int],
+    *,
+    camera: str | None = None,
+    frame: int = 0,
+    rounds: int = 5,
+    settings: RenderSettings | None = None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
-) -> Iterator[Record]:  # fmt: skip
+) -> Iterator[Record]:
     """Yield a row for each scene and technique.
 
     Args:
@@ -72,7 +80,9 @@ def compare_techniques(
     for scene in scenes:
         view = frame_settings.adapt_camera(parse_camera(camera or next(iter(scene.views)), scene, frame))
         with frame_settings.open(device, scene, size) as renderer:
-            subjects = [make_subject(renderer, name, technique, view) for name, technique in techniques.items()]
+            subjects = [
+                make_subject(renderer, name, technique, view) for name, technique in techniques.items()
+            ]
             yield from compare(subjects, COLUMNS, progress(range(rounds)), warm_ups=_WARM_UP_FRAMES)
 
 

@@ -1,10 +1,10 @@
 """Compares visibility algorithms along a camera path, as in the thesis's chapter 7.
 
-- A *contender* is an algorithm with its settings, and has a row in the table. All contenders draw the same frames of
-  the path, in turn in one process, so disturbances of the machine affect all alike.
-- Most algorithms use what earlier frames have shown. So each counted frame follows others of the path that are drawn
-  and not counted. Without them a frame far from the last one costs CHC++ three times the queries that it costs on a
-  path that is drawn frame by frame.
+- A *contender* is an algorithm with its settings, and has a row in the table. All contenders draw the same
+  frames of the path, in turn in one process, so disturbances of the machine affect all alike.
+- Most algorithms use what earlier frames have shown. So each counted frame follows others of the path that
+  are drawn and not counted. Without them a frame far from the last one costs CHC++ three times the queries
+  that it costs on a path that is drawn frame by frame.
 - Every counted image is compared, pixel by pixel, with the one drawn without culling.
 """
 
@@ -76,8 +76,8 @@ class FrameImage:
         return cls(result.image.read(), result.depth.read().reshape(result.image.size[::-1]))
 
     def compare(self, other: FrameImage) -> tuple[int, int]:
-        """Count the pixels that differ: those at another depth (wrong), and those that show another surface at
-        exactly the same depth (tied)."""
+        """Count the pixels that differ: those at another depth (wrong), and those that show another surface
+        at exactly the same depth (tied)."""
         same = self.depth == other.depth
         differ = (self.color != other.color).any(axis=2)
         return int(np.count_nonzero(differ & ~same)), int(np.count_nonzero(differ & same))
@@ -93,7 +93,8 @@ def list_contenders(
 
     Args:
         tuned: other settings, with which CHC++ is compared as well, as `optimized_chc_plus_plus`.
-        emulated: the kinds of queries to compare. The second kind has only the algorithms that can use either.
+        emulated: the kinds of queries to compare. The second kind has only the algorithms that can use
+            either.
     """
     contenders = []
     for number, kind in enumerate(emulated):
@@ -110,9 +111,9 @@ def list_frames(
 ) -> list[ComparedFrame]:
     """The frames to draw of a path of `length` frames, starting at frame `first`.
 
-    `count` of them are counted, each `stride` frames after the last. Before each, the `warm_up` frames before it are
-    drawn, unless they have been. With `teleport`, that many frames are followed by as many half a path away, and so
-    on in turn; it needs a stride of 1.
+    `count` of them are counted, each `stride` frames after the last. Before each, the `warm_up` frames before
+    it are drawn, unless they have been. With `teleport`, that many frames are followed by as many half a path
+    away, and so on in turn; it needs a stride of 1.
     """
     counted = range(first + warm_up, first + warm_up + count * stride, stride)
     frames: list[ComparedFrame] = []

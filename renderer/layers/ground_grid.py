@@ -1,4 +1,5 @@
-"""A grid: a layer of lines on the plane y = 0, a metre apart and each tenth one stronger, hidden by what is nearer.
+"""A grid: a layer of lines on the plane y = 0, a metre apart and each tenth one stronger, hidden by what is
+nearer.
 
 It is one quad around the eye. Lines fade where a pixel holds several, and towards the edge of the quad.
 """
@@ -18,8 +19,8 @@ _STRONG: Final = 10.0  # m between stronger lines
 
 
 class GridVarying(sl.Struct):
-    """The varyings of `GridLines`: a position relative to the eye, and relative to a crossing of stronger lines,
-    along x and z."""
+    """The varyings of `GridLines`: a position relative to the eye, and relative to a crossing of stronger
+    lines, along x and z."""
 
     clip: sl.vec4
     eye_offset: sl.vec2
@@ -31,7 +32,9 @@ def line_coverage(grid_position: sl.vec2) -> float:
     """Return how much of a pixel the lines at whole numbers cover that are as wide as it, 0 where it holds
     several."""
     width = sl.max(sl.fwidth(grid_position), sl.vec2(1e-6))
-    near = sl.saturate(1.0 - sl.abs(sl.fract(grid_position + 0.5) - 0.5) / width) * sl.saturate(1.0 - 2.0 * width)
+    near = sl.saturate(1.0 - sl.abs(sl.fract(grid_position + 0.5) - 0.5) / width) * sl.saturate(
+        1.0 - 2.0 * width
+    )
     return sl.max(near.x, near.y)
 
 
@@ -49,7 +52,9 @@ class GridLines(sl.Shader):
         return GridVarying(clip=clip, eye_offset=eye_offset, grid_position=eye_offset + self.eye.xz)
 
     def fragment(self, v: GridVarying) -> sl.vec4:
-        covered = sl.max(0.35 * line_coverage(v.grid_position), 0.7 * line_coverage(v.grid_position / _STRONG))
+        covered = sl.max(
+            0.35 * line_coverage(v.grid_position), 0.7 * line_coverage(v.grid_position / _STRONG)
+        )
         return sl.vec4(sl.vec3(0.8), covered * sl.saturate(1.0 - sl.length(v.eye_offset) / _REACH))
 
 

@@ -1,10 +1,12 @@
 """Particles: a layer that draws what simulations emit, thousands of sprites in one draw (thesis 4.3).
 
-- Only simulated objects that were drawn in the frame have particles: what is culled isn't simulated, and emits nothing.
-- All particles of a frame are one array in the device's transient memory. The vertex stage reads it by its index, and
-  stretches each particle along the way that it goes in the time of an exposure.
-- Particles are tested against the frame's depth and don't change it. They are added up in any order (premultiplied,
-  with less alpha than light), so they aren't sorted. In fog they fade to it, as far as they cover what is behind them.
+- Only simulated objects that were drawn in the frame have particles: what is culled isn't simulated, and
+  emits nothing.
+- All particles of a frame are one array in the device's transient memory. The vertex stage reads it by its
+  index, and stretches each particle along the way that it goes in the time of an exposure.
+- Particles are tested against the frame's depth and don't change it. They are added up in any order
+  (premultiplied, with less alpha than light), so they aren't sorted. In fog they fade to it, as far as they
+  cover what is behind them.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ class ParticleEmitter(Protocol):
 
 
 class Particle(sl.Struct):
-    """A particle along the axes of the world: its position relative to the eye, and the distance it moves during an
-    exposure."""
+    """A particle along the axes of the world: its position relative to the eye, and the distance it moves
+    during an exposure."""
 
     centre: sl.vec3
     displacement: sl.vec3
@@ -75,7 +77,9 @@ class ParticleShader(sl.Shader):
         aside = sl.cross(along, particle.centre)
         aside = aside / sl.max(sl.length(aside), 1e-6)
         offset = along * (self.radius * x) + particle.displacement * (0.5 * x) + aside * (self.radius * y)
-        offset -= particle.centre * (self.radius / sl.max(sl.length(particle.centre), 1e-6))  # before the drop itself
+        offset -= particle.centre * (
+            self.radius / sl.max(sl.length(particle.centre), 1e-6)
+        )  # before the drop itself
         return ParticleVarying(
             clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0),
             quad_position=sl.vec2(x, y),
@@ -87,8 +91,8 @@ class ParticleShader(sl.Shader):
 
 
 class FogParticleVarying(sl.Struct):
-    """The varyings of `FogParticleShader`: the colour of the fog in front of a particle, and the fraction of light
-    that passes it."""
+    """The varyings of `FogParticleShader`: the colour of the fog in front of a particle, and the fraction of
+    light that passes it."""
 
     clip: sl.vec4
     quad_position: sl.vec2
@@ -171,7 +175,8 @@ def _select_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
 
 
 def collect_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:
-    """Yield the particles (p, 8) as rows of `Particle`, one array for each simulation of which anything was drawn."""
+    """Yield the particles (p, 8) as rows of `Particle`, one array for each simulation of which anything was
+    drawn."""
     scene, eye = frame.resources.scene, frame.camera.position
     for simulation, object_indices, members in frame.resources.simulator.list_drawn_members():
         if isinstance(simulation, ParticleEmitter) and len(members):

@@ -22,7 +22,8 @@ _LARGEST: Final = float(np.finfo(np.float32).max)
 
 @dataclass(eq=False)
 class LightArrays:
-    """The base of a kind's array, which is an attribute of the kind's name, and of the methods that add lights to it.
+    """The base of a kind's array, which is an attribute of the kind's name, and of the methods that add
+    lights to it.
 
     Attributes:
         kind: the kind of the lights.
@@ -30,12 +31,16 @@ class LightArrays:
 
     kind: ClassVar[LightKind]
 
-    def _add(self, kind: str, call: str, count: int, casts_shadow: bool, **values: ArrayLike) -> NDArray[np.int64]:
-        """Add `count` lights of a kind, with `values` of its fields for each light or once for all; returns their
-        indices (count,)."""
+    def _add(
+        self, kind: str, call: str, count: int, casts_shadow: bool, **values: ArrayLike
+    ) -> NDArray[np.int64]:
+        """Add `count` lights of a kind, with `values` of its fields for each light or once for all; returns
+        their indices (count,)."""
         before: NDArray[Any] = getattr(self, kind)
         lights = np.zeros(count, before.dtype)
-        checked = {name: _check_numbers(call, name, value, lights[name].shape) for name, value in values.items()}
+        checked = {
+            name: _check_numbers(call, name, value, lights[name].shape) for name, value in values.items()
+        }
         _check_related_fields(call, checked, checked)
         for name, numbers in checked.items():
             lights[name] = _normalize(call, numbers) if name == "direction" else numbers
@@ -45,7 +50,8 @@ class LightArrays:
 
 
 def check_lights(call: str, lights: NDArray[Any]) -> None:
-    """Refuse lights of a kind (k,) that were written to, if a value is out of its range: `scene-bad-light`."""
+    """Refuse lights of a kind (k,) that were written to, if a value is out of its range:
+    `scene-bad-light`."""
     fields = lights.dtype.names or ()
     for name in _NON_NEGATIVE:
         if name in fields:
@@ -67,9 +73,11 @@ def count_positions(call: str, position: ArrayLike) -> int:
     return len(positions)
 
 
-def _check_related_fields(call: str, fields: Container[str], values: Mapping[str, Any] | NDArray[Any]) -> None:
-    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, and radii of sources (k,) above the ranges: a light
-    ends at its range from the centre."""
+def _check_related_fields(
+    call: str, fields: Container[str], values: Mapping[str, Any] | NDArray[Any]
+) -> None:
+    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, and radii of sources (k,) above the ranges: a
+    light ends at its range from the centre."""
     columns: Any = values
     if "source_radius" in fields:
         radii, ranges = columns["source_radius"], columns["range"]
@@ -94,7 +102,9 @@ def _check_numbers(call: str, name: str, value: ArrayLike, shape: tuple[int, ...
     if minimum >= 0.0:
         expected = f"{expected}, {minimum:g} or more"
     if numbers.shape not in (shape, shape[1:]):
-        refuse(rules.BAD_LIGHT, f"{call}({name}=...)", f"shape {numbers.shape}", f"{expected}, or shape {shape}")
+        refuse(
+            rules.BAD_LIGHT, f"{call}({name}=...)", f"shape {numbers.shape}", f"{expected}, or shape {shape}"
+        )
     by_light = np.broadcast_to(numbers, shape)
     fits = (np.abs(by_light) <= _LARGEST) & (by_light >= minimum)
     allowed = np.asarray(fits if len(shape) == 1 else fits.all(1))

@@ -1,7 +1,7 @@
 """Lists of lights of all kinds with a position: where those of each kind begin and end.
 
-A list has the lights of the first kind, then those of the second, and so on. Its bounds are the index of its first
-light, and for each kind the index behind its last light.
+A list has the lights of the first kind, then those of the second, and so on. Its bounds are the index of its
+first light, and for each kind the index behind its last light.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ WORD_FIELDS: Final = tuple(
     "first_cone_word" if _CONES[number + 1] > _CONES[number] else f"{kind.name}_words_end"
     for number, kind in enumerate(LOCAL_LIGHT_KINDS[:-1])
 )
-"""The fields that say behind which word of 32 lights those of each kind but the last end, if words are counted through
-all kinds."""
+"""The fields that say behind which word of 32 lights those of each kind but the last end, if words are
+counted through all kinds."""
 
 
 def index_in_kind(index: str, ends: Sequence[str]) -> str:

@@ -21,8 +21,8 @@ DIRECTIONAL: Final = np.dtype(
 
 
 class DirectionalLight(Struct):
-    """A directional light, laid out as `DIRECTIONAL`; it travels along the unit vector `direction`. `casts_shadow` is
-    0 or 1."""
+    """A directional light, laid out as `DIRECTIONAL`; it travels along the unit vector `direction`.
+    `casts_shadow` is 0 or 1."""
 
     direction: vec3
     intensity: float

@@ -1,7 +1,8 @@
-"""Shaders that are the same for each kind of lights but for names: made from templates, when they are imported.
+"""Shaders that are the same for each kind of lights but for names: made from templates, when they are
+imported.
 
-A template is the text of Python code, in which `$kind` stands for the name of a kind. A kind thus costs nothing that
-isn't its own, and a device sees the code that would be written by hand.
+A template is the text of Python code, in which `$kind` stands for the name of a kind. A kind thus costs
+nothing that isn't its own, and a device sees the code that would be written by hand.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ def for_each_kind(template: str, **values: Callable[[int, LocalLightKind], str])
 def for_kind(template: str, kind: LocalLightKind, **values: Callable[[int, LocalLightKind], str]) -> str:
     """The text of a template for a kind with a position.
 
-    In a template stand `$kind` for the name of the kind, `$Element` for its struct, `$incidence` for its shader
-    function, `$component` for the component of a vector that is the kind's, and `$begin` and `$end` for the components
-    of `LightBounds` that say where its lights begin and end in a list. Further names come from `values`, functions of
-    the index of the kind and the kind.
+    In a template stand `$kind` for the name of the kind, `$Element` for its struct, `$incidence` for its
+    shader function, `$component` for the component of a vector that is the kind's, and `$begin` and `$end`
+    for the components of `LightBounds` that say where its lights begin and end in a list. Further names come
+    from `values`, functions of the index of the kind and the kind.
     """
     index = LOCAL_LIGHT_KINDS.index(kind)
     return Template(template).substitute(

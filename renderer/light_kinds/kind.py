@@ -35,7 +35,8 @@ class GltfMapping:
         type: the value of `type`.
         read: the kind's own fields of the array from the JSON object of a light (`renderer.content.gltf`).
         write: the kind's own members of that JSON object, from a light.
-        is_allowed: whether glTF allows the kind's own values of a light. If not, `omission` says what is lost.
+        is_allowed: whether glTF allows the kind's own values of a light. If not, `omission` says what is
+            lost.
     """
 
     type: str
@@ -54,8 +55,8 @@ class LightKind:
         noun: the name in explanations, singular.
         dtype: the array in a scene.
         element: the struct that shaders read.
-        incidence: a shader function, the light that arrives at a position: of `(position, light)`, or of `(light)`
-            for lights without a position.
+        incidence: a shader function, the light that arrives at a position: of `(position, light)`, or of
+            `(light)` for lights without a position.
         gltf: the place in glTF; None if it has none, and files leave such lights out.
     """
 
@@ -84,14 +85,16 @@ class LocalLightKind(LightKind):
     Attributes:
         packed: the array that shaders read, laid out as `element`.
         pack: sets the fields of `packed` (k,) that aren't fields of `dtype` of the same name.
-        bounds: the smallest spheres around what lights may light: centres (k, 3) and radii (k,), in the world.
-        cones: the same volumes as cones, where they are narrower than spheres: the values of the struct `Cone` in the
-            world, in float64; None for kinds whose volumes are spheres.
-        cone_cosine: the cosines (k,) of the half angles of the cones that lights are within; -2 for all directions.
+        bounds: the smallest spheres around what lights may light: centres (k, 3) and radii (k,), in the
+            world.
+        cones: the same volumes as cones, where they are narrower than spheres: the values of the struct
+            `Cone` in the world, in float64; None for kinds whose volumes are spheres.
+        cone_cosine: the cosines (k,) of the half angles of the cones that lights are within; -2 for all
+            directions.
         volume: the vertex stage that moves the corners of a sphere or a cone around a light (`VolumeCorner`).
         fits_cone: which lights (k,) have a volume that is smaller as a cone than as a sphere.
-        half_angle: of lights (k,), or of one, the half angle in radians of its single shadow map; NaN for lights that
-            have the six faces of a cube instead.
+        half_angle: of lights (k,), or of one, the half angle in radians of its single shadow map; NaN for
+            lights that have the six faces of a cube instead.
     """
 
     packed: np.dtype[Any]

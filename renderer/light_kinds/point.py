@@ -18,7 +18,9 @@ from rhi.shading import Struct, dot, function, instance_index, vec3
 
 POINT: Final = np.dtype([*LOCAL_FIELDS])
 
-RELATIVE_POINT: Final = np.dtype([("position", "<f4", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4")])
+RELATIVE_POINT: Final = np.dtype(
+    [("position", "<f4", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4")]
+)
 """32 bytes, std430 without padding; positions relative to the eye."""
 
 
@@ -92,7 +94,8 @@ class PointLights(LightArrays):
         casts_shadow: bool = False,
         source_radius: float = 0.0,
     ) -> int:
-        """Add a point light, `position`, `range` and `source_radius` <= range in metres; returns its index."""
+        """Add a point light, `position`, `range` and `source_radius` <= range in metres; returns its
+        index."""
         values = {"position": position, "range": range, "color": color, "intensity": intensity}
         return int(self._add("point", "add_point", 1, casts_shadow, **values, source_radius=source_radius)[0])
 

@@ -61,8 +61,8 @@ class SpotLight(sl.Struct):
 
 @function
 def spot_incidence(position: vec3, light: SpotLight) -> Incidence:
-    """The light of a spot light that arrives at a position: full inside the inner angle, squared between, and outside
-    the outer angle 0, from no direction."""
+    """The light of a spot light that arrives at a position: full inside the inner angle, squared between, and
+    outside the outer angle 0, from no direction."""
     to_light = light.position - position
     distance_squared = dot(to_light, to_light)
     direction = safe_normalize(to_light)
@@ -83,7 +83,8 @@ class SpotVolume(LightVolume):
     def vertex(self, v: VolumeCorner) -> VolumeVarying:
         light_index = self.volume_lights[sl.instance_index()]
         light = self.spot_lights[light_index]
-        # A float32 is too coarse for the cosine of a small angle; light reaches up to two steps of it beyond the cone.
+        # A float32 is too coarse for the cosine of a small angle; light reaches up to two steps of it beyond
+        # the cone.
         cosine = sl.max(light.cos_outer - 1e-6, 1e-3)
         slope = sl.sqrt(sl.max(1.0 - cosine * cosine, 0.0)) / cosine
         width = light.range * (slope if v.cone > 0.0 else 1.0)
@@ -103,7 +104,9 @@ def pack(packed: NDArray[Any], lights: NDArray[Any]) -> None:
     packed["cos_inner"], packed["cos_outer"] = np.cos(lights["inner"]), np.cos(lights["outer"])
 
 
-def bound_cones(positions: Floats, directions: Floats, ranges: Floats, outer: Floats) -> tuple[Floats, Floats]:
+def bound_cones(
+    positions: Floats, directions: Floats, ranges: Floats, outer: Floats
+) -> tuple[Floats, Floats]:
     """The smallest spheres, centres (k, 3) and radii (k,), around the light of spot lights: sectors of balls.
 
     Args:
@@ -135,7 +138,8 @@ def make_cones(lights: NDArray[Any]) -> dict[str, NDArray[Any]]:
 
 
 def half_angles(lights: NDArray[Any]) -> NDArray[Any]:
-    """The outer half angles (k,) of spot lights that are narrow enough for a single shadow map; NaN for others."""
+    """The outer half angles (k,) of spot lights that are narrow enough for a single shadow map; NaN for
+    others."""
     outer: NDArray[Any] = lights["outer"]
     return np.where(outer > MAX_SPOT_HALF_ANGLE, np.float32(np.nan), outer)
 

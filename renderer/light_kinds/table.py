@@ -1,7 +1,7 @@
 """The table of the kinds of lights.
 
-A row is a base of `AllLightArrays`. Kinds without a position come first. Kinds whose lights are within a cone come
-last, behind those that light a sphere: a device then tests the cones of the last lights of each list.
+A row is a base of `AllLightArrays`. Kinds without a position come first. Kinds whose lights are within a cone
+come last, behind those that light a sphere: a device then tests the cones of the last lights of each list.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ FARTHEST_CORNER: Final = 1.5
 
 
 class Cone(Struct):
-    """A cone in eye space: points within `range` of `apex`, and within the angle from the unit vector `axis` whose
-    cosine is `cosine`."""
+    """A cone in eye space: points within `range` of `apex`, and within the angle from the unit vector `axis`
+    whose cosine is `cosine`."""
 
     apex: vec3
     range: float
@@ -38,8 +38,8 @@ def bounding_sphere(cone: Cone) -> vec4:
 
 
 class VolumeCorner(Struct):
-    """A corner of a volume, whose `z` is along the axis; `cone` is 1 for cones, whose width follows from their
-    angle, and 0 for spheres."""
+    """A corner of a volume, whose `z` is along the axis; `cone` is 1 for cones, whose width follows from
+    their angle, and 0 for spheres."""
 
     position: vec3
     cone: float
@@ -53,7 +53,8 @@ class VolumeVarying(Struct):
 
 
 class LightVolume(Shader):
-    """The base of a kind's volume. It has the vertex stage, and `volume_shader` in the techniques all else."""
+    """The base of a kind's volume. It has the vertex stage, and `volume_shader` in the techniques all
+    else."""
 
     lean = True
 
@@ -64,5 +65,6 @@ class LightVolume(Shader):
 
         @staticmethod
         def project_volume(center: vec3, offset: vec3, reach: float, view: Any, rays: Any) -> vec4:
-            """The clip position of a corner, `offset` from the light, of a volume that reaches at most `reach` far."""
+            """The clip position of a corner, `offset` from the light, of a volume that reaches at most
+            `reach` far."""
             raise NotImplementedError

@@ -14,8 +14,8 @@ _MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; th
 def select_lights_in_view(planes: Floats, positions: Floats, ranges: Floats) -> Indices:
     """Return the rows (k,), ascending, of the lights whose spheres aren't outside one of the planes.
 
-    A sphere near a corner of the view may be outside of it and still be selected. None that touches the view is left
-    out.
+    A sphere near a corner of the view may be outside of it and still be selected. None that touches the view
+    is left out.
 
     Args:
         planes: (p, 4) with unit normals inward. positions, ranges: (l, 3) and (l,) of the lights.

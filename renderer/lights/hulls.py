@@ -9,8 +9,8 @@ from renderer.scene.arrays import Floats
 
 
 def make_sphere() -> tuple[Floats, NDArray[np.uint32]]:
-    """Return corners (42, 3) and triangles (80, 3), counter-clockwise from outside, of a mesh that encloses the unit
-    sphere: an icosahedron with each face split into four."""
+    """Return corners (42, 3) and triangles (80, 3), counter-clockwise from outside, of a mesh that encloses
+    the unit sphere: an icosahedron with each face split into four."""
     golden = (1.0 + 5.0**0.5) / 2.0
     twelve = [(s, t * golden, 0.0) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
     corners = [np.roll(corner, turn) for turn in range(3) for corner in twelve]
@@ -20,7 +20,8 @@ def make_sphere() -> tuple[Floats, NDArray[np.uint32]]:
         for b in range(a + 1, 12):
             for c in range(b + 1, 12):
                 if all(vertices[i] @ vertices[j] > 0.4 for i, j in ((a, b), (b, c), (c, a))):  # neighbours
-                    outward = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a]) @ vertices[a] > 0.0
+                    normal = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+                    outward = normal @ vertices[a] > 0.0
                     triangles.append((a, b, c) if outward else (a, c, b))
     middles: dict[tuple[int, int], int] = {}
 
@@ -44,8 +45,8 @@ def make_sphere() -> tuple[Floats, NDArray[np.uint32]]:
 
 
 def make_cone(sides: int = 10) -> tuple[Floats, NDArray[np.uint32]]:
-    """Return corners (sides + 1, 3) and triangles, counter-clockwise from outside, of a pyramid that encloses the cone
-    from the origin around z whose base has radius 1 at z = 1."""
+    """Return corners (sides + 1, 3) and triangles, counter-clockwise from outside, of a pyramid that encloses
+    the cone from the origin around z whose base has radius 1 at z = 1."""
     turn = np.arange(sides) * (2.0 * np.pi / sides)
     ring = np.stack([np.cos(turn), np.sin(turn), np.full(sides, np.cos(np.pi / sides))], 1)
     corners = np.concatenate([np.zeros((1, 3)), ring / np.cos(np.pi / sides)])

@@ -1,8 +1,8 @@
 """Lists of the lights that reach each object, so that a fragment evaluates only lights that may reach it.
 
-Lights that are near each other form groups, and a box meets only the lights of groups whose box it overlaps. The
-groups' boxes are a little too large, never too small, and every pair that is left is tested exactly: the lists are
-those of a test of all pairs.
+Lights that are near each other form groups, and a box meets only the lights of groups whose box it overlaps.
+The groups' boxes are a little too large, never too small, and every pair that is left is tested exactly: the
+lists are those of a test of all pairs.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats)
 
 
 def _group(positions: Floats, ranges: Floats) -> Indices:
-    """Return groups (g, `_GROUP`) of near lights of similar ranges. If the last one isn't full, a light fills it up."""
+    """Return groups (g, `_GROUP`) of near lights of similar ranges. If the last one isn't full, a light fills
+    it up."""
     if not len(positions):
         return np.zeros((0, _GROUP), np.int64)
     finite = np.where(np.isfinite(positions), positions, 0.0)

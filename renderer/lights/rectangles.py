@@ -1,8 +1,9 @@
 """Bounding rectangles of local lights on the screen: the smallest around the projections of their spheres.
 
-A clip matrix maps a sphere and the eye's plane of an axis to an ellipse in (x, w), of which x / w is sought where
-w is not nearer than the near plane. Its extremes are at the tangents from the origin, or where the near plane cuts the
-ellipse. So the bounds are exact, too, if the eye is inside the sphere or the sphere reaches behind the eye.
+A clip matrix maps a sphere and the eye's plane of an axis to an ellipse in (x, w), of which x / w is sought
+where w is not nearer than the near plane. Its extremes are at the tangents from the origin, or where the near
+plane cuts the ellipse. So the bounds are exact, too, if the eye is inside the sphere or the sphere reaches
+behind the eye.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ _MARGIN = 1e-6  # of the image: rounding to float32
 def bound_spheres(camera: Camera, centers: Floats, radii: Floats) -> Floats:
     """Return the rectangles (l, 4) of spheres in the image: left, bottom, right, top from -1 to 1.
 
-    They are clipped to the image. A sphere outside of it has no area; with a perspective projection, neither has one
-    that is nearer than the near plane.
+    They are clipped to the image. A sphere outside of it has no area; with a perspective projection, neither
+    has one that is nearer than the near plane.
 
     Args:
         centers, radii: (l, 3) and (l,) of the spheres, in the world.
@@ -46,8 +47,9 @@ def _near_plane_w(matrix: Floats, depth: Depth) -> float:
 
 
 def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: float) -> tuple[Floats, Floats]:
-    """Return the bounds of x / w, where w >= near, of spheres: their points are (x, w) + radius · (a · d, b · d) for
-    all d of length 1 or less. If no point has w >= near, the lower bound is inf and the upper one -inf."""
+    """Return the bounds of x / w, where w >= near, of spheres: their points are (x, w) + radius · (a · d, b ·
+    d) for all d of length 1 or less. If no point has w >= near, the lower bound is inf and the upper one
+    -inf."""
     aa, ab, bb = float(a @ a), float(a @ b), float(b @ b)
     if bb == 0.0:  # parallel rays
         reach = radii * np.sqrt(aa)

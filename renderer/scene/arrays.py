@@ -1,4 +1,5 @@
-"""The types of the two kinds of arrays that are used throughout the renderer, ids that are checked, and ranges."""
+"""The types of the two kinds of arrays that are used throughout the renderer, ids that are checked, and
+ranges."""
 
 from __future__ import annotations
 

@@ -1,13 +1,14 @@
-"""Ways in which a simulation makes up for the time in which it wasn't drawn: three policies, each with a bound on its
-cost.
+"""Ways in which a simulation makes up for the time in which it wasn't drawn: three policies, each with a
+bound on its cost.
 
 - `Recompute`: the state is a function of the time. Nothing is missed.
-- `Stepwise`: the state depends on its history, and missed steps are taken one by one. Steps beyond the bound wait for
-  the next frames, so a member may be late, but each of its states is exact.
-- `Leap`: missed steps beyond the bound are taken in one, of bounded error. A member is never late, but may be inexact.
+- `Stepwise`: the state depends on its history, and missed steps are taken one by one. Steps beyond the bound
+  wait for the next frames, so a member may be late, but each of its states is exact.
+- `Leap`: missed steps beyond the bound are taken in one, of bounded error. A member is never late, but may be
+  inexact.
 
-The bound is on the steps that all members of a simulation take in a frame. If it isn't enough for all, the members
-share it evenly, and what one doesn't need goes to the others.
+The bound is on the steps that all members of a simulation take in a frame. If it isn't enough for all, the
+members share it evenly, and what one doesn't need goes to the others.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from renderer.scene.arrays import Floats, Indices
 from rhi.errors import refuse
 
 _STEP_TOLERANCE: Final = 1e-6  # of a step: a time that rounding has put just before a step counts as the step
-_RELATIVE_TOLERANCE: Final = 2.0**-51  # of the number, which after years is more: time, interval and ratio are rounded
+_RELATIVE_TOLERANCE: Final = (
+    2.0**-51
+)  # of the number, which after years is more: time, interval and ratio are rounded
 
 
 class TimedSimulation(Protocol):
@@ -43,7 +46,8 @@ class StepSimulation(Protocol):
     interval: float
 
     def step(self, members: Indices, numbers: Indices) -> None:
-        """Advance `members` (j,) by one `interval`, each to its step of `numbers` (j,), of which the first is 1.
+        """Advance `members` (j,) by one `interval`, each to its step of `numbers` (j,), of which the first is
+        1.
 
         The same steps must give the same state to the last bit, whatever other members take them.
         """
@@ -66,7 +70,8 @@ def count_steps(seconds: float, interval: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Recompute:
-    """The state is a function of the time: a `TimedSimulation`. After any absence it costs what any frame costs."""
+    """The state is a function of the time: a `TimedSimulation`. After any absence it costs what any frame
+    costs."""
 
     methods = ("set_time",)
     steps_per_frame = 0
@@ -86,7 +91,8 @@ class Recompute:
     def advance(
         self, simulation: TimedSimulation, members: Indices, reached: Floats, target: float, budget: int
     ) -> tuple[Floats, int]:
-        """Bring `members` (j,) to the time `target`; return what they have reached (j,) and the steps taken: none."""
+        """Bring `members` (j,) to the time `target`; return what they have reached (j,) and the steps taken:
+        none."""
         simulation.set_time(members, target)
         return np.full(len(members), target), 0
 
@@ -95,13 +101,13 @@ class Recompute:
 class Stepwise:
     """The state depends on its history: missed steps of a `StepSimulation` simulation are taken one by one.
 
-    A member that needs more steps than it gets shows an earlier state until the next frames have brought the rest.
-    When it has caught up, its state is, bit by bit, as if it had been stepped all the time.
+    A member that needs more steps than it gets shows an earlier state until the next frames have brought the
+    rest. When it has caught up, its state is, bit by bit, as if it had been stepped all the time.
 
     Attributes:
         steps_per_frame: the most steps that all members together take in a frame.
-        memory: the number of steps after which an earlier state has no effect any more; None if it always has one. No
-            member takes more after an absence.
+        memory: the number of steps after which an earlier state has no effect any more; None if it always has
+            one. No member takes more after an absence.
     """
 
     steps_per_frame: int
@@ -114,8 +120,8 @@ class Stepwise:
             _check("Stepwise(memory=...)", self.memory)
 
     def returns_exactly(self, count: int) -> bool:
-        """Return whether `count` members that return at once are, in that frame, as if they had always been drawn: if
-        a frame has steps enough for all that they remember."""
+        """Return whether `count` members that return at once are, in that frame, as if they had always been
+        drawn: if a frame has steps enough for all that they remember."""
         return self.memory is not None and count * self.memory <= self.steps_per_frame
 
     def begin(self) -> float:
@@ -129,8 +135,8 @@ class Stepwise:
     def advance(
         self, simulation: StepSimulation, members: Indices, reached: Floats, target: float, budget: int
     ) -> tuple[Floats, int]:
-        """Bring `members` (j,) from their steps `reached` (j,) towards `target` in at most `budget` steps; return the
-        steps that they have reached (j,), and how many were taken."""
+        """Bring `members` (j,) from their steps `reached` (j,) towards `target` in at most `budget` steps;
+        return the steps that they have reached (j,), and how many were taken."""
         numbers = reached.astype(np.int64)
         if self.memory is not None:
             np.maximum(numbers, int(target) - self.memory, out=numbers)
@@ -142,13 +148,14 @@ class Stepwise:
 class Leap:
     """The state depends on its history, and many steps can be taken in one: a `LeapSimulation` simulation.
 
-    A member that has missed more steps than it gets takes the first of them in one leap, and the rest one by one. It
-    always shows the frame's time.
+    A member that has missed more steps than it gets takes the first of them in one leap, and the rest one by
+    one. It always shows the frame's time.
 
     Attributes:
-        steps_per_frame: the most steps that all members together take in a frame. A leap is one more for its member.
-        error: the most by which a member's state then differs from that of one that has taken all steps, in the unit
-            that the simulation says.
+        steps_per_frame: the most steps that all members together take in a frame. A leap is one more for its
+            member.
+        error: the most by which a member's state then differs from that of one that has taken all steps, in
+            the unit that the simulation says.
     """
 
     steps_per_frame: int
@@ -175,8 +182,8 @@ class Leap:
     def advance(
         self, simulation: LeapSimulation, members: Indices, reached: Floats, target: float, budget: int
     ) -> tuple[Floats, int]:
-        """Bring `members` (j,) from their steps `reached` (j,) to `target`; return the steps that they have reached
-        (j,), and how many were taken, a leap counting as one."""
+        """Bring `members` (j,) from their steps `reached` (j,) to `target`; return the steps that they have
+        reached (j,), and how many were taken, a leap counting as one."""
         numbers = reached.astype(np.int64)
         missed = int(target) - numbers
         share = distribute_steps(missed, budget)
@@ -193,10 +200,11 @@ CatchUp = Recompute | Stepwise | Leap
 
 
 def distribute_steps(missed: Indices, budget: int) -> Indices:
-    """Spread `budget` steps over members that have `missed` (j,) steps each; return how many each may take (j,).
+    """Spread `budget` steps over members that have `missed` (j,) steps each; return how many each may take
+    (j,).
 
-    The smallest share is as large as possible, then the next one, and so on. What can't be divided goes to those that
-    have missed the most, so that nobody waits forever.
+    The smallest share is as large as possible, then the next one, and so on. What can't be divided goes to
+    those that have missed the most, so that nobody waits forever.
     """
     if int(missed.sum()) <= budget:
         return missed.copy()

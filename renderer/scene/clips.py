@@ -1,11 +1,12 @@
 """Clips: the animations of a model, each played, looped, sought, and blended with others by weights.
 
-What a clip shows is a function of the scene's time: `Clip.play` says from when on, and a fade changes the weight over
-the seconds that follow. So a simulation that reads clips needs no history, and what wasn't drawn misses nothing.
+What a clip shows is a function of the scene's time: `Clip.play` says from when on, and a fade changes the
+weight over the seconds that follow. So a simulation that reads clips needs no history, and what wasn't drawn
+misses nothing.
 
-Where several clips move the same property of a node, it is the mean of their values by their weights; a clip that is
-alone there is shown whatever its weight, and without any the property has its rest pose. Bounds that hold at all times
-follow from that: they hold each clip, the rest pose, and blends of several clips.
+Where several clips move the same property of a node, it is the mean of their values by their weights; a clip
+that is alone there is shown whatever its weight, and without any the property has its rest pose. Bounds that
+hold at all times follow from that: they hold each clip, the rest pose, and blends of several clips.
 """
 
 from __future__ import annotations
@@ -22,19 +23,27 @@ from renderer.scene.finite import check_finite
 
 _CLIP: Final = np.dtype(
     [
-        ("duration", "f8"), ("loops", "?"), ("speed", "f8"), ("start_time", "f8"), ("start_offset", "f8"),
-        ("weight", "f8"), ("previous_weight", "f8"), ("fade_start", "f8"), ("fade_duration", "f8"),
+        ("duration", "f8"),
+        ("loops", "?"),
+        ("speed", "f8"),
+        ("start_time", "f8"),
+        ("start_offset", "f8"),
+        ("weight", "f8"),
+        ("previous_weight", "f8"),
+        ("fade_start", "f8"),
+        ("fade_duration", "f8"),
     ]
-)  # fmt: skip
-"""A clip is at the second `start_offset` at the scene's time `start_time`; its weight was `previous_weight` at
-`fade_start`, and is `weight` after `fade_duration` seconds more."""
+)
+"""A clip is at the second `start_offset` at the scene's time `start_time`; its weight was `previous_weight`
+at `fade_start`, and is `weight` after `fade_duration` seconds more."""
 
 
 class Clips:
     """The clips of a scene, as arrays with a row for each.
 
     Attributes:
-        version: how often a clip was told something; what is computed from clips is out of date when it has changed.
+        version: how often a clip was told something; what is computed from clips is out of date when it has
+            changed.
         names: the row of each clip by its name.
         nodes: of each clip the nodes that it moves, or whose meshes it deforms.
     """
@@ -44,15 +53,17 @@ class Clips:
         self.names: dict[str, int] = {}
         self.nodes: list[list[int]] = []
         self._rows = np.zeros(0, _CLIP)
-        self._cache_key: tuple[float, int, int] | None = None  # what `_cached` answers: one time for many tracks
+        self._cache_key: tuple[float, int, int] | None = (
+            None  # what `_cached` answers: one time for many tracks
+        )
         self._cached: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def add(self, name: str, duration: float, *, is_played: bool) -> int:
-        """Add a clip that loops from the scene's time 0 on, or isn't played yet; return its row. A name that is taken
-        gets an apostrophe."""
+        """Add a clip that loops from the scene's time 0 on, or isn't played yet; return its row. A name that
+        is taken gets an apostrophe."""
         while name in self.names:
             name += "'"
         self.names[name] = len(self)
@@ -63,7 +74,8 @@ class Clips:
         return len(self._rows) - 1
 
     def evaluate(self, seconds: float) -> tuple[Floats, Floats]:
-        """Return how far into each clip (n,) the scene's time is, in seconds, and the weight (n,) that it has then."""
+        """Return how far into each clip (n,) the scene's time is, in seconds, and the weight (n,) that it has
+        then."""
         asked = (seconds, self.version, len(self))
         if asked != self._cache_key:
             rows = self._rows
@@ -83,15 +95,22 @@ class Clips:
         self.version += 1
 
     def fade(self, index: int, now: float, weight: float, fade: float) -> None:
-        """Fade the weight of a clip from its value at the scene's time `now` to `weight` in `fade` seconds."""
+        """Fade the weight of a clip from its value at the scene's time `now` to `weight` in `fade`
+        seconds."""
         self.change(
-            index, previous_weight=self.evaluate(now)[1][index], weight=weight, fade_start=now, fade_duration=fade
+            index,
+            previous_weight=self.evaluate(now)[1][index],
+            weight=weight,
+            fade_start=now,
+            fade_duration=fade,
         )
 
     def list_overlapping(self, index: int) -> list[int]:
         """Return the other clips that move any of a clip's nodes."""
         mine = set(self.nodes[index])
-        return [other for other, nodes in enumerate(self.nodes) if other != index and not mine.isdisjoint(nodes)]
+        return [
+            other for other, nodes in enumerate(self.nodes) if other != index and not mine.isdisjoint(nodes)
+        ]
 
 
 @dataclass(frozen=True, slots=True)

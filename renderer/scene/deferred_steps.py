@@ -1,7 +1,7 @@
 """Simulations whose steps are noted, and taken when somebody wants to see what has come of them.
 
-Their state is in arrays as long as nobody draws it, and then on the device that does: all steps that were noted since
-are one dispatch there (`Stepping`). To see it elsewhere, it is read back.
+Their state is in arrays as long as nobody draws it, and then on the device that does: all steps that were
+noted since are one dispatch there (`Stepping`). To see it elsewhere, it is read back.
 """
 
 from __future__ import annotations
@@ -61,10 +61,15 @@ class DeferredSteps(ABC, Generic[H, D]):
         self._due[members] += 1
 
     def deform(
-        self, device: Device, members: Indices, vertices: StorageBuffer[float], first_vertices: Indices, stride: int
+        self,
+        device: Device,
+        members: Indices,
+        vertices: StorageBuffer[float],
+        first_vertices: Indices,
+        stride: int,
     ) -> None:
-        """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is
-        one dispatch.
+        """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame
+        takes is one dispatch.
 
         Args:
             vertices: what is drawn. begins: (j,), the number of each member's first vertex in it.

@@ -1,8 +1,8 @@
 """The features that materials have, counted once and again where materials change.
 
-What a scene lacks is neither in its shaders nor bound, so every frame asks which features there are. Materials are a
-plain array that anybody may write to: changes are found by comparing, once a frame, and only the materials that have
-changed are examined again.
+What a scene lacks is neither in its shaders nor bound, so every frame asks which features there are.
+Materials are a plain array that anybody may write to: changes are found by comparing, once a frame, and only
+the materials that have changed are examined again.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class MaterialFeatures:
     """The features that the materials of a scene have, as of the last `refresh`.
 
     Attributes:
-        counts: how many materials have each feature that a scene may lack; `images`, how many images base colours have;
-            `second uvs`, how many textures are read by a second uv; and `texture transforms`, how many aren't read and
-            repeated as they are.
+        counts: how many materials have each feature that a scene may lack; `images`, how many images base
+            colours have; `second uvs`, how many textures are read by a second uv; and `texture transforms`,
+            how many aren't read and repeated as they are.
         version: a number that grows when materials have changed.
     """
 
@@ -80,8 +80,13 @@ class MaterialFeatures:
         """Return which of the materials (k,) have each of the features of `counts`."""
         rows = np.stack([self._previous_materials[name] for name in TEXTURES], axis=1)
         reads, textures = rows >= 0, self._textures
-        flags = dict(zip(_FEATURES, self._flags.T, strict=True)) | {"images": self._previous_materials["texture"] >= 0}
-        for name, has in (("second uvs", textures["uv_set"] > 0), ("texture transforms", self._is_transformed)):
+        flags = dict(zip(_FEATURES, self._flags.T, strict=True)) | {
+            "images": self._previous_materials["texture"] >= 0
+        }
+        for name, has in (
+            ("second uvs", textures["uv_set"] > 0),
+            ("texture transforms", self._is_transformed),
+        ):
             flags[name] = (reads & np.append(has, False)[rows]).any(axis=1)
         return flags
 
@@ -93,7 +98,9 @@ class MaterialFeatures:
             return
         if materials.tobytes() == self._previous_materials.tobytes():  # takes less than array operations
             return
-        rows: Indices = np.flatnonzero((_view_words(materials) != _view_words(self._previous_materials)).any(axis=1))
+        rows: Indices = np.flatnonzero(
+            (_view_words(materials) != _view_words(self._previous_materials)).any(axis=1)
+        )
         changed, flags = materials[rows], self._examine(materials[rows])
         self._totals += flags.sum(axis=0) - self._flags[rows].sum(axis=0)
         for reads, before, after in zip(
@@ -143,7 +150,8 @@ class MaterialFeatures:
     def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:
         """Return how many of the materials have each texture (t,) as a base colour, and at all."""
         by_use = [
-            np.bincount(materials[name][materials[name] >= 0], minlength=len(self._textures)) for name in TEXTURES
+            np.bincount(materials[name][materials[name] >= 0], minlength=len(self._textures))
+            for name in TEXTURES
         ]
         return by_use[list(TEXTURES).index("texture")], np.sum(by_use, axis=0)
 

@@ -1,7 +1,7 @@
 """Files that others may have written: regular ones only, of a limited size, and JSON of a limited depth.
 
-Pipes and devices would be waited for, or never end. Whatever is refused is an `OSError` or a `ValueError`, as of a file
-that can't be read.
+Pipes and devices would be waited for, or never end. Whatever is refused is an `OSError` or a `ValueError`, as
+of a file that can't be read.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ def read_file(path: str | Path, max_bytes: int) -> bytes:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "it isn't a regular file", str(path))
-        content = b"" if status.st_size > max_bytes else file.read(min(max_bytes, status.st_size or _UNKNOWN) + 1)
+        content = (
+            b"" if status.st_size > max_bytes else file.read(min(max_bytes, status.st_size or _UNKNOWN) + 1)
+        )
         if max(status.st_size, len(content)) > max_bytes:  # it grows, or its size isn't known
             raise OSError(errno.EFBIG, f"it has more than {max_bytes:,} bytes", str(path))
         return content

@@ -1,7 +1,8 @@
 """The check that numbers are finite, where users may write any number into arrays and fields.
 
-A NaN in one light would be the colour of every pixel that it reaches, and one in a camera would hide the scene, both
-without a word. So what may be assigned is checked when it is used, and refused before anything else has happened.
+A NaN in one light would be the colour of every pixel that it reaches, and one in a camera would hide the
+scene, both without a word. So what may be assigned is checked when it is used, and refused before anything
+else has happened.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ def check_finite(call: str, **values: ArrayLike) -> None:
 
 
 class FiniteArrays:
-    """Remembers structured arrays and numbers that were checked, and checks them again when they have changed."""
+    """Remembers structured arrays and numbers that were checked, and checks them again when they have
+    changed."""
 
     def __init__(self) -> None:
         self._checked: dict[str, bytes] = {}
@@ -36,7 +38,8 @@ class FiniteArrays:
         arrays: Mapping[str, NDArray[Any]],
         check_more: Mapping[str, Callable[[str, NDArray[Any]], None]] = MappingProxyType({}),
     ) -> None:
-        """Refuse arrays of numbers, or of structs of them, that aren't finite, by the name and row of the first.
+        """Refuse arrays of numbers, or of structs of them, that aren't finite, by the name and row of the
+        first.
 
         Args:
             check_more: by name, functions of the call and the array that refuse more.

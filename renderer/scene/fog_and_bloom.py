@@ -1,4 +1,5 @@
-"""What lies between the scene and the eye: fog in the air, and bloom, light that scatters in the eye or the camera."""
+"""What lies between the scene and the eye: fog in the air, and bloom, light that scatters in the eye or the
+camera."""
 
 from __future__ import annotations
 
@@ -11,18 +12,19 @@ from renderer import rules
 from rhi.errors import refuse
 
 _MAX_DENSITY: Final = 1e6
-"""The largest density and falloff per metre: beyond it, nothing is seen through a thousandth of a millimetre."""
+"""The largest density and falloff per metre: beyond it, nothing is seen through a thousandth of a
+millimetre."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fog:
-    """Fog whose density falls with height: `density · e^(-falloff · (y - base))` per metre. A ray that collects a
-    thickness of t loses all but e^-t of its light, and gets the rest from the fog.
+    """Fog whose density falls with height: `density · e^(-falloff · (y - base))` per metre. A ray that
+    collects a thickness of t loses all but e^-t of its light, and gets the rest from the fog.
 
     Attributes:
         density: per metre, at the height `base`. More than 0.
-        color: what endless fog looks like, as a linear colour from 0 to 1; that of the scene's background hides where
-            one ends and the other begins.
+        color: what endless fog looks like, as a linear colour from 0 to 1; that of the scene's background
+            hides where one ends and the other begins.
         falloff: per metre; 0 is the same fog at all heights.
         base: a height in the world, in metres.
     """
@@ -39,7 +41,12 @@ class Fog:
             0.0 < self.density <= _MAX_DENSITY,
             f"more than 0, at most {_MAX_DENSITY:g}",
         )
-        _check("Fog(falloff=...)", self.falloff, 0.0 <= self.falloff <= _MAX_DENSITY, f"from 0 to {_MAX_DENSITY:g}")
+        _check(
+            "Fog(falloff=...)",
+            self.falloff,
+            0.0 <= self.falloff <= _MAX_DENSITY,
+            f"from 0 to {_MAX_DENSITY:g}",
+        )
         _check("Fog(base=...)", self.base, bool(np.isfinite(self.base)), "a finite height")
         is_color = len(self.color) == 3 and all(0.0 <= channel <= 1.0 for channel in self.color)
         _check("Fog(color=...)", self.color, is_color, "three numbers from 0 to 1")

@@ -1,14 +1,16 @@
 """Height fields: grounds whose triangles are chosen for each view.
 
-A field is a square grid of (2^k + 1)² heights. Its triangles come from bisecting two right triangles at the middle of
-their longest edge, again and again: a triangle is three vertices of the grid, and its edge's middle is one, too. The
-middle belongs to the two triangles on both sides of the edge. So it is decided vertex by vertex what is split
-(`renderer.tessellation`), and both triangles are split or neither is: there are no cracks.
+A field is a square grid of (2^k + 1)² heights. Its triangles come from bisecting two right triangles at the
+middle of their longest edge, again and again: a triangle is three vertices of the grid, and its edge's middle
+is one, too. The middle belongs to the two triangles on both sides of the edge. So it is decided vertex by
+vertex what is split (`renderer.tessellation`), and both triangles are split or neither is: there are no
+cracks.
 
-That holds only if a vertex is never used without the two edges that it was found on. Therefore each vertex has a
-`reach`, a ball around it that holds the balls of all vertices which depend on it, and a `length` that is at least
-theirs: whatever calls for one of those calls for this one as well (Lindstrom and Pascucci, 2002). The slack between
-them is larger than the rounding of float32 in any test that is linear in position, length and reach.
+That holds only if a vertex is never used without the two edges that it was found on. Therefore each vertex
+has a `reach`, a ball around it that holds the balls of all vertices which depend on it, and a `length` that
+is at least theirs: whatever calls for one of those calls for this one as well (Lindstrom and Pascucci, 2002).
+The slack between them is larger than the rounding of float32 in any test that is linear in position, length
+and reach.
 """
 
 from __future__ import annotations
@@ -37,11 +39,12 @@ class HeightField:
     """A ground: heights over a rectangle around the origin.
 
     Attributes:
-        heights: (n + 1, n + 1) float32, where n is a power of two; row 0 is at the smallest z, column 0 at the
-            smallest x.
+        heights: (n + 1, n + 1) float32, where n is a power of two; row 0 is at the smallest z, column 0 at
+            the smallest x.
         size: the lengths in metres along x and z.
         limit: the largest number of its triangles, a power of two.
-        has_normal_map: whether the normals of its vertices are straight up, because a normal map has the true ones.
+        has_normal_map: whether the normals of its vertices are straight up, because a normal map has the true
+            ones.
     """
 
     heights: NDArray[np.float32]
@@ -75,7 +78,8 @@ class HeightField:
         return points
 
     def sample_heights(self, x: ArrayLike, z: ArrayLike) -> Floats:
-        """Return the heights at points, interpolated between vertices; points beyond the border are moved to it."""
+        """Return the heights at points, interpolated between vertices; points beyond the border are moved to
+        it."""
         n = len(self.heights) - 1
         coordinates = [
             np.clip((np.asarray(at, np.float64) / side + 0.5) * n, 0.0, n)
@@ -101,7 +105,9 @@ class HeightField:
         vertices = np.zeros((width, width), vertex_format(["tangent"]))
         vertices["position"] = self.positions()
         vertices["normal"] = (0.0, 1.0, 0.0) if self.has_normal_map else self.normals()
-        slopes = np.gradient(self.heights.astype(np.float64), self.steps[0], axis=1) * (not self.has_normal_map)
+        slopes = np.gradient(self.heights.astype(np.float64), self.steps[0], axis=1) * (
+            not self.has_normal_map
+        )
         vertices["tangent"][..., 0] = 1.0 / np.hypot(1.0, slopes)
         vertices["tangent"][..., 1] = slopes / np.hypot(1.0, slopes)
         vertices["tangent"][..., 3] = 1.0
@@ -128,20 +134,24 @@ def make_height_field(
     A map whose sides aren't 2^k + 1 is interpolated on the next finer grid.
 
     Args:
-        size: the length along x and z in metres, or both lengths; `heights[0, 0]` is at the corner with the smallest
-            x and z.
+        size: the length along x and z in metres, or both lengths; `heights[0, 0]` is at the corner with the
+            smallest x and z.
         limit: the largest number of triangles, rounded down to a power of two.
-        has_normal_map: whether a normal map of its material holds the normals. Vertices then point straight up.
+        has_normal_map: whether a normal map of its material holds the normals. Vertices then point straight
+            up.
 
     Raises:
-        ValidationError `scene-bad-heights`: heights that aren't finite, or too many; a size that isn't above 0.
+        ValidationError `scene-bad-heights`: heights that aren't finite, or too many; a size that isn't above
+        0.
     """
     call = "make_height_field"
     samples = np.asarray(heights, np.float64)
     if samples.ndim != 2 or not samples.size or max(samples.shape) > MAX_SAMPLES:
         refuse(rules.BAD_HEIGHTS, call, f"shape {samples.shape}", f"(r, c), each from 1 to {MAX_SAMPLES:,}")
     if not np.isfinite(samples).all() or np.abs(samples).max() > 1e9:
-        refuse(rules.BAD_HEIGHTS, call, "a height that isn't finite or too large", "finite heights up to 10⁹ m")
+        refuse(
+            rules.BAD_HEIGHTS, call, "a height that isn't finite or too large", "finite heights up to 10⁹ m"
+        )
     sides = (float(size), float(size)) if isinstance(size, int | float) else (float(size[0]), float(size[1]))
     if not all(0.0 < side < 1e9 for side in sides):
         refuse(rules.BAD_HEIGHTS, f"{call}(size=...)", size, "above 0, up to 10⁹ m")
@@ -165,8 +175,9 @@ def _resample(rows: Floats, count: int) -> Floats:
 
 
 def bisect(width: int, depth: int) -> NDArray[np.int64]:
-    """Return the triangles (2^(depth + 1), 3) of a grid of `width` × `width` vertices, row by row, after bisecting all
-    `depth` times: the left end of the longest edge, the apex and the right end, counter-clockwise from above."""
+    """Return the triangles (2^(depth + 1), 3) of a grid of `width` × `width` vertices, row by row, after
+    bisecting all `depth` times: the left end of the longest edge, the apex and the right end,
+    counter-clockwise from above."""
     last = width * width - 1
     triangles = np.array([(0, last - width + 1, last), (last, width - 1, 0)])
     for _ in range(depth):

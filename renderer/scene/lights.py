@@ -1,9 +1,10 @@
-"""Lights: a structured array for each kind, with positions in float64, which shaders read relative to the eye.
+"""Lights: a structured array for each kind, with positions in float64, which shaders read relative to the
+eye.
 
-A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range,
-so that a light has a volume outside which it can be ignored. Its light comes from a point, or from a sphere of
-`source_radius` metres around it. A spot light fades from its inner to its outer half angle. Ambient light is a
-hemisphere: sky colour from above, ground colour from below.
+A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range, so
+that a light has a volume outside which it can be ignored. Its light comes from a point, or from a sphere of
+`source_radius` metres around it. A spot light fades from its inner to its outer half angle. Ambient light is
+a hemisphere: sky colour from above, ground colour from below.
 
 No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadows` for all of them).
 """
@@ -58,9 +59,9 @@ class Lights(AllLightArrays):
             self.snapshot = snapshot
 
     def with_cutoff(self, cutoff: float) -> Lights:
-        """A copy whose lights end where less than `cutoff` of their light arrives, above 0: 1 is what a directional
-        light of intensity 1 gives. They fade to that distance, so nothing has an edge, and no light is off by more
-        than 1.1 `cutoff` anywhere."""
+        """A copy whose lights end where less than `cutoff` of their light arrives, above 0: 1 is what a
+        directional light of intensity 1 gives. They fade to that distance, so nothing has an edge, and no
+        light is off by more than 1.1 `cutoff` anywhere."""
         shorter = copy(self)
         for kind in LOCAL_LIGHT_KINDS:
             lights = self.of_kind(kind).copy()
@@ -80,8 +81,9 @@ class Lights(AllLightArrays):
             self.of_kind(kind)["casts_shadow"] = casts
 
     def relative_to(self, eye: ArrayLike) -> dict[str, NDArray[Any]]:
-        """The lights with a position as shaders read them, by the name of their kind: in float32, with positions
-        relative to `eye` (3,), subtracted in float64."""
+        """The lights with a position as shaders read them, by the name of their kind: in float32, with
+        positions relative to `eye` (3,), subtracted in float64."""
         return {
-            kind.name: kind.pack_lights(self.of_kind(kind), np.asarray(eye, np.float64)) for kind in LOCAL_LIGHT_KINDS
+            kind.name: kind.pack_lights(self.of_kind(kind), np.asarray(eye, np.float64))
+            for kind in LOCAL_LIGHT_KINDS
         }

@@ -1,9 +1,10 @@
-"""Materials by their values: instances, which inherit from a parent what they don't set, and parameters of shaders.
+"""Materials by their values: instances, which inherit from a parent what they don't set, and parameters of
+shaders.
 
-A material has the values that were given for it; what it lacks is its parent's, and what no parent has is the default.
-So a value that is set in a parent changes all instances that don't set it themselves (Thatcher 2014, 10.4.3: parent,
-set, unset). From these values follow a row of `MATERIAL`, and a row of the parameters of its shader, if that is its
-own. An instance has its parent's shader.
+A material has the values that were given for it; what it lacks is its parent's, and what no parent has is the
+default. So a value that is set in a parent changes all instances that don't set it themselves (Thatcher 2014,
+10.4.3: parent, set, unset). From these values follow a row of `MATERIAL`, and a row of the parameters of its
+shader, if that is its own. An instance has its parent's shader.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from renderer.scene.materials import MATERIAL, TEXTURES, make_material
 from rhi.errors import refuse
 
 MAX_SHADERS: Final = 14
-"""The most shaders of their own that the materials of a scene may have: lists that a device makes have four parts for
-each, and at most 63 (`renderer.visibility.gpu.draw_lists`)."""
+"""The most shaders of their own that the materials of a scene may have: lists that a device makes have four
+parts for each, and at most 63 (`renderer.visibility.gpu.draw_lists`)."""
 _STANDARD: Final = frozenset(make_material.__annotations__) - {"return"}
 
 
@@ -54,10 +55,15 @@ class CustomShader:
         """Create the row () of the parameters with these values."""
         row = np.zeros((), self.dtype)
         for name in self.fields:
-            value = values.get(name, -1 if name in self.textures else self.shader.parameter_defaults.get(name))
+            value = values.get(
+                name, -1 if name in self.textures else self.shader.parameter_defaults.get(name)
+            )
             if value is None:
                 refuse(
-                    rules.BAD_MATERIAL, f"{call}({name}=...)", "nothing", f"a value: {self.shader.__name__} needs it"
+                    rules.BAD_MATERIAL,
+                    f"{call}({name}=...)",
+                    "nothing",
+                    f"a value: {self.shader.__name__} needs it",
                 )
             row[name] = _read(value, self.dtype[name], f"{call}({name}=...)")
         return row
@@ -71,7 +77,12 @@ def _read(value: Any, dtype: np.dtype[Any], call: str) -> NDArray[Any]:
     is_number = array.dtype.kind in ("iu" if whole else "iuf")
     if array.shape != shape or not is_number or not np.isfinite(array).all():
         kind = "whole number" if whole else "finite number"
-        refuse(rules.BAD_MATERIAL, call, value, f"{' x '.join(map(str, shape))} {kind}s" if shape else f"a {kind}")
+        refuse(
+            rules.BAD_MATERIAL,
+            call,
+            value,
+            f"{' x '.join(map(str, shape))} {kind}s" if shape else f"a {kind}",
+        )
     return array
 
 
@@ -82,11 +93,20 @@ def read_custom_shader(shader: object, call: str) -> CustomShader:
         refuse(rules.BAD_MATERIAL, f"{call}(shader=...)", shader, allowed)
     own = CustomShader(shader, sl.find_element(shader, "parameters") or int)
     declared: Any = shader
-    wrong = [name for name in (*declared.parameter_defaults, *declared.parameter_textures) if name not in own.fields]
+    wrong = [
+        name
+        for name in (*declared.parameter_defaults, *declared.parameter_textures)
+        if name not in own.fields
+    ]
     wrong += [name for name in own.fields if name in _STANDARD]
     if wrong:
         problem = f"{shader.__name__}, {wrong[0]!r}"
-        refuse(rules.BAD_MATERIAL, f"{call}(shader=...)", problem, "names of parameters, and none that a material has")
+        refuse(
+            rules.BAD_MATERIAL,
+            f"{call}(shader=...)",
+            problem,
+            "names of parameters, and none that a material has",
+        )
     return own
 
 
@@ -94,7 +114,8 @@ class MaterialTable:
     """The materials of a scene by their values.
 
     Attributes:
-        shaders: those that materials have of their own. The `shader` of a material is 1 more than the place here.
+        shaders: those that materials have of their own. The `shader` of a material is 1 more than the place
+            here.
     """
 
     def __init__(self) -> None:
@@ -127,7 +148,8 @@ class MaterialTable:
         return instances
 
     def add(self, values: Mapping[str, Any], parent: int, number: int, shaders: list[CustomShader]) -> int:
-        """Add a material, whose textures are given by their rows, with what `check` has returned; return its id."""
+        """Add a material, whose textures are given by their rows, with what `check` has returned; return its
+        id."""
         self.shaders = shaders
         self._parents.append(parent)
         self._own.append(dict(values))
@@ -141,24 +163,40 @@ class MaterialTable:
         number = self._shader[parent] if parent >= 0 else 0
         shaders = list(self.shaders)
         if shader is not None:
-            numbers = [position for position, custom in enumerate(shaders, 1) if custom.shader is shader.shader]
+            numbers = [
+                position for position, custom in enumerate(shaders, 1) if custom.shader is shader.shader
+            ]
             if parent >= 0 and numbers != [number]:
-                refuse(rules.BAD_MATERIAL, "add_material(shader=...)", shader.shader.__name__, "that of the parent")
+                refuse(
+                    rules.BAD_MATERIAL,
+                    "add_material(shader=...)",
+                    shader.shader.__name__,
+                    "that of the parent",
+                )
             if not numbers:
                 shaders.append(shader)
             number = numbers[0] if numbers else len(shaders)
         if len(shaders) > MAX_SHADERS:
-            refuse(rules.BAD_MATERIAL, "add_material(shader=...)", f"{len(shaders)} shaders", f"at most {MAX_SHADERS}")
+            refuse(
+                rules.BAD_MATERIAL,
+                "add_material(shader=...)",
+                f"{len(shaders)} shaders",
+                f"at most {MAX_SHADERS}",
+            )
         own = shaders[number - 1] if number else None
         check_names(values, own, "add_material")
-        _make((self.resolve_values(parent) if parent >= 0 else {}) | dict(values), number, own, "add_material")
+        _make(
+            (self.resolve_values(parent) if parent >= 0 else {}) | dict(values), number, own, "add_material"
+        )
         return number, shaders
 
     def make_arrays(self) -> tuple[NDArray[Any], tuple[NDArray[Any], ...]]:
-        """Create the materials (k,) of `MATERIAL`, and for each of `shaders` the parameters (k,) of all materials,
-        which are 0 where they have another shader; (0,) of a shader without parameters."""
+        """Create the materials (k,) of `MATERIAL`, and for each of `shaders` the parameters (k,) of all
+        materials, which are 0 where they have another shader; (0,) of a shader without parameters."""
         materials = np.zeros(len(self), MATERIAL)
-        parameters = tuple(np.zeros(len(self) if shader.fields else 0, shader.dtype) for shader in self.shaders)
+        parameters = tuple(
+            np.zeros(len(self) if shader.fields else 0, shader.dtype) for shader in self.shaders
+        )
         for material in range(len(self)):
             materials[material], own = self._make_material(material, "add_material")
             self._write_parameters(material, own, parameters)
@@ -192,7 +230,9 @@ class MaterialTable:
     def _make_material(self, material: int, call: str) -> tuple[NDArray[Any], NDArray[Any] | None]:
         return _make(self.resolve_values(material), self._shader[material], self.get_shader(material), call)
 
-    def _write_parameters(self, material: int, own: NDArray[Any] | None, parameters: tuple[NDArray[Any], ...]) -> None:
+    def _write_parameters(
+        self, material: int, own: NDArray[Any] | None, parameters: tuple[NDArray[Any], ...]
+    ) -> None:
         """Write a material's row of parameters, if its shader has any."""
         if own is not None and own.dtype.names:
             parameters[self._shader[material] - 1][material] = own

@@ -1,11 +1,14 @@
-"""Materials and the textures that they refer to: structured arrays in std430 layout, which are uploaded as they are.
+"""Materials and the textures that they refer to: structured arrays in std430 layout, which are uploaded as
+they are.
 
-A material has one of two models. The **specular** one is Blinn-Phong with a rim term. The **metallic-roughness** one is
-that of glTF 2.0 (GGX), and a material has it if `metallic`, `roughness` or their texture is given. What both have in
-common means the same in both: base colour, normal, occlusion, emitted light, alpha and sides.
+A material has one of two models. The **specular** one is Blinn-Phong with a rim term. The
+**metallic-roughness** one is that of glTF 2.0 (GGX), and a material has it if `metallic`, `roughness` or
+their texture is given. What both have in common means the same in both: base colour, normal, occlusion,
+emitted light, alpha and sides.
 
 A *texture* is an image with the way to read it: a set of texture coordinates, their transform, and a sampler
-(`TextureMap`). Whether an image holds colours (sRGB) or data (linear) follows from what a material uses it for.
+(`TextureMap`). Whether an image holds colours (sRGB) or data (linear) follows from what a material uses it
+for.
 """
 
 from __future__ import annotations
@@ -40,11 +43,17 @@ MATERIAL: Final = np.dtype(
         ("normal_texture", "<i4"),
         ("normal_scale", "<f4"),  # multiplies x and y of the texture's normal
         ("occlusion_texture", "<i4"),
-        ("occlusion_strength", "<f4"),  # of the red channel: 1 + strength * (texel - 1) of ambient light is left
+        (
+            "occlusion_strength",
+            "<f4",
+        ),  # of the red channel: 1 + strength * (texel - 1) of ambient light is left
         ("alpha_mode", "<i4"),  # an `AlphaMode`
         ("alpha_cutoff", "<f4"),  # with `MASK`: below this alpha nothing is drawn
         ("double_sided", "<i4"),  # 1 if the back is drawn, too
-        ("shader", "<i4"),  # 0 for the renderer's, or 1 more than the place of its own in the scene's `shaders`
+        (
+            "shader",
+            "<i4",
+        ),  # 0 for the renderer's, or 1 more than the place of its own in the scene's `shaders`
     ]
 )
 """112 bytes: a std430 struct whose alignment is that of a vec4."""
@@ -61,7 +70,8 @@ TEXTURE: Final = np.dtype(
 """A texture that materials refer to by its row."""
 
 ImagePixels = NDArray[np.uint8]
-"""A texture's pixels: (height, width, 4), colours in sRGB with linear alpha, or linear data; top row first."""
+"""A texture's pixels: (height, width, 4), colours in sRGB with linear alpha, or linear data; top row
+first."""
 
 TEXTURES: Final = {
     "texture": True,
@@ -81,8 +91,8 @@ class ShadingModel(IntEnum):
 
 
 class AlphaMode(IntEnum):
-    """The meaning of a material's alpha: nothing, a mask that is cut at `alpha_cutoff`, or the share by which the
-    surface covers what is behind it."""
+    """The meaning of a material's alpha: nothing, a mask that is cut at `alpha_cutoff`, or the share by which
+    the surface covers what is behind it."""
 
     OPAQUE = 0
     MASK = 1
@@ -117,7 +127,9 @@ class TextureMap:
         if self.uv_set not in (0, 1):
             refuse(rules.BAD_MATERIAL, "TextureMap(uv_set=...)", self.uv_set, "0 or 1")
         if self.sampler.compare is not None:
-            refuse(rules.BAD_MATERIAL, "TextureMap(sampler=...)", "a comparison", "a sampler that filters texels")
+            refuse(
+                rules.BAD_MATERIAL, "TextureMap(sampler=...)", "a comparison", "a sampler that filters texels"
+            )
         for name in ("offset", "rotation", "scale"):
             if not np.isfinite(getattr(self, name)).all():
                 refuse(rules.BAD_MATERIAL, f"TextureMap({name}=...)", getattr(self, name), "finite numbers")
@@ -180,9 +192,10 @@ def make_material(
 ) -> NDArray[Any]:
     """Create one material, () of `MATERIAL`; a base colour of three numbers gets alpha 1.
 
-    With `metallic`, `roughness` or a `metallic_roughness_texture` it is of the metallic-roughness model, in which the
-    first two are 1 by default. Otherwise it is of the specular model: `specular_color` (0.04 by default), `shininess`
-    (32), `rim_strength` (0), `rim_power` (4) and `emission` (0). The parameters of both can't be mixed.
+    With `metallic`, `roughness` or a `metallic_roughness_texture` it is of the metallic-roughness model, in
+    which the first two are 1 by default. Otherwise it is of the specular model: `specular_color` (0.04 by
+    default), `shininess` (32), `rim_strength` (0), `rim_power` (4) and `emission` (0). The parameters of both
+    can't be mixed.
 
     Args:
         texture: that of the base colour. Textures are rows of the scene's textures, or -1.

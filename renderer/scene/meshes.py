@@ -1,10 +1,11 @@
 """Meshes: triangles in one shared vertex array and one shared index array.
 
-A `MeshGeometry` is one mesh with arrays of its own. `Meshes` holds all meshes of a scene: index ranges with base
-vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw serve every object.
+A `MeshGeometry` is one mesh with arrays of its own. `Meshes` holds all meshes of a scene: index ranges with
+base vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw serve
+every object.
 
-All vertices have a position, a normal and texture coordinates. A second set of them, a tangent and a colour are there
-only where they are needed (`vertex_format`); all meshes of a scene have the same ones.
+All vertices have a position, a normal and texture coordinates. A second set of them, a tangent and a colour
+are there only where they are needed (`vertex_format`); all meshes of a scene have the same ones.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ MeshBounds = tuple[Floats, Floats]
 def vertex_format(attributes: Collection[str] = ()) -> np.dtype[Any]:
     """Return the format of vertices with the attributes of `VERTEX` and these.
 
-    They are `uv2`, a second set of texture coordinates; `tangent`, a unit vector along which u grows, and the sign of
-    the bitangent `sign * cross(normal, tangent)`, which leads up in the image, where v decreases; and `color`, linear
-    with alpha, which multiplies a material's base colour.
+    They are `uv2`, a second set of texture coordinates; `tangent`, a unit vector along which u grows, and the
+    sign of the bitangent `sign * cross(normal, tangent)`, which leads up in the image, where v decreases; and
+    `color`, linear with alpha, which multiplies a material's base colour.
     """
     unknown = set(attributes) - set(_OPTIONAL)
     if unknown:
@@ -65,8 +66,8 @@ def list_attributes(format: np.dtype[Any]) -> frozenset[str]:
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class MeshGeometry:
-    """A mesh: `vertices` (v,) of a `vertex_format` and `indices` (3 * triangles,) uint32, counter-clockwise from
-    outside."""
+    """A mesh: `vertices` (v,) of a `vertex_format` and `indices` (3 * triangles,) uint32, counter-clockwise
+    from outside."""
 
     vertices: NDArray[Any]
     indices: NDArray[np.uint32]
@@ -74,7 +75,12 @@ class MeshGeometry:
     def __post_init__(self) -> None:
         call = "MeshGeometry"
         if self.vertices.dtype != vertex_format(list_attributes(self.vertices.dtype)):
-            refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX, or a vertex_format")
+            refuse(
+                rules.BAD_MESH,
+                call,
+                f"vertices of {self.vertices.dtype}",
+                "meshes.VERTEX, or a vertex_format",
+            )
         if self.indices.dtype != np.uint32 or self.indices.ndim != 1 or len(self.indices) % 3:
             problem = f"indices of {self.indices.dtype}, shape {self.indices.shape}"
             refuse(rules.BAD_MESH, call, problem, "uint32, shape (3 * triangles,)")
@@ -104,8 +110,8 @@ class MeshGeometry:
         return list_attributes(self.vertices.dtype)
 
     def with_attributes(self, attributes: Collection[str]) -> MeshGeometry:
-        """Return the mesh with these attributes besides those of `VERTEX`: others are left out, and missing ones are
-        uv 0, a tangent along x, and white."""
+        """Return the mesh with these attributes besides those of `VERTEX`: others are left out, and missing
+        ones are uv 0, a tangent along x, and white."""
         if self.attributes == frozenset(attributes):
             return self
         vertices = np.zeros(len(self.vertices), vertex_format(attributes))
@@ -115,7 +121,8 @@ class MeshGeometry:
         return MeshGeometry(vertices, self.indices)
 
     def transformed(self, matrix: ArrayLike) -> MeshGeometry:
-        """Return the mesh transformed by an affine matrix (4, 4); a mirroring one reverses the triangles' winding."""
+        """Return the mesh transformed by an affine matrix (4, 4); a mirroring one reverses the triangles'
+        winding."""
         m = np.asarray(matrix, np.float64)
         vertices = self.vertices.copy()
         vertices["position"] = self.vertices["position"] @ m[:3, :3].T + m[:3, 3]
@@ -124,10 +131,14 @@ class MeshGeometry:
         mirrored = np.linalg.det(m[:3, :3]) < 0.0
         if "tangent" in self.attributes:
             along = self.vertices["tangent"][:, :3] @ m[:3, :3].T
-            vertices["tangent"][:, :3] = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+            vertices["tangent"][:, :3] = along / np.maximum(
+                np.linalg.norm(along, axis=1, keepdims=True), 1e-30
+            )
             vertices["tangent"][:, 3] *= -1.0 if mirrored else 1.0
         corners = self.indices.reshape(-1, 3)
-        return MeshGeometry(vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1))
+        return MeshGeometry(
+            vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1)
+        )
 
 
 def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
@@ -140,8 +151,8 @@ def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
 
 
 def list_grid_triangles(rows: int, columns: int) -> NDArray[np.uint32]:
-    """Return the indices (k,) of the triangles of a grid of points, two for each four of them. Their front is where
-    columns run right as rows run down."""
+    """Return the indices (k,) of the triangles of a grid of points, two for each four of them. Their front is
+    where columns run right as rows run down."""
     corner = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
     a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
     return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1)
@@ -159,8 +170,8 @@ def make_geometry(
 ) -> MeshGeometry:
     """Create a mesh from plain arrays: positions (v, 3), indices (3t,) or (t, 3), normals (v, 3), uv (v, 2).
 
-    Missing normals are computed, weighted by area; missing texture coordinates are 0. Vertices have `uv2` (v, 2),
-    `tangent` (v, 4) and `color` (v, 4) only if these are given; see `vertex_format`.
+    Missing normals are computed, weighted by area; missing texture coordinates are 0. Vertices have `uv2` (v,
+    2), `tangent` (v, 4) and `color` (v, 4) only if these are given; see `vertex_format`.
     """
     attributes: Mapping[str, ArrayLike | None] = {"uv2": uv2, "tangent": tangent, "color": color}
     more = {name: values for name, values in attributes.items() if values is not None}
@@ -189,7 +200,9 @@ def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
     size = max(float(np.ptp(points)), 1e-300) if points.size else 1.0
     faces = np.cross((b - a) / size, (c - a) / size)
     target = corners.T.reshape(-1)
-    total = np.stack([np.bincount(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1)
+    total = np.stack(
+        [np.bincount(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1
+    )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), (0.0, 1.0, 0.0))
 
@@ -203,7 +216,8 @@ class Meshes:
         ranges: (m,) of `RANGE`.
         lower, upper: (m, 3) float64, local bounds.
         names: the names of the meshes, m of them.
-        with_tangents: the meshes that had tangents, which normal maps need; others have the same for all vertices.
+        with_tangents: the meshes that had tangents, which normal maps need; others have the same for all
+            vertices.
     """
 
     def __init__(
@@ -218,8 +232,12 @@ class Meshes:
         self.with_tangents = frozenset(i for i, g in enumerate(geometries) if "tangent" in g.attributes)
         geometries = [g.with_attributes(attributes) for g in geometries]
         fixed = bounds or [None] * count
-        self.vertices: NDArray[Any] = np.concatenate([g.vertices for g in geometries] or [np.empty(0, VERTEX)])
-        self.indices: NDArray[np.uint32] = np.concatenate([g.indices for g in geometries] or [np.empty(0, np.uint32)])
+        self.vertices: NDArray[Any] = np.concatenate(
+            [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
+        )
+        self.indices: NDArray[np.uint32] = np.concatenate(
+            [g.indices for g in geometries] or [np.empty(0, np.uint32)]
+        )
         self.ranges: NDArray[Any] = np.zeros(count, RANGE)
         self.ranges["index_count"] = [len(g.indices) for g in geometries]
         self.ranges["first_index"][1:] = np.cumsum(self.ranges["index_count"], dtype=np.uint32)[:-1]

@@ -1,9 +1,10 @@
 """The node hierarchy as arrays, sorted by depth and updated level by level.
 
-Rows are sorted by level when they are made, and stay when a node gets another parent; then an order of rows is sorted
-again. The parents of a level precede it, and its world transforms are one multiplication of stacks of matrices. Only
-rows that moved, or whose parent moved, are multiplied; a level without such rows is skipped. A row is static unless it
-or an ancestor was declared dynamic, and a static row can't move. So hierarchies over static objects are built once.
+Rows are sorted by level when they are made, and stay when a node gets another parent; then an order of rows
+is sorted again. The parents of a level precede it, and its world transforms are one multiplication of stacks
+of matrices. Only rows that moved, or whose parent moved, are multiplied; a level without such rows is
+skipped. A row is static unless it or an ancestor was declared dynamic, and a static row can't move. So
+hierarchies over static objects are built once.
 """
 
 from __future__ import annotations
@@ -30,10 +31,12 @@ class Nodes:
         world: (n, 4, 4) float64, transforms from node to world; read-only, updated by `update`.
         dynamic: (n,) bool, whether a node may move.
         order: (n,) int64, the rows level after level.
-        level_starts: (levels + 1,) int64; level l is the entries level_starts[l] to level_starts[l + 1] of `order`.
+        level_starts: (levels + 1,) int64; level l is the entries level_starts[l] to level_starts[l + 1] of
+            `order`.
         hides: (n,) bool, whether a node is hidden by itself; changed by `hide` and `show`.
         hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
-        bound: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space above it.
+        bound: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space
+            above it.
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
         writer: the simulator that has last set transforms; None if something else has.
@@ -48,7 +51,9 @@ class Nodes:
         if matrices.shape != (count, 4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "Nodes(local=...)", f"shape {matrices.shape}", f"({count}, 4, 4)")
         if ((parent_indices < -1) | (parent_indices >= np.arange(count))).any():
-            refuse(rules.BAD_INDEX, "Nodes(parents=...)", "a parent at or after its child", "-1 or an earlier id")
+            refuse(
+                rules.BAD_INDEX, "Nodes(parents=...)", "a parent at or after its child", "-1 or an earlier id"
+            )
         moves = np.broadcast_to(np.asarray(dynamic, bool), count).copy()
 
         depth = _depths(parent_indices)
@@ -97,7 +102,8 @@ class Nodes:
         return self.names.index(name)
 
     def set_local(self, indices: ArrayLike, local: ArrayLike) -> None:
-        """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `indices` (k,); `update` applies them."""
+        """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `indices` (k,); `update` applies
+        them."""
         node_indices = read_ids("set_local(indices=...)", indices, len(self))
         matrices = np.asarray(local, np.float64)
         if matrices.shape not in ((4, 4), (len(node_indices), 4, 4)) or not is_affine(matrices):
@@ -108,7 +114,8 @@ class Nodes:
         self.last_writer = None
 
     def set_parent(self, index: int, parent: int) -> None:
-        """Hang a dynamic node, with all that is below it, on another one, -1 for none. It keeps its local transform."""
+        """Hang a dynamic node, with all that is below it, on another one, -1 for none. It keeps its local
+        transform."""
         self._check_dynamic("set_parent", read_ids("set_parent(index=...)", index, len(self)))
         if self.keeps_parent[index]:
             refuse(rules.FIXED_PARENT, "set_parent(index=...)", index)
@@ -116,7 +123,12 @@ class Nodes:
         while 0 <= above < len(self) and above != index:
             above = int(self.parents[above])
         if above != -1:
-            refuse(rules.BAD_INDEX, "set_parent(parent=...)", parent, f"-1, or a row that isn't below row {index}")
+            refuse(
+                rules.BAD_INDEX,
+                "set_parent(parent=...)",
+                parent,
+                f"-1, or a row that isn't below row {index}",
+            )
         parents = self.parents.astype(np.int64)
         parents[index] = parent
         self._set_parents(parents)
@@ -142,7 +154,8 @@ class Nodes:
         self.hidden_itself[read_ids("hide(indices=...)", indices, len(self))] = self._has_hidden = True
 
     def show(self, indices: ArrayLike) -> None:
-        """Show what `hide` has hidden at the nodes `indices` (k,). What is below a hidden node stays hidden."""
+        """Show what `hide` has hidden at the nodes `indices` (k,). What is below a hidden node stays
+        hidden."""
         self.hidden_itself[read_ids("show(indices=...)", indices, len(self))] = False
         self._has_hidden = True
 

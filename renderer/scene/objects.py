@@ -1,8 +1,9 @@
 """The objects of a scene as arrays, and the boxes that hold them.
 
-An object's box is given in the space of a node. For most objects that is the box of their mesh, at their own node, and
-it follows them. For a simulated object it is the box that the simulation never leaves, at the first node above all that
-the simulation moves. So that box is where the object may be, at any time and wherever it is drawn last.
+An object's box is given in the space of a node. For most objects that is the box of their mesh, at their own
+node, and it follows them. For a simulated object it is the box that the simulation never leaves, at the first
+node above all that the simulation moves. So that box is where the object may be, at any time and wherever it
+is drawn last.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from rhi.math import transform_bounds
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ObjectBoxes:
-    """Boxes, one for each object: `lower` and `upper` (n, 3) in the space of `node` (n,), -1 for the world."""
+    """Boxes, one for each object: `lower` and `upper` (n, 3) in the space of `node` (n,), -1 for the
+    world."""
 
     node: Indices
     lower: Floats
@@ -44,12 +46,13 @@ class Objects:
         dynamic: (n,) bool, whether the object's node can move.
         is_shown: (n,) bool, whether the object's node isn't hidden, kept up to date by `Scene.update`.
         casts_shadow: (n,) bool, whether the object casts shadows.
-        simulated: (n,) bool, whether the object is simulated where it is drawn, and only there. Its vertices and its
-            transform may be those of an earlier time; its bounds hold at all times.
+        simulated: (n,) bool, whether the object is simulated where it is drawn, and only there. Its vertices
+            and its transform may be those of an earlier time; its bounds hold at all times.
         boxes: what `lower` and `upper` are computed from.
         static_indices, dynamic_indices, simulated_indices: int64, the rows of such objects, ascending.
-        fixed_indices, following_indices: int64, indices of the objects whose world bounds never change, and of those
-            whose bounds may follow a node, ascending. What is simulated in one place is dynamic and has fixed bounds.
+        fixed_indices, following_indices: int64, indices of the objects whose world bounds never change, and
+            of those whose bounds may follow a node, ascending. What is simulated in one place is dynamic and
+            has fixed bounds.
     """
 
     node: NDArray[np.int32]
@@ -72,13 +75,16 @@ class Objects:
         return len(self.node)
 
     def select_shown(self, indices: Indices) -> Indices:
-        """Return the shown objects among `indices` (k,); the same array if all objects of the scene are shown."""
+        """Return the shown objects among `indices` (k,); the same array if all objects of the scene are
+        shown."""
         return indices if self.is_shown.all() else indices[self.is_shown[indices]]
 
     def refresh_bounds(self, nodes: Nodes, indices: Indices) -> None:
         """Compute the world bounds of `indices` (k,) again."""
         boxes = self.boxes
-        bounds = transform_bounds(boxes.transforms(nodes, indices), boxes.lower[indices], boxes.upper[indices])
+        bounds = transform_bounds(
+            boxes.transforms(nodes, indices), boxes.lower[indices], boxes.upper[indices]
+        )
         self.lower[indices], self.upper[indices] = bounds
 
 
@@ -93,7 +99,8 @@ def make_objects(
     """Make the objects of a scene, with bounds as of now.
 
     Args:
-        columns: for each object the rows (n,) of its node, its mesh and its material, and whether it casts shadows.
+        columns: for each object the rows (n,) of its node, its mesh and its material, and whether it casts
+            shadows.
         deformed: the indices of the objects whose vertices are simulated.
         animated: the rows (k,) of the animated nodes.
         bounds: the lower and upper corners (k, 3) of their boxes; NaN where there is none.

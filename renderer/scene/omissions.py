@@ -1,5 +1,5 @@
-"""Omissions: the properties of a file that its scene lacks, or of a scene that its file lacks. They are listed, so that
-nothing is dropped in silence."""
+"""Omissions: the properties of a file that its scene lacks, or of a scene that its file lacks. They are
+listed, so that nothing is dropped in silence."""
 
 from __future__ import annotations
 

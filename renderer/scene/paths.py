@@ -1,9 +1,9 @@
 """Camera paths: cameras along a route through the scene as arrays, one row for each frame at 60 Hz.
 
-`make_path` makes a path of 30 seconds from the corners of a route. The speed is constant, corners are rounded by
-averaging over a window of the route, and the camera looks at a point of the route ahead of it. So turns are smooth,
-and the same input gives the same frames. `CameraPath.record` makes a path of given cameras: a walk-through, which
-`save` writes to a file.
+`make_path` makes a path of 30 seconds from the corners of a route. The speed is constant, corners are rounded
+by averaging over a window of the route, and the camera looks at a point of the route ahead of it. So turns
+are smooth, and the same input gives the same frames. `CameraPath.record` makes a path of given cameras: a
+walk-through, which `save` writes to a file.
 """
 
 from __future__ import annotations
@@ -83,7 +83,9 @@ class CameraPath:
         if not cameras:
             refuse(rules.BAD_CAMERA_PATH, "CameraPath.record", "no camera", "one or more")
         for row, camera in enumerate(cameras):
-            check_finite(f"CameraPath.record(cameras[{row}])", position=camera.position, rotation=camera.rotation)
+            check_finite(
+                f"CameraPath.record(cameras[{row}])", position=camera.position, rotation=camera.rotation
+            )
         return cls(
             np.array([camera.position for camera in cameras]),
             np.array([camera.position + camera.forward for camera in cameras]),
@@ -92,12 +94,17 @@ class CameraPath:
         )
 
     def save(self, path: Path) -> None:
-        """Write the path as JSON: the projection, and for each frame position, target and up, nine numbers."""
+        """Write the path as JSON: the projection, and for each frame position, target and up, nine
+        numbers."""
         projection = self.projection
-        kind = next(name for name, projection_type in _PROJECTIONS.items() if isinstance(projection, projection_type))
+        kind = next(
+            name for name, projection_type in _PROJECTIONS.items() if isinstance(projection, projection_type)
+        )
         numbers = {entry.name: getattr(projection, entry.name) for entry in fields(_PROJECTIONS[kind])}
         numbers["depth"] = projection.depth.value
-        rows = np.concatenate([self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1)
+        rows = np.concatenate(
+            [self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1
+        )
         path.write_text(json.dumps({"projection": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n")
 
     @classmethod
@@ -105,7 +112,8 @@ class CameraPath:
         """Read a file that `save` has written.
 
         Raises:
-            ValidationError: `camera-bad-path` if the file is no walk-through, `camera-bad-value` for a bad projection.
+            ValidationError: `camera-bad-path` if the file is no walk-through, `camera-bad-value` for a bad
+                projection.
             OSError: the file can't be read.
         """
         call = f"CameraPath.load({str(path)!r})"
@@ -133,8 +141,8 @@ def make_path(
 ) -> CameraPath:
     """Create a path along a route with the `corners` (k, 3), k >= 2.
 
-    `rounding` is the length of the route in metres over which a corner is spread, `ahead` the distance in metres from
-    the camera to its target along the route, and `sink` how far the target lies below the route.
+    `rounding` is the length of the route in metres over which a corner is spread, `ahead` the distance in
+    metres from the camera to its target along the route, and `sink` how far the target lies below the route.
     """
     route = np.asarray(corners, np.float64)
     lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)

@@ -1,13 +1,15 @@
 """Stereo rigs: a pair of cameras beside a camera, a view that encloses both, and the parallax between them.
 
-The eyes of a rig stand half the eye distance e to the left and to the right of a camera, and look in its direction.
-Their projections are skewed towards each other (*off-axis*), so that both images show the same rectangle at the
-convergence distance c. With P00 the horizontal scale of the projection, a point at the distance z along the view lies
-P00 · e · (1/c - 1/z) farther right in the right eye's image, of width 2, than in the left eye's: 0 at z = c, in front
-of the screen to the left (negative), and P00 · e / c at infinity. It never moves up or down.
+The eyes of a rig stand half the eye distance e to the left and to the right of a camera, and look in its
+direction. Their projections are skewed towards each other (*off-axis*), so that both images show the same
+rectangle at the convergence distance c. With P00 the horizontal scale of the projection, a point at the
+distance z along the view lies P00 · e · (1/c - 1/z) farther right in the right eye's image, of width 2, than
+in the left eye's: 0 at z = c, in front of the screen to the left (negative), and P00 · e / c at infinity. It
+never moves up or down.
 
-Eyes that are *toed in* are turned towards the convergence point instead. Their images are planes at an angle, so a
-point in a corner is higher in one than in the other. Toed-in rigs exist only to demonstrate this artefact.
+Eyes that are *toed in* are turned towards the convergence point instead. Their images are planes at an angle,
+so a point in a corner is higher in one than in the other. Toed-in rigs exist only to demonstrate this
+artefact.
 
 With an orthographic projection parallax is linear in the distance: P00 · e · (z/c - 1).
 """
@@ -45,8 +47,8 @@ _FLIP_Z: Final = np.array([1.0, 1.0, -1.0])
 
 @dataclass(frozen=True)
 class SkewedProjection:
-    """A projection with a skewed axis: d metres along the view, the middle of its image is d · `skew` right of where
-    `projection` has it."""
+    """A projection with a skewed axis: d metres along the view, the middle of its image is d · `skew` right
+    of where `projection` has it."""
 
     projection: Projection
     skew: float
@@ -90,16 +92,22 @@ class StereoRig:
 
     @classmethod
     def comfortable(
-        cls, projection: Projection, nearest: float, farthest: float, max_parallax: float = COMFORTABLE_PARALLAX
+        cls,
+        projection: Projection,
+        nearest: float,
+        farthest: float,
+        max_parallax: float = COMFORTABLE_PARALLAX,
     ) -> StereoRig:
-        """Return the rig for what is from `nearest` to `farthest` metres along the view: its parallax spreads over at
-        most `max_parallax` of the image's width, as far in front of the screen as behind it.
+        """Return the rig for what is from `nearest` to `farthest` metres along the view: its parallax spreads
+        over at most `max_parallax` of the image's width, as far in front of the screen as behind it.
 
         The eyes are never farther apart than human ones.
         """
         if not 0.0 < nearest <= farthest:
             distances = f"{nearest} to {farthest}"
-            refuse(rules.BAD_STEREO, "StereoRig.comfortable(nearest, farthest)", distances, "above 0, ascending")
+            refuse(
+                rules.BAD_STEREO, "StereoRig.comfortable(nearest, farthest)", distances, "above 0, ascending"
+            )
         scale = float(projection.matrix[0, 0])
         if is_parallel(projection):
             convergence = 0.5 * (nearest + farthest)
@@ -120,14 +128,17 @@ class StereoRig:
     def _make_eye(self, camera: Camera, offset: float) -> Camera:
         position = camera.position + offset * camera.right
         if not self.is_toed_in:
-            return Camera(position, camera.rotation, SkewedProjection(camera.projection, -offset / self.convergence))
+            return Camera(
+                position, camera.rotation, SkewedProjection(camera.projection, -offset / self.convergence)
+            )
         angle = np.arctan(offset / self.convergence)  # about the camera's up, to the left
         cosine, sine = float(np.cos(angle)), float(np.sin(angle))
         turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
         return Camera(position, turn @ camera.rotation, camera.projection)
 
     def enclose(self, camera: Camera) -> Camera:
-        """Return a camera that sees all that either eye sees: a little behind `camera`, with a wider projection.
+        """Return a camera that sees all that either eye sees: a little behind `camera`, with a wider
+        projection.
 
         Nothing outside its frustum is in either image.
         """
@@ -137,8 +148,8 @@ class StereoRig:
         return Camera(camera.position - back * camera.forward, camera.rotation, projection)
 
     def _enclose_projection(self, projection: Projection) -> tuple[Projection, float]:
-        """Return the projection that encloses both eyes' views, and its distance behind the camera: the same wherever
-        the camera is."""
+        """Return the projection that encloses both eyes' views, and its distance behind the camera: the same
+        wherever the camera is."""
         camera = Camera(np.zeros(3), np.eye(3), projection)
         eyes = self.place_eyes(camera)
         nearest, farthest = (1.0, 0.0) if projection.depth is Depth.REVERSED else (0.0, 1.0)
@@ -146,16 +157,22 @@ class StereoRig:
         has_far = bool(np.isfinite(end_of_view))
         begin_of_view = distance_at_depth(projection.matrix, nearest)
         near = np.concatenate([_frustum_corners(camera, eye, begin_of_view) for eye in eyes])
-        far = np.concatenate([_frustum_corners(camera, eye, end_of_view) for eye in eyes]) if has_far else near
+        far = (
+            np.concatenate([_frustum_corners(camera, eye, end_of_view) for eye in eyes]) if has_far else near
+        )
         widened = 1.0 + _MARGIN
         if is_parallel(projection):
             ends = np.concatenate([near, far])
             (half, high), back = np.abs(ends[:, :2]).max(axis=0) * widened, 0.0
             begin, end = ends[:, 2].min(), ends[:, 2].max()
             slack = _MARGIN * float(np.abs(ends).max())
-            wide: Projection = Orthographic(2.0 * high, half / high, begin - slack, end + slack, depth=projection.depth)
+            wide: Projection = Orthographic(
+                2.0 * high, half / high, begin - slack, end + slack, depth=projection.depth
+            )
         else:
-            offsets = np.repeat([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
+            offsets = (
+                np.repeat([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
+            )
             ahead = near - offsets * _FLIP_Z
             if not (ahead[:, 2] > 0.0).all():
                 refuse(rules.BAD_STEREO, "StereoRig.enclose", self, "eyes that see less than a half space")
@@ -172,8 +189,8 @@ class StereoRig:
         return wide, float(back)
 
     def compute_parallax(self, projection: Projection, distance: ArrayLike) -> Floats:
-        """Return how far a point at `distance` along the view is to the right in the right eye's image of where it is
-        in the left one's, in units of half the image's width; for eyes that aren't toed in."""
+        """Return how far a point at `distance` along the view is to the right in the right eye's image of
+        where it is in the left one's, in units of half the image's width; for eyes that aren't toed in."""
         z = np.asarray(distance, np.float64)
         scale = float(projection.matrix[0, 0]) * self.eye_distance
         if is_parallel(projection):
@@ -188,8 +205,8 @@ def _enclose(rig: StereoRig, projection: Projection) -> tuple[Projection, float]
 
 
 def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:
-    """Return (n, 2), how far points (n, 3) of the world are to the right and upwards in the right eye's image of
-    where they are in the left one's, in units of half the image's width and height."""
+    """Return (n, 2), how far points (n, 3) of the world are to the right and upwards in the right eye's image
+    of where they are in the left one's, in units of half the image's width and height."""
     positions = []
     for eye in eyes:
         relative = (np.asarray(points, np.float64) - eye.position) @ eye.rotation.T
@@ -199,8 +216,8 @@ def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:
 
 
 def _frustum_corners(camera: Camera, eye: Camera, distance: float) -> Floats:
-    """Return the corners (4, 3) of what an eye sees at a distance along its view, as `camera` sees them: rightwards,
-    upwards, ahead."""
+    """Return the corners (4, 3) of what an eye sees at a distance along its view, as `camera` sees them:
+    rightwards, upwards, ahead."""
     m = eye.projection.matrix
     clip = _CORNERS * (m[3, 3] - m[3, 2] * distance)
     points = np.full((4, 3), -distance)

@@ -1,9 +1,9 @@
 """The scene: nodes, objects, meshes, materials, images, lights and cameras, all as arrays.
 
-A `SceneBuilder` collects and checks the parts, one by one or as arrays, and `build` makes a `Scene` of them. The
-arrays then keep their sizes: transforms of dynamic nodes, lights and materials may change, nodes may be hidden, objects
-may get other meshes and materials, and objects that were reserved come and go. An object is a mesh with a material at a
-node. `Scene.update` is the only call that a frame needs.
+A `SceneBuilder` collects and checks the parts, one by one or as arrays, and `build` makes a `Scene` of them.
+The arrays then keep their sizes: transforms of dynamic nodes, lights and materials may change, nodes may be
+hidden, objects may get other meshes and materials, and objects that were reserved come and go. An object is a
+mesh with a material at a node. `Scene.update` is the only call that a frame needs.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ from rhi.math import Camera, is_affine, relative_to
 
 
 class ObjectHandle(NamedTuple):
-    """A handle of an object that `Scene.add_object` has added: its row, and how often that was used before."""
+    """A handle of an object that `Scene.add_object` has added: its row, and how often that was used
+    before."""
 
     object_index: int
     generation: int
@@ -74,13 +75,15 @@ class Scene:
         name: the text that it was made from.
         nodes, objects, meshes, lights: see their classes.
         materials: (k,) of `MATERIAL`. textures: (t,) of `TEXTURE`, which materials refer to by index.
-        shaders: those that materials have of their own. parameters: of each of them, its values for all materials (k,),
-            (0,) if it has none; they may be written to between frames.
+        shaders: those that materials have of their own. parameters: of each of them, its values for all
+            materials (k,), (0,) if it has none; they may be written to between frames.
         images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
-        haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
+        haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the
+            background.
         fog, bloom: effects of the air and of the camera, None for none; they may be exchanged between frames.
-        simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
+        simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs
+            copies.
         seconds: the time of the last update or frame.
         clips: the animations of models by name, which can be played, sought and blended.
         views: named cameras, the first of which is the default. paths: named camera paths.
@@ -137,7 +140,9 @@ class Scene:
         self._table = MaterialTable() if table is None else table
         self.shaders: tuple[CustomShader, ...] = tuple(self._table.shaders)
         self.parameters = parameters
-        self._last_parameters = [array.tobytes() for array in parameters]  # copies of arrays have other padding
+        self._last_parameters = [
+            array.tobytes() for array in parameters
+        ]  # copies of arrays have other padding
         self._features = MaterialFeatures(materials, self.textures, samplers, self.shaders)
         self._last_material = int(objects.material.max(initial=-1))
         self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
@@ -147,7 +152,10 @@ class Scene:
             self._spare.push(row)
         self._generations = dict.fromkeys(spare, 0)  # how often each of these was removed
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
-        self._transparent: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
+        self._transparent: tuple[int, Indices] = (
+            -1,
+            np.zeros(0, np.int64),
+        )  # as of a version of the materials
         self._emitters: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # the same
         self._simulator = self.make_simulator()
         self.update()
@@ -157,8 +165,8 @@ class Scene:
     def update(self, seconds: float = 0.0) -> Indices:
         """Apply all animations for the time `seconds`, drawn or not, then update transforms and bounds.
 
-        Return the indices of the objects whose transform was computed again. A renderer applies only the animations of
-        what it draws.
+        Return the indices of the objects whose transform was computed again. A renderer applies only the
+        animations of what it draws.
         """
         check_finite("Scene.update", seconds=seconds)
         self.seconds = seconds
@@ -167,8 +175,8 @@ class Scene:
         return self.refresh()
 
     def refresh(self) -> Indices:
-        """Update transforms and bounds to nodes that have moved, and find materials and lights that have changed;
-        return the indices of the objects whose transform was computed again.
+        """Update transforms and bounds to nodes that have moved, and find materials and lights that have
+        changed; return the indices of the objects whose transform was computed again.
 
         Raises:
             ValidationError `scene-bad-index`: `materials` was replaced by fewer than objects have.
@@ -193,27 +201,36 @@ class Scene:
         return np.flatnonzero(moved[self.objects.node])
 
     def count_features(self) -> Mapping[str, int]:
-        """Return how many materials, images, textures or meshes have each feature that a scene may lack, as of the last
-        `refresh`."""
+        """Return how many materials, images, textures or meshes have each feature that a scene may lack, as
+        of the last `refresh`."""
         return {**self._features.counts, "vertex colors": len(self.meshes) if self._has_colors else 0}
 
-    def replace(self, indices: ArrayLike, *, mesh: ArrayLike | None = None, material: ArrayLike | None = None) -> None:
+    def replace(
+        self, indices: ArrayLike, *, mesh: ArrayLike | None = None, material: ArrayLike | None = None
+    ) -> None:
         """Give the objects `indices` (k,) other meshes or materials, (k,) or one for all, by their ids.
 
         Raises:
-            ValidationError: `scene-bad-index`; `scene-fixed-mesh` where bounds don't follow a node; `scene-no-tangents`
-                for a normal map on a mesh that was built without one.
+            ValidationError: `scene-bad-index`; `scene-fixed-mesh` where bounds don't follow a node;
+                `scene-no-tangents` for a normal map on a mesh that was built without one.
         """
         objects = self.objects
         object_indices = read_ids("replace(indices=...)", indices, len(objects))
-        meshes, materials = (column[object_indices].astype(np.int64) for column in (objects.mesh, objects.material))
+        meshes, materials = (
+            column[object_indices].astype(np.int64) for column in (objects.mesh, objects.material)
+        )
         if material is not None:
             materials = np.broadcast_to(
                 read_ids("replace(material=...)", material, len(self.materials)), object_indices.shape
             )
         if mesh is not None:
-            meshes = np.broadcast_to(read_ids("replace(mesh=...)", mesh, len(self.meshes)), object_indices.shape)
-            changing = [*self.height_fields, *(int(row) for simulated in self.simulated for row in simulated.objects)]
+            meshes = np.broadcast_to(
+                read_ids("replace(mesh=...)", mesh, len(self.meshes)), object_indices.shape
+            )
+            changing = [
+                *self.height_fields,
+                *(int(row) for simulated in self.simulated for row in simulated.objects),
+            ]
             own = objects.mesh[np.array(changing, np.int64)]
             anchor = objects.boxes.node[object_indices]
             is_fixed = np.isin(objects.mesh[object_indices], own) | (anchor < 0) | ~self.nodes.dynamic[anchor]
@@ -240,7 +257,8 @@ class Scene:
             local: its transform (4, 4), by default the identity.
 
         Raises:
-            ValidationError: `scene-no-room`, or what `replace` and `Nodes.set_local` refuse; nothing is added then.
+            ValidationError: `scene-no-room`, or what `replace` and `Nodes.set_local` refuse; nothing is added
+                then.
         """
         if not self._spare:
             refuse(rules.NO_ROOM, "add_object", f"{len(self._generations)} objects in use")
@@ -262,7 +280,8 @@ class Scene:
         self._spare.push(row)
 
     def get_object_index(self, handle: ObjectHandle) -> int:
-        """Return the index of an object that `add_object` has added; `objects.node` has its node, which may be moved.
+        """Return the index of an object that `add_object` has added; `objects.node` has its node, which may
+        be moved.
 
         Raises:
             ValidationError: `scene-removed-object`.
@@ -272,31 +291,37 @@ class Scene:
         return handle.object_index
 
     def set_material(self, material: int, **values: Any) -> None:
-        """Give a material other values of its own, which its instances inherit unless they have their own: arguments of
-        `make_material`, textures by their rows, and parameters of its shader.
+        """Give a material other values of its own, which its instances inherit unless they have their own:
+        arguments of `make_material`, textures by their rows, and parameters of its shader.
 
         Raises:
-            ValidationError: `scene-bad-index`; `scene-bad-material`; `scene-no-tangents`. Nothing is changed then.
+            ValidationError: `scene-bad-index`; `scene-bad-material`; `scene-no-tangents`. Nothing is changed
+                then.
         """
         own = self.get_material_values(material) | values
         for name, is_color in list_textures(self._table.get_shader(material)).items():
             row = values.get(name, -1)
-            if row != -1 and not (row in range(len(self.textures)) and self.textures["is_color"][row] == is_color):
+            if row != -1 and not (
+                row in range(len(self.textures)) and self.textures["is_color"][row] == is_color
+            ):
                 kind = "colors" if is_color else "data"
                 refuse(rules.BAD_INDEX, f"set_material({name}=...)", row, f"the row of a texture of {kind}")
         if values.get("normal_texture", -1) != -1:
             instances = self._table.list_instances(material)
             meshes = set(self.objects.mesh[np.isin(self.objects.material, instances)].tolist())
             if not meshes <= self.meshes.with_tangents:
-                refuse(rules.NO_TANGENTS, "set_material", f"meshes {sorted(meshes - self.meshes.with_tangents)}")
+                refuse(
+                    rules.NO_TANGENTS, "set_material", f"meshes {sorted(meshes - self.meshes.with_tangents)}"
+                )
         self._table.change(material, own, self.materials, self.parameters, "set_material")
 
     def unset_material(self, material: int, *names: str) -> None:
-        """Remove a material's own values of these names; it inherits them, or has the defaults if it has no parent.
+        """Remove a material's own values of these names; it inherits them, or has the defaults if it has no
+        parent.
 
         Raises:
-            ValidationError: `scene-bad-index`; `scene-bad-material` for a name that the material doesn't set itself.
-                Nothing is changed then.
+            ValidationError: `scene-bad-index`; `scene-bad-material` for a name that the material doesn't set
+                itself. Nothing is changed then.
         """
         own = self.get_material_values(material)
         for name in names:
@@ -312,18 +337,19 @@ class Scene:
 
     @property
     def material_version(self) -> int:
-        """A number that grows when a `refresh` finds that materials have changed, or that objects are hidden or shown,
-        and when objects get other meshes or materials."""
+        """A number that grows when a `refresh` finds that materials have changed, or that objects are hidden
+        or shown, and when objects get other meshes or materials."""
         return self._features.version + self._edits
 
     @property
     def material_kinds(self) -> Indices:
-        """A number (k,) for each material: those with the same one have the same features, as of the last `refresh`."""
+        """A number (k,) for each material: those with the same one have the same features, as of the last
+        `refresh`."""
         return self._features.kinds
 
     def check_numbers(self, call: str) -> None:
-        """Refuse numbers of lights, materials and the air that aren't finite, and lights whose values are out of range;
-        they may be written to at any time."""
+        """Refuse numbers of lights, materials and the air that aren't finite, and lights whose values are out
+        of range; they may be written to at any time."""
         lights = self.lights
         air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
         checked = {kind.name: lights.of_kind(kind) for kind in LIGHT_KINDS}
@@ -335,7 +361,8 @@ class Scene:
         return Simulator(self.simulated, self.nodes, self.objects, self.meshes)
 
     def check_bounds(self, times: ArrayLike) -> None:
-        """Run all simulations through the `times` (t,) in seconds, ascending, and refuse one that leaves its bounds."""
+        """Run all simulations through the `times` (t,) in seconds, ascending, and refuse one that leaves its
+        bounds."""
         simulator = self.make_simulator()
         for seconds in np.atleast_1d(np.asarray(times, np.float64)).tolist():
             simulator.begin_frame(seconds)
@@ -346,7 +373,8 @@ class Scene:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """The lower and the upper corner (3,) of the bounds of all objects that are shown, of all if none is."""
+        """The lower and the upper corner (3,) of the bounds of all objects that are shown, of all if none
+        is."""
         selected = self.objects.is_shown if self.objects.is_shown.any() else slice(None)
         return self.objects.lower[selected].min(0), self.objects.upper[selected].max(0)
 
@@ -368,17 +396,19 @@ class Scene:
         return self._transparent[1]
 
     def list_by_feature(self) -> dict[str, Indices]:
-        """Return the indices of the shown objects whose materials have each feature of `count_features`, and as `bloom`
-        those of `list_emitters`."""
+        """Return the indices of the shown objects whose materials have each feature of `count_features`, and
+        as `bloom` those of `list_emitters`."""
         flags, material = self._features.compute_flags(), self.objects.material
         featured = {
-            name: self.objects.select_shown(np.flatnonzero(has[material])) for name, has in flags.items() if has.any()
+            name: self.objects.select_shown(np.flatnonzero(has[material]))
+            for name, has in flags.items()
+            if has.any()
         }
         return featured | {"bloom": self.list_emitters()}
 
     def list_emitters(self) -> Indices:
-        """Return the indices of objects that may emit more than a white surface reflects of light of strength 1, as of
-        the last `refresh`."""
+        """Return the indices of objects that may emit more than a white surface reflects of light of strength
+        1, as of the last `refresh`."""
         if self._emitters[0] != self.material_version:
             materials = self.materials
             emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + materials["emissive"]
@@ -389,11 +419,13 @@ class Scene:
             )
         return self._emitters[1]
 
-    def relative_transforms(self, eye: ArrayLike, objects: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
+    def relative_transforms(
+        self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float32]:
         """Return the transforms (k, 4, 4) float32 of `objects`, or of all, from mesh space to the eye's axes.
 
-        These are the world's axes with `eye` (3,) as origin, subtracted in float64. Multiply the transforms with the
-        camera's `relative_view_projection`.
+        These are the world's axes with `eye` (3,) as origin, subtracted in float64. Multiply the transforms
+        with the camera's `relative_view_projection`.
         """
         nodes = self.objects.node if objects is None else self.objects.node[objects]
         return relative_to(self.nodes.world[nodes], eye)
@@ -405,7 +437,8 @@ class Scene:
 
 
 class SceneBuilder:
-    """Collects the parts of a scene. Later calls refer to parts by the ids returned; `build` may be called once."""
+    """Collects the parts of a scene. Later calls refer to parts by the ids returned; `build` may be called
+    once."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -461,8 +494,8 @@ class SceneBuilder:
         return len(self._geometries) - 1
 
     def add_height_field(self, field: HeightField, name: str = "") -> int:
-        """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for each
-        view."""
+        """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for
+        each view."""
         geometry = field.make_mesh()
         mesh = self.add_mesh(geometry, name, geometry.bounds)
         self._height_fields[mesh] = field
@@ -486,18 +519,22 @@ class SceneBuilder:
         if id(image) not in self._image_ids:
             self._images.append(check_image(image))
             self._image_ids[id(image)] = len(self._images) - 1
-            self._keep_alive.append(image)  # as long as the builder lives, so that its id isn't given to another
+            self._keep_alive.append(
+                image
+            )  # as long as the builder lives, so that its id isn't given to another
         return self._image_ids[id(image)]
 
     def add_material(self, *, parent: int = -1, shader: type[Any] | None = None, **values: Any) -> int:
-        """Add a material from the arguments of `make_material`, and the parameters of its shader; return its id.
+        """Add a material from the arguments of `make_material`, and the parameters of its shader; return its
+        id.
 
         A texture is the id of an image, which is then filtered linearly and repeated, or a `TextureMap`.
 
         Args:
-            parent: the id of a material whose shader it has, and whose values where it isn't given its own. These
-                follow the parent's (`Scene.set_material`).
-            shader: a class derived from `renderer.shaders.MaterialShader`; by default the parent's, or the renderer's.
+            parent: the id of a material whose shader it has, and whose values where it isn't given its own.
+                These follow the parent's (`Scene.set_material`).
+            shader: a class derived from `renderer.shaders.MaterialShader`; by default the parent's, or the
+                renderer's.
                 Textures are then read as they are: repeated, by the first texture coordinates.
         """
         if parent != -1:
@@ -525,15 +562,20 @@ class SceneBuilder:
             values[name] = self._textures.add(texture, is_color=is_color)
         return self._table.add(values, parent, number, shaders)
 
-    def add_node(self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = "") -> int:
+    def add_node(
+        self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = ""
+    ) -> int:
         """Add one node with a local transform (4, 4), by default the identity, and return its id."""
         matrix = np.eye(4) if local is None else np.asarray(local, np.float64)
         first = self.add_nodes(matrix[None], parent, dynamic)[0]
         self._node_names[-1] = name
         return int(first)
 
-    def add_nodes(self, locals: ArrayLike, parents: ArrayLike = -1, dynamic: ArrayLike = False) -> NDArray[np.int64]:
-        """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one parent; return their ids (k,)."""
+    def add_nodes(
+        self, locals: ArrayLike, parents: ArrayLike = -1, dynamic: ArrayLike = False
+    ) -> NDArray[np.int64]:
+        """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one parent; return their ids
+        (k,)."""
         matrices = np.asarray(locals, np.float64)
         if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "add_nodes(locals=...)", f"shape {matrices.shape}", "(k, 4, 4)")
@@ -550,10 +592,11 @@ class SceneBuilder:
     def add_objects(
         self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike, casts_shadow: bool = True
     ) -> NDArray[np.int64]:
-        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their indices (k,).
+        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their indices
+        (k,).
 
-        They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
-        costs shadow maps time.
+        They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing
+        is seen, costs shadow maps time.
         """
         columns = np.broadcast_arrays(
             read_ids("add_objects(nodes=...)", nodes, len(self._node_names)),
@@ -566,7 +609,8 @@ class SceneBuilder:
         return np.arange(first, self._object_count)
 
     def reserve(self, count: int, mesh: int, material: int, casts_shadow: bool = True) -> None:
-        """Reserve so many objects for `Scene.add_object`; they are hidden until then, with this mesh and material."""
+        """Reserve so many objects for `Scene.add_object`; they are hidden until then, with this mesh and
+        material."""
         nodes = self.add_nodes(np.broadcast_to(np.eye(4), (count, 4, 4)), dynamic=True)
         self._reserved.append(self.add_objects(nodes, mesh, material, casts_shadow))
         self.hide(nodes)
@@ -584,12 +628,12 @@ class SceneBuilder:
         """Animate dynamic `nodes` (k,): `motion` computes their local transforms.
 
         Args:
-            motion: a simulation with `transforms`, whose members are the nodes in this order; or a function that maps
-                seconds to all transforms (k, 4, 4).
-            bounds: the lower and the upper corner, (k, 3) or (3,), of boxes that hold at all times what is at the
-                nodes and below them, down to the next animated nodes. They are in the space of the first node above
-                that isn't animated. So an object that isn't drawn needn't be animated. Without bounds, the nodes are
-                animated in every frame, and the bounds of objects follow.
+            motion: a simulation with `transforms`, whose members are the nodes in this order; or a function
+                that maps seconds to all transforms (k, 4, 4).
+            bounds: the lower and the upper corner, (k, 3) or (3,), of boxes that hold at all times what is at
+                the nodes and below them, down to the next animated nodes. They are in the space of the first
+                node above that isn't animated. So an object that isn't drawn needn't be animated. Without
+                bounds, the nodes are animated in every frame, and the bounds of objects follow.
         """
         rows = read_ids("animate(nodes=...)", nodes, len(self._node_names))
         simulation: object = motion
@@ -601,15 +645,16 @@ class SceneBuilder:
     def simulate(self, objects: ArrayLike, simulation: ObjectSimulation) -> None:
         """Simulate the vertices of `objects` (k,), the members of `simulation` in this order.
 
-        Each object has a mesh of its own, added with bounds that hold at all times. The simulation begins at the
-        scene's time 0, with the vertices of the meshes.
+        Each object has a mesh of its own, added with bounds that hold at all times. The simulation begins at
+        the scene's time 0, with the vertices of the meshes.
         """
         rows = read_ids("simulate(objects=...)", objects, self._object_count)
         check_simulation("simulate(simulation=...)", simulation, "vertices")
         self._simulated.append(SceneSimulation(simulation, rows))
 
     def _check_simulated(self, mesh: NDArray[np.int64]) -> None:
-        """Refuse objects that share a mesh or have two simulations; `mesh` (n,) is the mesh of each object."""
+        """Refuse objects that share a mesh or have two simulations; `mesh` (n,) is the mesh of each
+        object."""
         rows = np.concatenate([np.zeros(0, np.int64), *(simulated.objects for simulated in self._simulated)])
         meshes, uses = np.unique(mesh, return_counts=True)
         shared = uses[np.searchsorted(meshes, mesh[rows])] > 1
@@ -621,8 +666,8 @@ class SceneBuilder:
                 refuse(rules.UNBOUNDED_MESH, "simulate(objects=...)", f"object {row}")
 
     def _match_height_fields(self, mesh: NDArray[np.int64]) -> dict[int, HeightField]:
-        """Return the height fields by the rows of their objects, and refuse one that several objects have; `mesh` (n,)
-        is the mesh of each object."""
+        """Return the height fields by the rows of their objects, and refuse one that several objects have;
+        `mesh` (n,) is the mesh of each object."""
         fields: dict[int, HeightField] = {}
         for number, field in self._height_fields.items():
             rows = np.flatnonzero(mesh == number).tolist()
@@ -649,13 +694,18 @@ class SceneBuilder:
         (materials, parameters), textures = self._table.make_arrays(), self._textures.make()
         geometries = self._complete_vertices(table, materials, textures)
         meshes = Meshes(geometries, self._mesh_names, self._bounds)
-        animated = nodes.index_of_id[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
+        animated = nodes.index_of_id[
+            np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])
+        ]
         if len(np.unique(animated)) < len(animated):
             refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
         boxes = [
-            box or (np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan)) for ids, _, box in self._animated
+            box or (np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan))
+            for ids, _, box in self._animated
         ]
-        lower, upper = (np.concatenate([np.zeros((0, 3)), *(box[corner] for box in boxes)]) for corner in (0, 1))
+        lower, upper = (
+            np.concatenate([np.zeros((0, 3)), *(box[corner] for box in boxes)]) for corner in (0, 1)
+        )
         objects = make_objects(
             nodes,
             meshes,
@@ -699,8 +749,8 @@ class SceneBuilder:
     def _complete_vertices(
         self, table: NDArray[np.int64], materials: NDArray[Any], textures: NDArray[Any]
     ) -> list[MeshGeometry]:
-        """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n, 4) begins
-        with the node, mesh and material of each object."""
+        """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n,
+        4) begins with the node, mesh and material of each object."""
         read = np.unique(np.concatenate([materials[name] for name in TEXTURES]))
         attributes = {"color"}
         if textures["uv_set"][read[read >= 0]].any():

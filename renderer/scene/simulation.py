@@ -1,19 +1,22 @@
 """Simulations: whatever changes a set of objects over time, run only where the objects are drawn.
 
-A simulation has members: objects with a mesh of their own, whose vertices it computes (particles, cloth, skinning),
-or nodes, whose transforms it computes (animations, rigid bodies). A member that isn't drawn is left alone. When it is
-drawn again it is brought to the frame's time, by the simulation's catch-up policy (`renderer.scene.catch_up`).
+A simulation has members: objects with a mesh of their own, whose vertices it computes (particles, cloth,
+skinning), or nodes, whose transforms it computes (animations, rigid bodies). A member that isn't drawn is
+left alone. When it is drawn again it is brought to the frame's time, by the simulation's catch-up policy
+(`renderer.scene.catch_up`).
 
-Whether an object is visible depends on its bounds, and those of an object that is left alone can't follow it. So bounds
-are declared that hold at all times (`SceneBuilder.add_mesh(bounds=...)`, `SceneBuilder.animate(bounds=...)`). A
-simulation without bounds runs in every frame, and the bounds of its objects follow.
+Whether an object is visible depends on its bounds, and those of an object that is left alone can't follow it.
+So bounds are declared that hold at all times (`SceneBuilder.add_mesh(bounds=...)`,
+`SceneBuilder.animate(bounds=...)`). A simulation without bounds runs in every frame, and the bounds of its
+objects follow.
 
-Members that were drawn in one frame are expected to be drawn in the next: they are brought to the frame's time at its
-beginning, all at once. Members that show unexpectedly follow right before their draw. So everything is drawn as of its
-frame, and a member that is no longer drawn runs in one frame more, at most.
+Members that were drawn in one frame are expected to be drawn in the next: they are brought to the frame's
+time at its beginning, all at once. Members that show unexpectedly follow right before their draw. So
+everything is drawn as of its frame, and a member that is no longer drawn runs in one frame more, at most.
 
-Members that are small on the screen are updated less often (`Simulator.slow_down`), and those no larger than the lag
-that is allowed are paused. Their times follow from their sizes, so they don't depend on what was drawn before.
+Members that are small on the screen are updated less often (`Simulator.slow_down`), and those no larger than
+the lag that is allowed are paused. Their times follow from their sizes, so they don't depend on what was
+drawn before.
 """
 
 from __future__ import annotations
@@ -67,8 +70,8 @@ class VertexSimulation(Protocol):
     """A simulation whose members are objects, and which computes their vertices."""
 
     def vertices(self, members: Indices) -> NDArray[Any]:
-        """Return the present vertices of `members` (j,), one after another, of `VERTEX`; each one's number never
-        changes."""
+        """Return the present vertices of `members` (j,), one after another, of `VERTEX`; each one's number
+        never changes."""
         ...
 
 
@@ -76,18 +79,23 @@ class VertexSimulation(Protocol):
 class DeviceVertexSimulation(VertexSimulation, Protocol):
     """A simulation that can compute the vertices of its members on a device, where they are drawn.
 
-    It may defer the work of `step`, `leap` or `set_time` until then. `vertices` serves devices without compute shaders,
-    and readers on the CPU.
+    It may defer the work of `step`, `leap` or `set_time` until then. `vertices` serves devices without
+    compute shaders, and readers on the CPU.
     """
 
     def deform(
-        self, device: Device, members: Indices, vertices: StorageBuffer[float], first_vertices: Indices, stride: int
+        self,
+        device: Device,
+        members: Indices,
+        vertices: StorageBuffer[float],
+        first_vertices: Indices,
+        stride: int,
     ) -> None:
         """Write the present positions and normals of `members` (j,), by dispatches only.
 
         Args:
-            vertices: the vertices as floats; one begins with its position and normal. begins: (j,), the number of each
-                member's first vertex. stride: the number of floats from vertex to vertex.
+            vertices: the vertices as floats; one begins with its position and normal. begins: (j,), the
+                number of each member's first vertex. stride: the number of floats from vertex to vertex.
         """
         ...
 
@@ -176,7 +184,8 @@ class SceneSimulation:
 class DeformedObjects:
     """The states of the objects `object_indices` (j,), the `members` (j,) of `simulation`.
 
-    `states` (j,) identify them: equal numbers are equal vertices. That of an exact simulation is its step or its time.
+    `states` (j,) identify them: equal numbers are equal vertices. That of an exact simulation is its step or
+    its time.
     """
 
     simulation: VertexSimulation
@@ -187,8 +196,8 @@ class DeformedObjects:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AdvanceResult:
-    """The objects that `Simulator.advance` has brought to the frame's time: objects whose transforms may have changed,
-    and those whose vertices may have."""
+    """The objects that `Simulator.advance` has brought to the frame's time: objects whose transforms may have
+    changed, and those whose vertices may have."""
 
     moved: Indices = field(default_factory=lambda: _NONE)
     deformed: tuple[DeformedObjects, ...] = ()
@@ -197,21 +206,24 @@ class AdvanceResult:
 class Simulator:
     """Runs the simulations of a scene for what is drawn; a renderer has one.
 
-    The transforms that it computes are written to the scene's nodes, which other simulators write to as well: they are
-    those of what it advances, until another one begins a frame.
+    The transforms that it computes are written to the scene's nodes, which other simulators write to as well:
+    they are those of what it advances, until another one begins a frame.
 
     Attributes:
         simulations: copies of the scene's simulations, in the order of `Scene.simulated`.
         objects: indices of the objects that are simulated only where they are drawn, ascending.
         deformed: the part of `objects` whose vertices are simulated, but no node that carries them.
-        diverging: the part of `objects` whose state would differ after an absence from that of objects always drawn.
+        diverging: the part of `objects` whose state would differ after an absence from that of objects always
+            drawn.
         seconds: the time of the frame.
         steps: number of steps that members took since `begin_frame`.
         late: number of members that were brought towards the frame's time, and haven't reached it.
         validation: whether `advance` also checks the bounds of one of its objects, another one in each call.
     """
 
-    def __init__(self, simulated: Sequence[SceneSimulation], nodes: Nodes, objects: Objects, meshes: Meshes) -> None:
+    def __init__(
+        self, simulated: Sequence[SceneSimulation], nodes: Nodes, objects: Objects, meshes: Meshes
+    ) -> None:
         self._begin = tuple(simulated)
         self._nodes = nodes
         self._objects = objects
@@ -229,8 +241,12 @@ class Simulator:
         owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
         self._has_nodes[owner[self._slots != self._slot_of[owner]]] = True
         self.objects: Indices = objects.simulated_indices
-        self.deformed: Indices = self.objects[(self._slot_of >= 0)[self.objects] & ~self._has_nodes[self.objects]]
-        diverges = np.array([not each.simulation.catch_up.returns_exactly(len(each)) for each in self._begin], bool)
+        self.deformed: Indices = self.objects[
+            (self._slot_of >= 0)[self.objects] & ~self._has_nodes[self.objects]
+        ]
+        diverges = np.array(
+            [not each.simulation.catch_up.returns_exactly(len(each)) for each in self._begin], bool
+        )
         self.diverging: Indices = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
         always = np.zeros(len(self._which), bool)
         for which, each in enumerate(self._begin):
@@ -239,7 +255,9 @@ class Simulator:
         always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
         self._always: Indices = np.flatnonzero(always)
         self._owner = owner
-        turns = [np.arange(size) * _PHASES // size for size in sizes]  # neighbours move together, as they are uploaded
+        turns = [
+            np.arange(size) * _PHASES // size for size in sizes
+        ]  # neighbours move together, as they are uploaded
         self._shares = np.concatenate([np.zeros(0), *turns]) / _PHASES  # of a period
         self._times: Floats = np.zeros(len(self._which))  # by slot: what it is brought to in this frame
         self._waiting = np.zeros(len(objects), bool)
@@ -260,20 +278,25 @@ class Simulator:
 
     @property
     def drawn_objects(self) -> Indices:
-        """The part of `objects` drawn since `begin_frame`; before `begin_frame`, the part drawn in the last frame."""
+        """The part of `objects` drawn since `begin_frame`; before `begin_frame`, the part drawn in the last
+        frame."""
         return self.objects[self._drawn[self.objects]]
 
     def list_drawn_members(self) -> list[tuple[ObjectSimulation, Indices, Indices]]:
-        """Return each vertex simulation with its objects (j,) drawn since `begin_frame`, and their members (j,)."""
+        """Return each vertex simulation with its objects (j,) drawn since `begin_frame`, and their members
+        (j,)."""
         rows = self.drawn_objects
         slots = self._slot_of[rows]
         rows, slots = rows[slots >= 0], slots[slots >= 0]
         parts = [(number, self._which[slots] == number) for number in np.unique(self._which[slots]).tolist()]
-        return [(self.simulations[number], rows[part], slots[part] - self._first[number]) for number, part in parts]
+        return [
+            (self.simulations[number], rows[part], slots[part] - self._first[number])
+            for number, part in parts
+        ]
 
     def begin_frame(self, seconds: float) -> None:
-        """Begin a frame at the time `seconds`, and run simulations without bounds. If `seconds` is before the last
-        frame's time, all simulations start again."""
+        """Begin a frame at the time `seconds`, and run simulations without bounds. If `seconds` is before the
+        last frame's time, all simulations start again."""
         if seconds < self.seconds:
             self._restart()
         self.seconds = seconds
@@ -290,12 +313,13 @@ class Simulator:
             self._run(self._always)
 
     def slow_down(self, camera: Camera, height: int, lag: float) -> None:
-        """Update members that are small in a view of `height` pixels less often. Call it after `begin_frame`, when the
-        scene is up to date.
+        """Update members that are small in a view of `height` pixels less often. Call it after `begin_frame`,
+        when the scene is up to date.
 
         Args:
-            lag: pixels by which an object may be late that moves by `MAX_EXPECTED_SPEED` of its diameters in a second.
-                Objects no larger than that are paused. Sizes are measured in the middle of the image.
+            lag: pixels by which an object may be late that moves by `MAX_EXPECTED_SPEED` of its diameters in
+                a second. Objects no larger than that are paused. Sizes are measured in the middle of the
+                image.
         """
         if not len(self.objects) or lag <= 0.0:
             return
@@ -308,7 +332,9 @@ class Simulator:
             return
         longest = np.exp2(np.floor(np.log2(lag / (MAX_EXPECTED_SPEED * np.maximum(scale, lag)))))
         period_of_object = np.zeros(len(self._objects))
-        period_of_object[self.objects] = np.where(scale <= lag, np.inf, np.where(longest < _SHORTEST, 0.0, longest))
+        period_of_object[self.objects] = np.where(
+            scale <= lag, np.inf, np.where(longest < _SHORTEST, 0.0, longest)
+        )
         periods = np.full(len(self._which), np.inf)
         # A node is updated as often as the largest object that it carries.
         np.minimum.at(periods, self._slots, period_of_object[self._owner])
@@ -323,7 +349,8 @@ class Simulator:
         return bool(self._waiting[rows].any())
 
     def advance(self, rows: Indices, *, is_drawn: bool = True) -> AdvanceResult:
-        """Bring the simulated objects among `rows` to the frame's time; return the objects that may have changed.
+        """Bring the simulated objects among `rows` to the frame's time; return the objects that may have
+        changed.
 
         The scene must be up to date. `is_drawn` is False for objects that are only expected to be drawn.
         """
@@ -349,12 +376,18 @@ class Simulator:
             is_mine = which == number
             mine = slots[is_mine]
             simulation: Any = self.simulations[number]
-            deformed.append(DeformedObjects(simulation, rows[is_mine], mine - self._first[number], self._states[mine]))
+            deformed.append(
+                DeformedObjects(simulation, rows[is_mine], mine - self._first[number], self._states[mine])
+            )
         return AdvanceResult(moved, tuple(deformed))
 
     def pose_all(self) -> None:
         """Bring all nodes that are members to the frame's time, drawn or not; `Nodes.update` applies it."""
-        self._run(np.flatnonzero(np.array([len(simulated.nodes) > 0 for simulated in self._begin], bool)[self._which]))
+        self._run(
+            np.flatnonzero(
+                np.array([len(simulated.nodes) > 0 for simulated in self._begin], bool)[self._which]
+            )
+        )
 
     def check_bounds(self, row: int) -> None:
         """Refuse the simulation of an object that has left its bounds. It must be as of the frame's time."""
@@ -398,7 +431,9 @@ class Simulator:
         self._is_done: NDArray[np.bool_] = np.zeros(len(self._which), bool)
 
     def _restart(self) -> None:
-        self.simulations: list[ObjectSimulation] = [deepcopy(simulated.simulation) for simulated in self._begin]
+        self.simulations: list[ObjectSimulation] = [
+            deepcopy(simulated.simulation) for simulated in self._begin
+        ]
         begins = [simulated.simulation.catch_up.begin() for simulated in self._begin]
         self._reached: Floats = np.array(begins, np.float64)[self._which]  # by slot: its step or its time
         self._states: Floats = self._reached.copy()
@@ -469,13 +504,15 @@ class Simulator:
         self.late += int(is_late.sum())
         changed = reached != before
         self._reached[behind] = reached
-        # A leap's result depends on where it began, so the step's number doesn't identify it; nor does the time what
-        # another function gave.
+        # A leap's result depends on where it began, so the step's number doesn't identify it; nor does the
+        # time what another function gave.
         is_known = not (isinstance(policy, Leap) or self._versions.get(number))
         self._states[behind[changed]] = reached[changed] if is_known else -next(_STATES)
 
 
-def _list_slots(nodes: Nodes, objects: Objects, by_node: Indices, by_object: Indices) -> tuple[Indices, Indices]:
+def _list_slots(
+    nodes: Nodes, objects: Objects, by_node: Indices, by_object: Indices
+) -> tuple[Indices, Indices]:
     """List for each object the slots that change it: its own, and those of its node and of the nodes above.
 
     Return `starts` (n + 1,) and `slots`; the list of object i is `slots[starts[i]:starts[i + 1]]`.

@@ -1,17 +1,20 @@
-"""Tangents of vertices, by which normal maps are read: the algorithm of MikkTSpace (Mikkelsen 2008), for whole arrays.
+"""Tangents of vertices, by which normal maps are read: the algorithm of MikkTSpace (Mikkelsen 2008), for
+whole arrays.
 
-Tools that make normal maps and tools that show them must agree on the tangents, so this is what glTF 2.0 asks for:
+Tools that make normal maps and tools that show them must agree on the tangents, so this is what glTF 2.0 asks
+for:
 
 1. Corners with equal position, normal and texture coordinates are one vertex.
 2. A triangle's tangent is the direction in which u grows, and its orientation the sign of its area in texture
    coordinates. Triangles without such an area have no tangent and take the orientation of a neighbour.
-3. Around a vertex, triangles of one orientation that are connected by edges are a group. Its tangent is the sum of the
-   triangles' tangents, projected to the plane of the vertex normal and weighted by the angle at the vertex.
+3. Around a vertex, triangles of one orientation that are connected by edges are a group. Its tangent is the
+   sum of the triangles' tangents, projected to the plane of the vertex normal and weighted by the angle at
+   the vertex.
 4. A vertex in several groups, as along the seam of a mirrored texture, becomes several.
 
-Where three and more triangles meet in an edge, all of them are connected; the reference pairs them by their order. A
-vertex that only triangles without tangent meet gets the tangent of another group there, or any one that is
-perpendicular to its normal.
+Where three and more triangles meet in an edge, all of them are connected; the reference pairs them by their
+order. A vertex that only triangles without tangent meet gets the tangent of another group there, or any one
+that is perpendicular to its normal.
 """
 
 from __future__ import annotations
@@ -28,13 +31,15 @@ from renderer.scene.meshes import MeshGeometry
 def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True) -> MeshGeometry:
     """Return the mesh with tangents along one set of texture coordinates, `uv` or `uv2`.
 
-    A vertex becomes several where its triangles' tangents are of different groups. If it must not, because something
-    relies on the number of vertices, `splits` is False, and it gets their sum.
+    A vertex becomes several where its triangles' tangents are of different groups. If it must not, because
+    something relies on the number of vertices, `splits` is False, and it gets their sum.
     """
     corners = geometry.indices.astype(np.int64)
     vertices = geometry.vertices
     points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
-    coordinates = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[corners]
+    coordinates = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[
+        corners
+    ]
     along, sign = _triangle_tangents(points, coordinates.astype(np.float64).reshape(-1, 3, 2))
     vertex = _weld(geometry, uv)[corners]
     links = _link_corners(vertex)
@@ -57,7 +62,8 @@ def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True)
 
 
 def _triangle_tangents(points: Floats, uv: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the unit tangents (t, 3) of triangles, or 0, and the signs (t,) of their bitangents: 0 without a tangent.
+    """Return the unit tangents (t, 3) of triangles, or 0, and the signs (t,) of their bitangents: 0 without a
+    tangent.
 
     An image's rows count down, so a triangle whose texture isn't mirrored has a negative area in (u, v).
     """
@@ -110,7 +116,8 @@ def _orient_flat(links: tuple[Indices, Indices], sign: NDArray[np.int64]) -> NDA
 
 
 def _group_corners(links: tuple[Indices, Indices], sign: NDArray[np.int64]) -> Indices:
-    """Return the group of each corner: its lowest corner. Corners joined by edges of equal orientation are a group."""
+    """Return the group of each corner: its lowest corner. Corners joined by edges of equal orientation are a
+    group."""
     first, second = links
     alike = sign[first // 3] == sign[second // 3]
     first, second = first[alike], second[alike]
@@ -126,7 +133,8 @@ def _group_corners(links: tuple[Indices, Indices], sign: NDArray[np.int64]) -> I
 
 
 def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Indices) -> Floats:
-    """Return the unit tangent (c, 3) of each corner's group, perpendicular to the normal; 0 where there is none."""
+    """Return the unit tangent (c, 3) of each corner's group, perpendicular to the normal; 0 where there is
+    none."""
     triangle = np.arange(len(group)) // 3
     before, after = (points[:, order].reshape(-1, 3) for order in ([2, 0, 1], [1, 2, 0]))
     here = points.reshape(-1, 3)
@@ -138,7 +146,8 @@ def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Indices
 
 
 def _fill_missing(tangents: Floats, normals: Floats, vertex: Indices) -> Floats:
-    """Give corners without a tangent that of another corner of their vertex, or one perpendicular to the normal."""
+    """Give corners without a tangent that of another corner of their vertex, or one perpendicular to the
+    normal."""
     has = np.flatnonzero(tangents.any(1))
     source = np.full(int(vertex.max()) + 1, -1)
     source[vertex[has][::-1]] = has[::-1]

@@ -21,5 +21,7 @@ class DepthOnly(Shader):
 
     def vertex(self, v: PositionVertex) -> vec4:
         row = instance_index()
-        position = self.objects[row].linear @ v.position + relative_position(self.object_positions[row], self.view)
+        position = self.objects[row].linear @ v.position + relative_position(
+            self.object_positions[row], self.view
+        )
         return self.view.relative_view_projection @ vec4(position, 1.0)

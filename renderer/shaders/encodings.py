@@ -9,8 +9,9 @@ be tested and replaced alone.
 | the change of texture coordinates from a pixel to the next | 24 | a direction in 11 bits, a length in 13 |
 | a material | 16 | a depth, which a depth test compares |
 
-Everything is rounded to whole numbers, and decoded from them without a rounding that matters: axes and zeros come back
-exactly, and two programs that decode the same bits see the same vector. Normals of length 0 give unit vectors.
+Everything is rounded to whole numbers, and decoded from them without a rounding that matters: axes and zeros
+come back exactly, and two programs that decode the same bits see the same vector. Normals of length 0 give
+unit vectors.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ def sign_or_one(x: float) -> float:
 
 @sl.function
 def octahedral_encode_point(normal: sl.vec3) -> sl.vec2:
-    """Return the octahedral coordinates of a direction, from -1 to 1: the lower half is folded over the corners."""
+    """Return the octahedral coordinates of a direction, from -1 to 1: the lower half is folded over the
+    corners."""
     point = normal.xy / sl.max(sl.abs(normal.x) + sl.abs(normal.y) + sl.abs(normal.z), 1e-30)
     if normal.z < 0.0:
         x = (1.0 - sl.abs(point.y)) * sign_or_one(point.x)
@@ -46,8 +48,8 @@ def octahedral_encode_point(normal: sl.vec3) -> sl.vec2:
 
 @sl.function
 def octahedral_decode_point(point: sl.vec2, steps: float) -> sl.vec3:
-    """Return the point of an octahedron of radius `steps` from its octahedral coordinates in steps. With whole steps
-    the point is exact."""
+    """Return the point of an octahedron of radius `steps` from its octahedral coordinates in steps. With
+    whole steps the point is exact."""
     z = steps - sl.abs(point.x) - sl.abs(point.y)
     fold = sl.max(-z, 0.0)
     return sl.vec3(point.x - sign_or_one(point.x) * fold, point.y - sign_or_one(point.y) * fold, z)
@@ -55,15 +57,18 @@ def octahedral_decode_point(point: sl.vec2, steps: float) -> sl.vec3:
 
 @sl.function
 def encode_octahedral(normal: sl.vec3, steps: float) -> sl.ivec2:
-    """Return a unit vector as two whole numbers from -`steps` to `steps`; b bits each have 2^(b-1) - 1 steps."""
+    """Return a unit vector as two whole numbers from -`steps` to `steps`; b bits each have 2^(b-1) - 1
+    steps."""
     return sl.ivec2(sl.round(octahedral_encode_point(normal) * steps))
 
 
 @sl.function
 def encode_octahedral_nearest(normal: sl.vec3, steps: float) -> sl.ivec2:
-    """Return a unit vector like `encode_octahedral`, but choose, of the four pairs of numbers around it, the one
-    that is decoded nearest to it. The largest error is two thirds of that of rounding."""
-    corner = sl.clamp(sl.floor(octahedral_encode_point(normal) * steps), sl.vec2(-steps), sl.vec2(steps - 1.0))
+    """Return a unit vector like `encode_octahedral`, but choose, of the four pairs of numbers around it, the
+    one that is decoded nearest to it. The largest error is two thirds of that of rounding."""
+    corner = sl.clamp(
+        sl.floor(octahedral_encode_point(normal) * steps), sl.vec2(-steps), sl.vec2(steps - 1.0)
+    )
     best = corner
     least = 9.0
     for i in range(4):
@@ -77,7 +82,8 @@ def encode_octahedral_nearest(normal: sl.vec3, steps: float) -> sl.ivec2:
 
 @sl.function
 def decode_octahedral(code: sl.ivec2, steps: float) -> sl.vec3:
-    """Return the unit vector that `encode_octahedral` or `encode_octahedral_nearest` has stored with as many steps."""
+    """Return the unit vector that `encode_octahedral` or `encode_octahedral_nearest` has stored with as many
+    steps."""
     return sl.normalize(octahedral_decode_point(sl.vec2(code), steps))
 
 
@@ -96,9 +102,10 @@ def decode_normal(bits: sl.uint) -> sl.vec3:
 
 @sl.function
 def encode_direction(direction: sl.vec2, codes: int) -> int:
-    """Return the direction of a vector as a number below `codes`, a power of 2 of at least 4: the distance to it along
-    the edge of a square that stands on its corner. Multiples of 90° are exact. The largest error is 115° / `codes`
-    near them and twice as much half-way between. (Equal angles have 180° / `codes` everywhere, and need sines.)"""
+    """Return the direction of a vector as a number below `codes`, a power of 2 of at least 4: the distance to
+    it along the edge of a square that stands on its corner. Multiples of 90° are exact. The largest error is
+    115° / `codes` near them and twice as much half-way between. (Equal angles have 180° / `codes` everywhere,
+    and need sines.)"""
     x = direction.x / sl.max(sl.abs(direction.x) + sl.abs(direction.y), 1e-30)
     way = 3.0 + x if direction.y < 0.0 else 1.0 - x
     return int(sl.round(way * float(codes // 4))) & (codes - 1)
@@ -114,8 +121,8 @@ def decode_direction(code: int, codes: int) -> sl.vec2:
 
 
 class TangentFrame(sl.Struct):
-    """A normal and the directions of a texture's axes: unit vectors that are at right angles. `side` is that of the
-    bitangent: 1 if it is cross(normal, tangent), -1 if it is the opposite."""
+    """A normal and the directions of a texture's axes: unit vectors that are at right angles. `side` is that
+    of the bitangent: 1 if it is cross(normal, tangent), -1 if it is the opposite."""
 
     normal: sl.vec3
     tangent: sl.vec3
@@ -130,9 +137,10 @@ def compute_bitangent(frame: TangentFrame) -> sl.vec3:
 
 @sl.function
 def octahedral_tangent(point: sl.vec3, normal: sl.vec3) -> sl.vec3:
-    """Return a unit vector at a right angle to `normal`, which is the direction of a `point` of an octahedron. It
-    depends on these alone, so a tangent is stored as its angle from it (Duff et al. 2017). It jumps at z = 0, where
-    the point is exact: so all programs that decode the same bits see the same vector."""
+    """Return a unit vector at a right angle to `normal`, which is the direction of a `point` of an
+    octahedron. It depends on these alone, so a tangent is stored as its angle from it (Duff et al. 2017). It
+    jumps at z = 0, where the point is exact: so all programs that decode the same bits see the same
+    vector."""
     half = sign_or_one(point.z)
     share = -normal.x / (half + normal.z)
     return sl.vec3(1.0 + half * normal.x * share, half * normal.y * share, -half * normal.x)
@@ -140,8 +148,8 @@ def octahedral_tangent(point: sl.vec3, normal: sl.vec3) -> sl.vec3:
 
 @sl.function
 def encode_frame(frame: TangentFrame) -> sl.uint:
-    """Return a frame in 32 bits. The tangent is measured around the normal as it will be decoded, so there is no
-    direction in which an error of the normal adds to it."""
+    """Return a frame in 32 bits. The tangent is measured around the normal as it will be decoded, so there is
+    no direction in which an error of the normal adds to it."""
     code = encode_octahedral_nearest(frame.normal, _FRAME_STEPS)
     point = octahedral_decode_point(sl.vec2(code), _FRAME_STEPS)
     normal = sl.normalize(point)
@@ -154,8 +162,8 @@ def encode_frame(frame: TangentFrame) -> sl.uint:
 
 @sl.function
 def decode_frame(bits: sl.uint) -> TangentFrame:
-    """Return the frame that `encode_frame` has stored. The error is at most 0.08° of the normal and 0.46° of the
-    tangent."""
+    """Return the frame that `encode_frame` has stored. The error is at most 0.08° of the normal and 0.46° of
+    the tangent."""
     code = sl.ivec2(int(bits & 2047), int(bits >> 11 & 2047)) - 1023
     point = octahedral_decode_point(sl.vec2(code), _FRAME_STEPS)
     normal = sl.normalize(point)
@@ -170,8 +178,8 @@ def decode_frame(bits: sl.uint) -> TangentFrame:
 
 @sl.function
 def encode_uv(uv: sl.vec2) -> sl.uint:
-    """Return the fractional part of texture coordinates in 2 × 16 bits. What is lost is whole repetitions of a texture,
-    which its derivatives don't miss: they are stored beside it."""
+    """Return the fractional part of texture coordinates in 2 × 16 bits. What is lost is whole repetitions of
+    a texture, which its derivatives don't miss: they are stored beside it."""
     code = sl.round(sl.fract(uv) * 65536.0)  # 65536 is 0: the next repetition
     return sl.uint(code.x) & 65535 | (sl.uint(code.y) & 65535) << 16
 
@@ -184,8 +192,8 @@ def decode_uv(bits: sl.uint) -> sl.vec2:
 
 @sl.function
 def encode_gradient(change: sl.vec2) -> sl.uint:
-    """Return a vector in 24 bits: a direction in 11, and its length |x| + |y| in 13, a float from 2^-20 to 4088.
-    Shorter vectors are 0, longer ones are as long as that."""
+    """Return a vector in 24 bits: a direction in 11, and its length |x| + |y| in 13, a float from 2^-20 to
+    4088. Shorter vectors are 0, longer ones are as long as that."""
     change = sl.clamp(change, sl.vec2(-1e9), sl.vec2(1e9))
     bits = sl.float_bits_to_int(sl.abs(change.x) + sl.abs(change.y)) + 16384 >> 15
     length = sl.clamp(bits - _SMALLEST, 0, 8191)
@@ -202,5 +210,6 @@ def decode_gradient(bits: sl.uint) -> sl.vec2:
 
 @sl.function
 def material_depth(material_index: int) -> float:
-    """Return the depth, in a depth buffer of 16 bits, that identifies a material: rows from 0 to 65,535 are exact."""
+    """Return the depth, in a depth buffer of 16 bits, that identifies a material: rows from 0 to 65,535 are
+    exact."""
     return float(material_index) / 65535.0

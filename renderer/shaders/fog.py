@@ -1,9 +1,9 @@
 """Exponential height fog: its transmittance along a ray, by the integral of its density (Wenzel 2006).
 
-The density at the height y is σ(y) = density · e^(-falloff · (y - base)). Along a straight ray of length L that rises
-by Δ the integral of it is L · σ(lower end) · g(falloff · |Δ|), where g(x) = (1 - e^-x) / x. Written from the lower of
-both ends, the thicker one, no term overflows or cancels: g is from 0 to 1, for rays up and down alike. Where a ray is
-nearly horizontal g is its series, because 1 - e^-x loses its digits there.
+The density at the height y is σ(y) = density · e^(-falloff · (y - base)). Along a straight ray of length L
+that rises by Δ the integral of it is L · σ(lower end) · g(falloff · |Δ|), where g(x) = (1 - e^-x) / x.
+Written from the lower of both ends, the thicker one, no term overflows or cancels: g is from 0 to 1, for rays
+up and down alike. Where a ray is nearly horizontal g is its series, because 1 - e^-x loses its digits there.
 """
 
 from __future__ import annotations
@@ -11,15 +11,16 @@ from __future__ import annotations
 from rhi.shading import Struct, abs, dot, exp, function, inversesqrt, length, max, min, mix, vec3
 
 _LEVEL = 0.1
-"""The rise below which g is computed by its series, in units of the height over which the fog thins to 1 / e. The
-first term left out is x⁴ / 120, 10^-6 of g."""
+"""The rise below which g is computed by its series, in units of the height over which the fog thins to 1 / e.
+The first term left out is x⁴ / 120, 10^-6 of g."""
 _DEEPEST = 60.0
-"""The largest exponent of the density, which is then e^60 times that at the base: nothing is seen through it."""
+"""The largest exponent of the density, which is then e^60 times that at the base: nothing is seen through
+it."""
 
 
 class FogConstants(Struct):
-    """The constants of fog for an eye: the light of endless fog, the density at its base, and the falloff. `height`
-    is that of the eye above the base, times the falloff."""
+    """The constants of fog for an eye: the light of endless fog, the density at its base, and the falloff.
+    `height` is that of the eye above the base, times the falloff."""
 
     color: vec3
     density: float
@@ -29,7 +30,8 @@ class FogConstants(Struct):
 
 @function
 def mean_fog_density(rise: float) -> float:
-    """Return the mean density along a ray that rises by `rise / falloff`, relative to the density at its lower end."""
+    """Return the mean density along a ray that rises by `rise / falloff`, relative to the density at its
+    lower end."""
     x = abs(rise)
     if x < _LEVEL:
         return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0)))
@@ -44,7 +46,8 @@ def density_at(fog: FogConstants, rise: float) -> float:
 
 @function
 def fog_transmittance(position: vec3, fog: FogConstants) -> float:
-    """Return the transmittance of the fog between the eye and `position`, relative to the eye: from 0 to 1."""
+    """Return the transmittance of the fog between the eye and `position`, relative to the eye: from 0 to
+    1."""
     rise = fog.falloff * position.y
     return exp(-length(position) * (density_at(fog, min(rise, 0.0)) * mean_fog_density(rise)))
 
@@ -57,7 +60,8 @@ def apply_fog(color: vec3, position: vec3, fog: FogConstants) -> vec3:
 
 @function
 def apply_fog_to_background(color: vec3, direction: vec3, fog: FogConstants) -> vec3:
-    """Return light from infinitely far away, mixed with the fog's: all fog unless the ray leaves it upwards."""
+    """Return light from infinitely far away, mixed with the fog's: all fog unless the ray leaves it
+    upwards."""
     rise = fog.falloff * direction.y * inversesqrt(max(dot(direction, direction), 1e-30))
     if rise <= 0.0:
         return fog.color

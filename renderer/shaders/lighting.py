@@ -2,8 +2,8 @@
 
 The reflected light is `base + specular · (s + 8) / 8 · (n · h)^s` per unit of irradiance, times `n · l`: the
 factor keeps a highlight's energy as its exponent s grows (Akenine-Möller, Haines and Hoffman, Real-Time
-Rendering, 3rd ed., 7.6). Colours are those of fully lit surfaces, so no π appears. Every function is finite for
-every finite input: directions of length 0, lights at the surface, ranges and cones of 0.
+Rendering, 3rd ed., 7.6). Colours are those of fully lit surfaces, so no π appears. Every function is finite
+for every finite input: directions of length 0, lights at the surface, ranges and cones of 0.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ MAX_HALF_FLOAT: Final = 65504.0
 
 @function
 def highlight(surface: SurfacePoint, to_light: vec3) -> float:
-    """Return the share of the light from the unit direction `to_light` that is mirrored to the eye, for a specular
-    colour of 1."""
+    """Return the share of the light from the unit direction `to_light` that is mirrored to the eye, for a
+    specular colour of 1."""
     halfway = safe_normalize(to_light + surface.to_eye)
     lobe = pow(saturate(dot(surface.normal, halfway)), surface.shininess)
     return lobe * (surface.shininess + 8.0) * 0.125
@@ -40,7 +40,8 @@ def reflected_light(surface: SurfacePoint, light: Incidence) -> vec3:
 
 @function
 def in_range(surface: SurfacePoint, position: vec3, range: float) -> bool:
-    """Return whether the surface is within a light's range. Test this before reading the rest of the light."""
+    """Return whether the surface is within a light's range. Test this before reading the rest of the
+    light."""
     return is_within_range(surface.position, position, range)
 
 

@@ -1,21 +1,22 @@
 """Material shaders: they compute the colours and properties of a surface at a point.
 
-`MaterialShader.describe` is the renderer's own: base colour, normals, and what other maps say. A material may have a
-shader of its own: a class derived from `MaterialShader` with another `describe`, which may call this one. A technique
-combines it with its own shaders, so it is compiled for each technique, and objects are drawn by it.
+`MaterialShader.describe` is the renderer's own: base colour, normals, and what other maps say. A material may
+have a shader of its own: a class derived from `MaterialShader` with another `describe`, which may call this
+one. A technique combines it with its own shaders, so it is compiled for each technique, and objects are drawn
+by it.
 
 Where a technique evaluates materials after geometry (Deferred+), a material's shader runs for pixels, not for
 fragments: it has no derivatives but `SurfaceInput.uv_gradients`, and writes nothing.
 
-What a scene may lack is a switch, a constant `has_…`: a stage keeps the branches that are taken, and a program binds
-what they read. So a feature that a scene lacks costs nothing.
+What a scene may lack is a switch, a constant `has_…`: a stage keeps the branches that are taken, and a
+program binds what they read. So a feature that a scene lacks costs nothing.
 
-A texture is read in one of two ways. If all images are in one array, and all are read by texture coordinates as they
-are, a texture's row is its layer. Otherwise a table of textures (`TextureUse`) leads to an array, a layer and the
-transform of texture coordinates. All fragments of a primitive have one material, and so take the same branches: there,
-derivatives of texture coordinates are defined, and a device skips the arrays that aren't read. llvmpipe doesn't: it
-samples each array that a texture might be in. So colours are looked for in the arrays of colours alone (`images`), and
-data, such as normals, in those of data (`maps`).
+A texture is read in one of two ways. If all images are in one array, and all are read by texture coordinates
+as they are, a texture's row is its layer. Otherwise a table of textures (`TextureUse`) leads to an array, a
+layer and the transform of texture coordinates. All fragments of a primitive have one material, and so take
+the same branches: there, derivatives of texture coordinates are defined, and a device skips the arrays that
+aren't read. llvmpipe doesn't: it samples each array that a texture might be in. So colours are looked for in
+the arrays of colours alone (`images`), and data, such as normals, in those of data (`maps`).
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, TextureUse, ViewConstants
 
 _NO_NORMAL: Final = 5e-5
-"""The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of length 0
-is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
+"""The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of
+length 0 is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
 
 
 _MASK: Final = int(AlphaMode.MASK)
@@ -41,13 +42,13 @@ _ROUNDING: Final = 2.0**-16
 class MaterialShader(sl.Shader):
     """The base of shaders that describe surfaces, and of materials' own shaders, which override `describe`.
 
-    A shader of a material's own may declare `parameters`, a storage buffer of a struct, in which a material's row
-    (`SurfaceInput.material`) has its values. It adds no other binding.
+    A shader of a material's own may declare `parameters`, a storage buffer of a struct, in which a material's
+    row (`SurfaceInput.material`) has its values. It adds no other binding.
 
     Attributes:
         parameter_defaults: the parameters that materials needn't give, and their values.
-        parameter_textures: the parameters that are textures, and whether these hold colours (`read_color`) or data
-            (`read_data`). One that a material lacks is -1.
+        parameter_textures: the parameters that are textures, and whether these hold colours (`read_color`) or
+            data (`read_data`). One that a material lacks is -1.
         reads_tangents: whether it reads `SurfaceInput.tangent`, so that meshes need tangents.
     """
 
@@ -82,7 +83,8 @@ class MaterialShader(sl.Shader):
     map_arrays = 1
     has_table = False
     has_gradients = False
-    """Whether textures are sampled with the gradients of texture coordinates of the input (`uv_gradients`)."""
+    """Whether textures are sampled with the gradients of texture coordinates of the input
+    (`uv_gradients`)."""
     gradient_scale = 1.0
     """The side of what a pixel covers of a texture, in that of what it shows."""
     has_transformed_uvs = False
@@ -113,7 +115,8 @@ class MaterialShader(sl.Shader):
         )
 
     def evaluate(self, at: SurfaceInput) -> SurfaceParameters:
-        """Return the surface's properties at a point. Nothing is drawn where the alpha of a mask is below its cut."""
+        """Return the surface's properties at a point. Nothing is drawn where the alpha of a mask is below its
+        cut."""
         described = self.describe(at)
         self.discard_below_cutoff(described.color.a, at)
         return described
@@ -121,13 +124,18 @@ class MaterialShader(sl.Shader):
     def discard_masked(self, at: SurfaceInput) -> None:
         """Discard the fragment where the alpha of a mask is below its cut."""
         if self.has_masks:
-            self.discard_below_cutoff(self.describe(at).color.a if self.is_own else self.sample_base_color(at).a, at)
+            self.discard_below_cutoff(
+                self.describe(at).color.a if self.is_own else self.sample_base_color(at).a, at
+            )
 
     def discard_below_cutoff(self, alpha: float, at: SurfaceInput) -> None:
         """Discard the fragment where this alpha of a material is below its cut."""
         if self.has_masks:
             material = self.materials[at.material]
-            if material.alpha_mode == _MASK and material.base_color.a * alpha < material.alpha_cutoff - _ROUNDING:
+            if (
+                material.alpha_mode == _MASK
+                and material.base_color.a * alpha < material.alpha_cutoff - _ROUNDING
+            ):
                 sl.discard()
 
     def sample_base_color(self, at: SurfaceInput) -> sl.vec4:
@@ -192,27 +200,35 @@ class MaterialShader(sl.Shader):
         """Return the texel of the texture of colours of this row."""
         if self.has_table:
             use = self.textures[texture]
-            return self.read_images(use.array, self.texture_coordinates(use, at), self.texture_gradients(use, at))
+            return self.read_images(
+                use.array, self.texture_coordinates(use, at), self.texture_gradients(use, at)
+            )
         if self.gradient_scale != 1.0:
             return self.read_images(0, sl.vec3(at.uv, float(texture)), at.uv_gradients)
         if self.has_gradients:
-            return self.images.sample_grad(sl.vec3(at.uv, float(texture)), at.uv_gradients.xy, at.uv_gradients.zw)
+            return self.images.sample_grad(
+                sl.vec3(at.uv, float(texture)), at.uv_gradients.xy, at.uv_gradients.zw
+            )
         return self.images.sample(sl.vec3(at.uv, float(texture)))
 
     def read_data(self, texture: int, at: SurfaceInput) -> sl.vec4:
         """Return the texel of the texture of data of this row."""
         if self.has_table:
             use = self.textures[texture]
-            return self.read_maps(use.array, self.texture_coordinates(use, at), self.texture_gradients(use, at))
+            return self.read_maps(
+                use.array, self.texture_coordinates(use, at), self.texture_gradients(use, at)
+            )
         if self.gradient_scale != 1.0:
             return self.read_maps(0, sl.vec3(at.uv, float(texture)), at.uv_gradients)
         if self.has_gradients:
-            return self.maps.sample_grad(sl.vec3(at.uv, float(texture)), at.uv_gradients.xy, at.uv_gradients.zw)
+            return self.maps.sample_grad(
+                sl.vec3(at.uv, float(texture)), at.uv_gradients.xy, at.uv_gradients.zw
+            )
         return self.maps.sample(sl.vec3(at.uv, float(texture)))
 
-    # Texture coordinates by the table are numbers of a buffer, from which a fragment that failed a test may have read
-    # zeros (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed
-    # alike.
+    # Texture coordinates by the table are numbers of a buffer, from which a fragment that failed a test may
+    # have read zeros (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the
+    # varying, transformed alike.
 
     def texture_coordinates(self, use: TextureUse, at: SurfaceInput) -> sl.vec3:
         """Return the texture coordinates and the layer at which a texture is read."""

@@ -4,20 +4,21 @@ With the half vector h between light l and eye v, the roughness r and α = r²:
 
 - `D = α² / (π ((n·h)² (α² - 1) + 1)²)`, how much of the surface mirrors l to v (Trowbridge and Reitz, GGX);
 - `V = 1 / ((n·l + √(α² + (1 - α²) (n·l)²)) (n·v + √(α² + (1 - α²) (n·v)²)))`, what of it both see (Smith);
-- `F = f0 + (1 - f0) (1 - v·h)⁵`, what of it is mirrored (Schlick); what isn't is scattered, in metals nothing;
+- `F = f0 + (1 - f0) (1 - v·h)⁵`, what of it is mirrored (Schlick); what isn't is scattered, in metals
+  nothing;
 - `f0 = mix(0.04, base, metallic)` and `diffuse = mix(base, 0, metallic)`.
 
-A light of irradiance E reflects `E n·l ((1 - F) diffuse + F π D V)`. As in the specular model, colours are those of
-fully lit surfaces, so no π is left.
+A light of irradiance E reflects `E n·l ((1 - F) diffuse + F π D V)`. As in the specular model, colours are
+those of fully lit surfaces, so no π is left.
 
-With p = (1 - v·h)⁵ the bracket is `(1 - p) · (1 - f0) diffuse + (1 - p) π D V · f0 + p π D V`: three **terms** that
-don't depend on colours, two of them times a colour of the material. So a light pre-pass can collect them, and a
-`SurfacePoint` has the two colours.
+With p = (1 - v·h)⁵ the bracket is `(1 - p) · (1 - f0) diffuse + (1 - p) π D V · f0 + p π D V`: three
+**terms** that don't depend on colours, two of them times a colour of the material. So a light pre-pass can
+collect them, and a `SurfacePoint` has the two colours.
 
-`(n·h)² (α² - 1) + 1` loses all digits of a sharp highlight in float32; it is the same as `|n×h|² + α² (n·h)²`, which
-loses none. Where a mapped normal looks away from the eye and n·h is negative, D isn't cut to 0, which would show as
-an edge. A roughness below `MIN_ROUGHNESS` counts as that: the highlight of a light without size is white there anyway,
-and normals that are stored in 2 × 16 bits would no longer do.
+`(n·h)² (α² - 1) + 1` loses all digits of a sharp highlight in float32; it is the same as `|n×h|² + α²
+(n·h)²`, which loses none. Where a mapped normal looks away from the eye and n·h is negative, D isn't cut to
+0, which would show as an edge. A roughness below `MIN_ROUGHNESS` counts as that: the highlight of a light
+without size is white there anyway, and normals that are stored in 2 × 16 bits would no longer do.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ def metallic_surface(surface: SurfacePoint, metallic: float, roughness: float) -
 
 @function
 def metallic_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
-    """Return the factors by which the surface's base colour, its specular colour and white reflect light from the unit
-    direction `to_light`, in front of it."""
+    """Return the factors by which the surface's base colour, its specular colour and white reflect light from
+    the unit direction `to_light`, in front of it."""
     halfway = safe_normalize(to_light + surface.to_eye)
     along = dot(surface.normal, halfway)
     beyond = 1.0 - saturate(dot(surface.to_eye, halfway))
@@ -65,7 +66,9 @@ def metallic_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
     spread = max(dot(across, across) + alpha * along * along, alpha)
     lit = saturate(dot(surface.normal, to_light))
     seen = abs(dot(surface.normal, surface.to_eye))
-    masked = (lit + sqrt(alpha + (1.0 - alpha) * lit * lit)) * (seen + sqrt(alpha + (1.0 - alpha) * seen * seen))
+    masked = (lit + sqrt(alpha + (1.0 - alpha) * lit * lit)) * (
+        seen + sqrt(alpha + (1.0 - alpha) * seen * seen)
+    )
     lobe = alpha / (spread * spread * masked)
     return vec3(1.0 - p, lobe * (1.0 - p), lobe * p)
 
@@ -85,9 +88,9 @@ def reflected_light_metallic(surface: SurfacePoint, light: Incidence) -> vec3:
 def ambient_light_metallic(surface: SurfacePoint, ambient: Ambient) -> vec3:
     """Return the ambient light that a surface of this model sends to the eye, scattered and mirrored.
 
-    glTF leaves this to the application. What is mirrored is weighted by Karis's fit of the model over all directions
-    (Physically Based Shading on Mobile, 2014), and comes from about the mirrored direction: the rougher, the nearer to
-    the normal.
+    glTF leaves this to the application. What is mirrored is weighted by Karis's fit of the model over all
+    directions (Physically Based Shading on Mobile, 2014), and comes from about the mirrored direction: the
+    rougher, the nearer to the normal.
     """
     roughness = -surface.shininess
     seen = saturate(dot(surface.normal, surface.to_eye))

@@ -1,13 +1,15 @@
 """Shaders of whole targets, and the way from a pixel to the position of its surface.
 
-A position is a *distance*, along the view, times the *ray* of the pixel, relative to the eye and along the axes of the
-world. A geometry buffer stores the distance; elsewhere it follows from the depth (`nearness_to_distance`). The
-numbers of all rays are computed in float64 (`renderer.techniques.parts.full_screen`), and nothing is inverted in
-float32. So a position is as exact 3,000 km from the world's origin as near it, with every projection: perspective
-with or without a far plane, parallel, off-axis.
+A position is a *distance*, along the view, times the *ray* of the pixel, relative to the eye and along the
+axes of the world. A geometry buffer stores the distance; elsewhere it follows from the depth
+(`nearness_to_distance`). The numbers of all rays are computed in float64
+(`renderer.techniques.parts.full_screen`), and nothing is inverted in float32. So a position is as exact 3,000
+km from the world's origin as near it, with every projection: perspective with or without a far plane,
+parallel, off-axis.
 
-*Nearness* is how far a depth is from the farthest one: 0 is farthest, in both directions of depth. For standard depth
-it is exact in floats where depth is coarse (1 - d for d above 1/2), so that nothing is lost on the way back from it.
+*Nearness* is how far a depth is from the farthest one: 0 is farthest, in both directions of depth. For
+standard depth it is exact in floats where depth is coarse (1 - d for d above 1/2), so that nothing is lost on
+the way back from it.
 """
 
 from __future__ import annotations
@@ -16,13 +18,13 @@ import rhi.shading as sl
 
 
 class PixelRays(sl.Struct):
-    """The rays of a view's pixels: what is d along the view in the pixel at (x, y) is at
-    `across @ (x, y, 1) * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective
-    projection and 1 with a parallel one: `projection.y - projection.w * d`. A nearness n is a distance of
-    `(projection.x - projection.y * n) / (projection.z - projection.w * n)`.
+    """The rays of a view's pixels: what is d along the view in the pixel at (x, y) is at `across @ (x, y, 1)
+    * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective projection
+    and 1 with a parallel one: `projection.y - projection.w * d`. A nearness n is a distance of `(projection.x
+    - projection.y * n) / (projection.z - projection.w * n)`.
 
-    `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far plane, and
-    `farthest` its depth.
+    `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far
+    plane, and `farthest` its depth.
     """
 
     across: sl.mat3
@@ -37,20 +39,23 @@ class PixelRays(sl.Struct):
 
 @sl.function
 def depth_to_nearness(rays: PixelRays, depth: float) -> float:
-    """Return the nearness of a depth: its difference from the farthest depth, so 0 for pixels without a surface."""
+    """Return the nearness of a depth: its difference from the farthest depth, so 0 for pixels without a
+    surface."""
     return sl.abs(depth - rays.farthest)
 
 
 @sl.function
 def nearness_to_distance(rays: PixelRays, nearness: float) -> float:
     """Return the distance along the view, in metres, of this nearness."""
-    return (rays.projection.x - rays.projection.y * nearness) / (rays.projection.z - rays.projection.w * nearness)
+    return (rays.projection.x - rays.projection.y * nearness) / (
+        rays.projection.z - rays.projection.w * nearness
+    )
 
 
 @sl.function
 def pixel_position(rays: PixelRays, pixel: sl.vec2, distance: float) -> sl.vec3:
-    """Return the position, relative to the eye and along the world's axes, at `distance` along the view in `pixel`: a
-    `fragment_coordinate()`, or a texel plus a half."""
+    """Return the position, relative to the eye and along the world's axes, at `distance` along the view in
+    `pixel`: a `fragment_coordinate()`, or a texel plus a half."""
     width = rays.projection.y - rays.projection.w * distance
     return rays.across @ sl.vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
@@ -64,14 +69,14 @@ class PixelShader(sl.Shader):
         return sl.ivec2(sl.fragment_coordinate().xy)
 
     def shade_sample(self, sample: int) -> sl.vec4:
-        """Return the colour of one sample of the pixel, which has a surface there; without multisampling, of the
-        pixel."""
+        """Return the colour of one sample of the pixel, which has a surface there; without multisampling, of
+        the pixel."""
         return sl.vec4(0.0)
 
 
 class BackgroundScreen(sl.FullScreen):
-    """The base of shaders drawn to all pixels of a view, at the depth of its background, so that a depth test selects
-    the pixels that have a surface."""
+    """The base of shaders drawn to all pixels of a view, at the depth of its background, so that a depth test
+    selects the pixels that have a surface."""
 
     rays: sl.Uniform[PixelRays]
 

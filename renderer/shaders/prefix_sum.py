@@ -10,7 +10,8 @@ _LANES: Final = 256
 
 
 class PrefixSum(Shader):
-    """Replaces counts by their exclusive prefix sums, in one work-group: each lane adds up a run of counts."""
+    """Replaces counts by their exclusive prefix sums, in one work-group: each lane adds up a run of
+    counts."""
 
     work_group = (_LANES,)
     counts: StorageRW[uint]

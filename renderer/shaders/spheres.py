@@ -1,18 +1,19 @@
-"""Local lights that are spheres: point and spot lights whose light comes from a sphere of a radius around their
-position.
+"""Local lights that are spheres: point and spot lights whose light comes from a sphere of a radius around
+their position.
 
 The sphere shines as strongly as the point does from afar, I / d². Seen over an angle of sine σ = radius / d:
 
-- **Scattered light** is exact (Snyder, Area Light Sources for Real-Time Graphics, 1996; Lagarde and de Rousiers, Moving
-  Frostbite to PBR, 2014). As long as all of the sphere is above the horizon it is that of the point. Otherwise n·l is
-  replaced by the cosine-weighted area that is above it. In and on the sphere σ counts as 1, and d as the radius.
-- **Mirrored light** comes from a representative point (Karis, Real Shading in Unreal Engine 4, 2013): the one of the
-  sphere that is nearest to the mirrored direction. So a highlight is flat over the sphere's image, and falls off
-  around it. It has to be weaker for that, by the area of such a lobe over that of the point's: for a lobe of width a
-  and a sphere that turns halfway vectors by up to q = σ / 2, both small, `(a² + k a q + q²) / a²`. k is π/2 for GGX
-  with a = α, and √π for Blinn-Phong with a = √(2 / s). Where light comes at an angle of cosine c, halfway vectors
-  turn by q / c to the sides, so q² is q² / c, and q in the second term the mean of both. Karis has 2 for k, and leaves
-  c out: what his highlights have is up to 1.6 times as bright at 60°.
+- **Scattered light** is exact (Snyder, Area Light Sources for Real-Time Graphics, 1996; Lagarde and de
+  Rousiers, Moving Frostbite to PBR, 2014). As long as all of the sphere is above the horizon it is that of
+  the point. Otherwise n·l is replaced by the cosine-weighted area that is above it. In and on the sphere σ
+  counts as 1, and d as the radius.
+- **Mirrored light** comes from a representative point (Karis, Real Shading in Unreal Engine 4, 2013): the one
+  of the sphere that is nearest to the mirrored direction. So a highlight is flat over the sphere's image, and
+  falls off around it. It has to be weaker for that, by the area of such a lobe over that of the point's: for
+  a lobe of width a and a sphere that turns halfway vectors by up to q = σ / 2, both small, `(a² + k a q + q²)
+  / a²`. k is π/2 for GGX with a = α, and √π for Blinn-Phong with a = √(2 / s). Where light comes at an angle
+  of cosine c, halfway vectors turn by q / c to the sides, so q² is q² / c, and q in the second term the mean
+  of both. Karis has 2 for k, and leaves c out: what his highlights have is up to 1.6 times as bright at 60°.
 
 A radius of 0 gives what a point gives, so one shader lights surfaces by points and spheres.
 """
@@ -36,8 +37,8 @@ PHONG_TAIL: Final = 1.77245385
 
 @sl.function
 def sphere_cosine(cosine: float, size: float) -> float:
-    """Return the effective n·l of a sphere light. `cosine` is n·l of its centre, `size` the squared sine of its
-    angle."""
+    """Return the effective n·l of a sphere light. `cosine` is n·l of its centre, `size` the squared sine of
+    its angle."""
     above = size - cosine * cosine
     if above <= 0.0:
         return sl.saturate(cosine)
@@ -65,8 +66,8 @@ def nearest_direction(surface: SurfacePoint, to_center: sl.vec3, sine: float) ->
 
 @sl.function
 def lobe_normalization(widening: float, slant: float, tail: float) -> float:
-    """Return the factor that keeps the energy of a specular lobe which is flat over a sphere `widening` times as
-    wide as itself; the cosine `slant` makes it wider in one direction."""
+    """Return the factor that keeps the energy of a specular lobe which is flat over a sphere `widening` times
+    as wide as itself; the cosine `slant` makes it wider in one direction."""
     return 1.0 / (1.0 + widening * (0.5 * tail * (1.0 + 1.0 / slant) + widening / slant))
 
 
@@ -83,8 +84,8 @@ _COUNT: Final = len(LOCAL_LIGHT_KINDS)
 if TYPE_CHECKING:
 
     class SphereLightReader(SourceRadiusReader):
-        """The base of shaders that light surfaces by local lights. `has_…_spheres` says for each kind whether its
-        lights may be spheres."""
+        """The base of shaders that light surfaces by local lights. `has_…_spheres` says for each kind whether
+        its lights may be spheres."""
 
         def squared_angular_sizes(self, to_center: sl.vec3, light_index: int) -> Any:
             """Squares of radius / distance of the lights of each kind."""

@@ -1,7 +1,7 @@
 """Structs that the renderer's shaders share with the CPU and with each other.
 
-Lengths are in metres, colours linear. Positions are relative to the eye, along the world's axes: float32 is then
-as fine far from the world's origin as near it. Structs that mirror an array of `renderer.scene` have its
+Lengths are in metres, colours linear. Positions are relative to the eye, along the world's axes: float32 is
+then as fine far from the world's origin as near it. Structs that mirror an array of `renderer.scene` have its
 std430 layout, so that the array is uploaded unchanged.
 """
 
@@ -14,7 +14,8 @@ from rhi.shading import Struct, function, mat3, mat4, uint, vec2, vec3, vec4
 
 
 class ViewConstants(Struct):
-    """The constants of a view: the matrix from positions relative to the eye to clip space, and the eye's position.
+    """The constants of a view: the matrix from positions relative to the eye to clip space, and the eye's
+    position.
 
     The position is `eye_high` + `eye_low`: two floats for each double.
     """
@@ -52,8 +53,8 @@ class ObjectSurface(Struct):
 class Object(ObjectSurface):
     """An object's material, lights and transform, except its position.
 
-    The object's lights are the indices in `light_list` from `lights_begin` to `lights_end`; the other bounds say where
-    the indices of each kind end (`BOUND_FIELDS`).
+    The object's lights are the indices in `light_list` from `lights_begin` to `lights_end`; the other bounds
+    say where the indices of each kind end (`BOUND_FIELDS`).
     """
 
     __annotations__ = dict.fromkeys(BOUND_FIELDS, int)
@@ -70,11 +71,10 @@ TABLE_WIDTH: Final = 64
 class ObjectPosition(Struct):
     """An object's world position, `high` + `low` (two floats for each double), and its mesh.
 
-    `draw_list` is the part of a list of draws that it is in where the device makes lists, `DRAW_LISTS` for each
-    shader of materials: the sum
-    of 1 if its transform mirrors it, which reverses the winding of its triangles, and 2 if its material has two sides.
-    It is -1 if the object is transparent: those are not on a list, since they hide nothing and are drawn in an order of
-    their own.
+    `draw_list` is the part of a list of draws that it is in where the device makes lists, `DRAW_LISTS` for
+    each shader of materials: the sum of 1 if its transform mirrors it, which reverses the winding of its
+    triangles, and 2 if its material has two sides. It is -1 if the object is transparent: those are not on a
+    list, since they hide nothing and are drawn in an order of their own.
     """
 
     high: vec3
@@ -95,8 +95,8 @@ class MeshPart(Struct):
 
 @function
 def relative_position(position: ObjectPosition, view: ViewConstants) -> vec3:
-    """Return an object's position relative to the eye. Near the eye it is as exact as with doubles, even far from the
-    world's origin."""
+    """Return an object's position relative to the eye. Near the eye it is as exact as with doubles, even far
+    from the world's origin."""
     return (position.high - view.eye_high) + (position.low - view.eye_low)
 
 
@@ -166,7 +166,8 @@ class TextureUse(Struct):
 
 
 class SurfaceVarying(Struct):
-    """The varyings of shaders that draw the scene's geometry. What no part of a shader reads isn't interpolated."""
+    """The varyings of shaders that draw the scene's geometry. What no part of a shader reads isn't
+    interpolated."""
 
     clip: vec4
     position: vec3
@@ -183,12 +184,14 @@ class SurfaceInput(Struct):
     """A point of a surface, which a material's shader describes.
 
     Attributes:
-        position: relative to the eye, along the world's axes. normal: the unit normal of the side that is seen.
-        uv: texture coordinates; to a material's own shader 0 to 1, whole numbers left off. uv2: the second set.
-        changes: the changes of `uv` to the next pixel on the right (x, y), and to that below (z, w); those of a
-            material's own shader, and where textures are read by a table. changes2: the same of `uv2`.
-        tangent: the direction of u in the world, of any length, where meshes have tangents; w is negative if that of v
-            is `cross(tangent, normal)` instead of `cross(normal, tangent)`.
+        position: relative to the eye, along the world's axes. normal: the unit normal of the side that is
+            seen.
+        uv: texture coordinates; to a material's own shader 0 to 1, whole numbers left off. uv2: the second
+            set.
+        changes: the changes of `uv` to the next pixel on the right (x, y), and to that below (z, w); those of
+            a material's own shader, and where textures are read by a table. changes2: the same of `uv2`.
+        tangent: the direction of u in the world, of any length, where meshes have tangents; w is negative if
+            that of v is `cross(tangent, normal)` instead of `cross(normal, tangent)`.
         color: that of vertices, white if they have none. material: the row of the material.
     """
 
@@ -207,9 +210,10 @@ class SurfaceParameters(Struct):
     """The properties of a surface at a point, as a material's shader computes them.
 
     Attributes:
-        color: multiplies the material's `base_color`: 0 to 1, linear. normal: of length 1, on the side that is seen.
-        metallic, roughness: 0 to 1, of the metallic-roughness model. occlusion: the share of ambient light that
-            arrives.
+        color: multiplies the material's `base_color`: 0 to 1, linear. normal: of length 1, on the side that
+            is seen.
+        metallic, roughness: 0 to 1, of the metallic-roughness model. occlusion: the share of ambient light
+            that arrives.
         emissive: multiplies the material's `emissive` colour: 0 to 1, linear.
     """
 
@@ -222,15 +226,15 @@ class SurfaceParameters(Struct):
 
 
 class SurfacePoint(Struct):
-    """A point of a surface to be lit; `normal`, `geometric_normal` and `to_eye` are unit vectors. `geometric_normal`
-    is the normal of the surface itself, `normal` as maps bend it.
+    """A point of a surface to be lit; `normal`, `geometric_normal` and `to_eye` are unit vectors.
+    `geometric_normal` is the normal of the surface itself, `normal` as maps bend it.
 
-    In the specular model, `base_color` is what scatters light and `specular_color` what mirrors it; `shininess` is an
-    exponent. In the metallic-roughness model they are the colours of the same two parts of its equation
-    (`renderer.shaders.metals`), and `shininess` is minus the roughness.
+    In the specular model, `base_color` is what scatters light and `specular_color` what mirrors it;
+    `shininess` is an exponent. In the metallic-roughness model they are the colours of the same two parts of
+    its equation (`renderer.shaders.metals`), and `shininess` is minus the roughness.
 
-    `occlusion` is the share of ambient light that reaches the surface; `emissive` multiplies the light that its
-    material emits.
+    `occlusion` is the share of ambient light that reaches the surface; `emissive` multiplies the light that
+    its material emits.
     """
 
     position: vec3

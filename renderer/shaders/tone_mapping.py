@@ -1,8 +1,8 @@
-"""Tone mapping, from the light of a scene to the colours of an image, and its inverse for colours that a scene
-states as they appear.
+"""Tone mapping, from the light of a scene to the colours of an image, and its inverse for colours that a
+scene states as they appear.
 
-The curve is Narkowicz's fit of the ACES filmic curve (2016): (x (a x + b)) / (x (c x + d) + e), where x is the light
-times the exposure.
+The curve is Narkowicz's fit of the ACES filmic curve (2016): (x (a x + b)) / (x (c x + d) + e), where x is
+the light times the exposure.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Cascades of a directional light: maps for slices of the view, one behind the other.
 
 - **Splits** are practical (Zhang, Sun, Xu and Lun 2006): a mix of equal ratios and equal distances.
-- A slice is enclosed by a **sphere**. Its radius depends on the projection alone, so that a turn of the eye changes
-  neither the size of a texel nor, but for whole texels, the position of a map.
-- The middle of a map is moved to **whole texels**, and its depth to whole steps, in float64 and in the world. So texels
-  are at fixed places of the world, and edges of shadows don't crawl while the eye moves.
+- A slice is enclosed by a **sphere**. Its radius depends on the projection alone, so that a turn of the eye
+  changes neither the size of a texel nor, but for whole texels, the position of a map.
+- The middle of a map is moved to **whole texels**, and its depth to whole steps, in float64 and in the world.
+  So texels are at fixed places of the world, and edges of shadows don't crawl while the eye moves.
 - Several views of a frame, such as two eyes, share their cascades: spheres enclose the slices of all views.
 """
 
@@ -20,11 +20,12 @@ from renderer.scene.arrays import Floats
 from renderer.shadows.shadow_settings import ShadowSettings
 
 _BORDER = 4
-"""The border in texels at each side of a map, where no point is looked up: filters read it, and the middle is moved
-by up to one texel."""
+"""The border in texels at each side of a map, where no point is looked up: filters read it, and the middle is
+moved by up to one texel."""
 
 _STEPS = 64.0
-"""A radius is rounded up to this part of a power of two, so that rounding doesn't change it from frame to frame."""
+"""A radius is rounded up to this part of a power of two, so that rounding doesn't change it from frame to
+frame."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -44,8 +45,8 @@ class Cascade:
 
 
 def split_distances(near: float, far: float, count: int, split: float) -> Floats:
-    """Return the distances (count + 1,) along the view between which the slices lie. With `near` at 0 or behind the
-    eye, they are equally deep: there are no ratios."""
+    """Return the distances (count + 1,) along the view between which the slices lie. With `near` at 0 or
+    behind the eye, they are equally deep: there are no ratios."""
     share = np.arange(count + 1) / count
     even = near + (far - near) * share
     if near <= 0.0:
@@ -78,10 +79,11 @@ def slice_corners(camera: Camera, distances: Floats) -> Floats:
 
 
 def enclose_slices(camera: Camera, distances: Floats) -> tuple[Floats, Floats]:
-    """Return spheres around the slices between distances (d,): centres (d - 1, 3) in the world, and radii (d - 1,).
+    """Return spheres around the slices between distances (d,): centres (d - 1, 3) in the world, and radii (d
+    - 1,).
 
-    A centre is on the line between the middles of the slice's two ends, where the farthest corners of both are equally
-    far, or else at one of the ends.
+    A centre is on the line between the middles of the slice's two ends, where the farthest corners of both
+    are equally far, or else at one of the ends.
     """
     corners = slice_corners(camera, distances)
     middles = corners.mean(1)
@@ -97,7 +99,11 @@ def enclose_slices(camera: Camera, distances: Floats) -> tuple[Floats, Floats]:
 
 
 def fit_cascades(
-    cameras: Sequence[Camera], direction: Floats, settings: ShadowSettings, top: float, depth: tuple[float, float]
+    cameras: Sequence[Camera],
+    direction: Floats,
+    settings: ShadowSettings,
+    top: float,
+    depth: tuple[float, float],
 ) -> list[Cascade]:
     """Return the cascades of a light along `direction` for the views of a frame.
 

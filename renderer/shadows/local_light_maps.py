@@ -1,7 +1,7 @@
 """The maps of local lights: one for a narrow spot light, otherwise six, the faces of a cube around it.
 
-A map sees a little more than its part of the light, so that filters find what they need at its edges: seams of a cube
-don't show.
+A map sees a little more than its part of the light, so that filters find what they need at its edges: seams
+of a cube don't show.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def quaternion_from_axes(axes: Floats) -> tuple[float, float, float, float]:
     squares = np.array([*(2.0 * np.diag(axes) - trace), trace]) + 1.0
     max_size = int(squares.argmax())
     root = 2.0 * np.sqrt(squares[max_size])
-    differences = np.array([axes[2, 1] - axes[1, 2], axes[0, 2] - axes[2, 0], axes[1, 0] - axes[0, 1]])  # 4 w (x, y, z)
+    differences = np.array(
+        [axes[2, 1] - axes[1, 2], axes[0, 2] - axes[2, 0], axes[1, 0] - axes[0, 1]]
+    )  # 4 w (x, y, z)
     quaternion = np.empty(4)
     if max_size == 3:
         quaternion[:3] = differences / root
@@ -73,8 +75,9 @@ def quaternion_from_axes(axes: Floats) -> tuple[float, float, float, float]:
 def compute_map_widths(
     kind: LocalLightKind, cameras: Sequence[Camera], size: tuple[int, int], lights: NDArray[Any]
 ) -> Floats:
-    """Return the widths (l,) that maps of lights of a kind should have: a texel for each pixel across the part of the
-    screen that a light lights, in the view in which that is largest. A face of a cube has half of it."""
+    """Return the widths (l,) that maps of lights of a kind should have: a texel for each pixel across the
+    part of the screen that a light lights, in the view in which that is largest. A face of a cube has half of
+    it."""
     centers, radii = kind.bounds(lights)
     halves = np.where(np.isnan(kind.half_angle(lights)), 0.5, 1.0)
     width, height = size
@@ -87,9 +90,9 @@ def compute_map_widths(
 
 
 def choose_width(required: float, current: int | None, min_size: int, max_size: int) -> int:
-    """Return a power of two that is at least as wide as `required`. The width that a map has is kept as long as it
-    isn't more than a quarter too small or too large: otherwise a light at the limit would be drawn again and
-    again."""
+    """Return a power of two that is at least as wide as `required`. The width that a map has is kept as long
+    as it isn't more than a quarter too small or too large: otherwise a light at the limit would be drawn
+    again and again."""
     if current is not None and 0.4 * current < required <= 1.25 * current and min_size <= current <= max_size:
         return current
     width = min_size
@@ -99,8 +102,8 @@ def choose_width(required: float, current: int | None, min_size: int, max_size: 
 
 
 def shrink(widths: dict[Any, int], counts: dict[Any, int], room: int, min_size: int) -> dict[Any, int]:
-    """Return widths of maps whose squares are at most `room` together: the largest are halved first, and of these the
-    last.
+    """Return widths of maps whose squares are at most `room` together: the largest are halved first, and of
+    these the last.
 
     Args:
         widths, counts: the width of each light's maps, and how many there are.
@@ -116,10 +119,11 @@ def shrink(widths: dict[Any, int], counts: dict[Any, int], room: int, min_size: 
 
 
 def shadow_boxes(lower: Floats, upper: Floats, position: Floats, reach: Floats) -> tuple[Floats, Floats]:
-    """Return the bounds (k, 3) of the shadows of boxes, each lit by a light at `position` (k, 3) up to `reach` (k,).
+    """Return the bounds (k, 3) of the shadows of boxes, each lit by a light at `position` (k, 3) up to
+    `reach` (k,).
 
-    What is farther from the light by a factor lies in the box that is scaled by that factor from the light. Where the
-    light is in a box, its shadow may be anywhere in reach.
+    What is farther from the light by a factor lies in the box that is scaled by that factor from the light.
+    Where the light is in a box, its shadow may be anywhere in reach.
     """
     low, high = position - reach[:, None], position + reach[:, None]
     nearest = np.linalg.norm(position - np.clip(position, lower, upper), axis=1)

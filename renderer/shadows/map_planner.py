@@ -1,9 +1,9 @@
 """The shadow maps that a frame needs: those of lights that reach something visible and have a caster.
 
-A cascade of a directional light needs something visible in it and a caster in front of that; a map of a local light
-something visible in the light's range and a caster in the map. What doesn't have both is **skipped**. Maps of local
-lights are as wide as what the lights light on the screen; if there is no room for all, the widest are halved first.
-Where maps are in the atlas, and which of them are drawn, is not decided here.
+A cascade of a directional light needs something visible in it and a caster in front of that; a map of a local
+light something visible in the light's range and a caster in the map. What doesn't have both is **skipped**.
+Maps of local lights are as wide as what the lights light on the screen; if there is no room for all, the
+widest are halved first. Where maps are in the atlas, and which of them are drawn, is not decided here.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class RequiredMap:
     """A map that the frame needs.
 
     Attributes:
-        pose: the position, axes and projection of its camera, to compare. static: the pose and the rows of the casters
-            that can't move: the map is drawn again if it changes.
+        pose: the position, axes and projection of its camera, to compare. static: the pose and the rows of
+            the casters that can't move: the map is drawn again if it changes.
         is_quiet: whether no caster that may move shades anything visible.
     """
 
@@ -70,8 +70,8 @@ class RequiredMap:
 
 @dataclass(eq=False, slots=True)
 class LocalLightMaps:
-    """The maps of a local light, each `width` texels wide: their cameras, the planes (m, p, 4) of their frusta, and
-    each as required without the casters that may move. They hold as long as `key` is the same."""
+    """The maps of a local light, each `width` texels wide: their cameras, the planes (m, p, 4) of their
+    frusta, and each as required without the casters that may move. They hold as long as `key` is the same."""
 
     key: tuple[object, ...]
     width: int
@@ -97,8 +97,10 @@ class MapPlanner:
 
     Attributes:
         casters: the casters of the scene.
-        cascades: those of directional lights in the last frame: the light's row, and the key of the map, if any.
-        local_lights: those that have maps: the kind and the row, and the keys of those maps that have a caster.
+        cascades: those of directional lights in the last frame: the light's row, and the key of the map, if
+            any.
+        local_lights: those that have maps: the kind and the row, and the keys of those maps that have a
+            caster.
         without_room: the local lights, by kind and row, for whose maps there is no room: they light nothing.
         skipped: the lights, cascades and faces without maps, and why.
     """
@@ -120,7 +122,8 @@ class MapPlanner:
         visible: Indices,
         size: tuple[int, int],
     ) -> list[RequiredMap]:
-        """Return the maps that a frame of this `size` needs, for views of `cameras` and the `visible` objects."""
+        """Return the maps that a frame of this `size` needs, for views of `cameras` and the `visible`
+        objects."""
         self.skipped = []
         cascades = self._require_cascades(resources, effects, cameras, visible)
         return cascades + self._require_local_maps(resources, effects, cameras, visible, size)
@@ -149,7 +152,9 @@ class MapPlanner:
                     self.skipped.append((key, reason))
                     self.cascades.append((light_index, cascade, None))
                 else:
-                    required.append(RequiredMap.make(key, cascade.camera, self._settings.cascade_size, casters))
+                    required.append(
+                        RequiredMap.make(key, cascade.camera, self._settings.cascade_size, casters)
+                    )
                     self.cascades.append((light_index, cascade, key))
         return required
 
@@ -161,7 +166,8 @@ class MapPlanner:
         visible: Indices,
         size: tuple[int, int],
     ) -> list[RequiredMap]:
-        """Return the maps of local lights that reach something visible and have a caster; record those lights."""
+        """Return the maps of local lights that reach something visible and have a caster; record those
+        lights."""
         scene, settings, shadowed = resources.scene, self._settings, list[ShadowedLight]()
         lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
         for row in LOCAL_LIGHTS.values():
@@ -183,7 +189,9 @@ class MapPlanner:
                     self.skipped.append(((kind.name, light_index, -1), reason))
         cascades = sum(key is not None for _, _, key in self.cascades)
         room = settings.max_atlas_size**2 - cascades * settings.cascade_size**2
-        local_lights = [(light, self._aim(scene, light, width)) for light, width in self._choose_widths(shadowed, room)]
+        local_lights = [
+            (light, self._aim(scene, light, width)) for light, width in self._choose_widths(shadowed, room)
+        ]
         listed = [faces.required for _, faces in local_lights]
         if movers := [i for i, (light, _) in enumerate(local_lights) if len(light.casters.dynamic)]:
             map_casters, shades = cull_dynamic_casters(
@@ -203,11 +211,14 @@ class MapPlanner:
             if any(keys):
                 self.local_lights.append((light.kind.name, light.light_index, faces, keys))
         every = [required for light_maps in listed for required in light_maps]
-        self.skipped += [(required.key, "no caster is in it") for required in every if not len(required.casters)]
+        self.skipped += [
+            (required.key, "no caster is in it") for required in every if not len(required.casters)
+        ]
         return [required for required in every if len(required.casters)]
 
     def _choose_widths(self, local_lights: list[ShadowedLight], room: int) -> list[tuple[ShadowedLight, int]]:
-        """Return the local lights that get maps, the most visible ones first, and the width of their maps in texels."""
+        """Return the local lights that get maps, the most visible ones first, and the width of their maps in
+        texels."""
         settings, widths = self._settings, dict[int, int]()
         self.without_room = []
         faces = [self._faces.get((light.kind.name, light.light_index)) for light in local_lights]
@@ -222,12 +233,17 @@ class MapPlanner:
             maps += counts[i]
             if maps * settings.min_size**2 > room:
                 self.skipped.append(
-                    ((light.kind.name, light.light_index, -1), "there is no room left for its maps: it lights nothing")
+                    (
+                        (light.kind.name, light.light_index, -1),
+                        "there is no room left for its maps: it lights nothing",
+                    )
                 )
                 self.without_room.append((light.kind.name, light.light_index))
                 maps -= counts[i]
                 continue
-            widths[i] = choose_width(light.width, previous_widths[order[i]], settings.min_size, settings.max_size)
+            widths[i] = choose_width(
+                light.width, previous_widths[order[i]], settings.min_size, settings.max_size
+            )
         widths = shrink(widths, counts, room, settings.min_size)
         return [(local_lights[i], width) for i, width in widths.items()]
 
@@ -255,7 +271,8 @@ class MapPlanner:
 
 
 def _add_moving(required: RequiredMap, dynamic: Indices, shades: bool) -> RequiredMap:
-    """Return a required map with its dynamic casters; `shades` says whether one of them may shade something visible."""
+    """Return a required map with its dynamic casters; `shades` says whether one of them may shade something
+    visible."""
     if not len(dynamic):
         return required
     return replace(required, casters=Casters(required.casters.static, dynamic), is_quiet=not shades)

@@ -1,15 +1,17 @@
 """Shadow maps: tiles of an atlas for all maps that a frame needs; those that have changed are drawn again.
 
-All maps are square tiles of one depth texture, the **atlas**. A map is drawn as a view of its own, from its light, with
-its own casters. `renderer.shadows.map_planner` says which maps a frame needs. A map is kept from frame to frame:
+All maps are square tiles of one depth texture, the **atlas**. A map is drawn as a view of its own, from its
+light, with its own casters. `renderer.shadows.map_planner` says which maps a frame needs. A map is kept from
+frame to frame:
 
 - **kept** if its camera, its casters that can't move and the state of those that may are those that it shows;
-- **drawn over a copy** if only casters that may move have changed: what can't move is copied from a second texture,
-  which is made when the first caster moves;
+- **drawn over a copy** if only casters that may move have changed: what can't move is copied from a second
+  texture, which is made when the first caster moves;
 - **drawn** from scratch otherwise.
 
-Small maps of local lights, which are far away, take turns: in a frame only some of them are drawn again, those first
-that were drawn longest ago. Movers whose shadows aren't in view draw no map of a local light again.
+Small maps of local lights, which are far away, take turns: in a frame only some of them are drawn again,
+those first that were drawn longest ago. Movers whose shadows aren't in view draw no map of a local light
+again.
 
 Maps belong to the frame, not to a view: all views of a frame share them.
 """
@@ -120,8 +122,8 @@ class ShadowMap:
 
     Attributes:
         view: the constants of its camera. static: the pose and the casters that can't move which it shows,
-            None if nothing yet. dynamic: the state of the other casters in it. copied: what the second texture holds
-            of its tile.
+            None if nothing yet. dynamic: the state of the other casters in it. copied: what the second
+            texture holds of its tile.
         frame: the number of the frame in which it was drawn last.
     """
 
@@ -149,8 +151,8 @@ class ShadowMaps:
     Attributes:
         settings: they may be replaced between two frames.
         casters_drawn: the number of objects that were drawn to maps in the last frame.
-        unshadowed_lights: the number of local lights that light nothing in the last frame, because there is no room for
-            their maps.
+        unshadowed_lights: the number of local lights that light nothing in the last frame, because there is
+            no room for their maps.
     """
 
     def __init__(self, device: Device) -> None:
@@ -245,7 +247,8 @@ class ShadowMaps:
         self._reported = [(key, "skipped", reason, None) for key, reason in self._needed.skipped]
         self._warn_without_room(len(self._needed.without_room))
         self._allocate_tiles(
-            {required_map.key: required_map.size for required_map in required}, shrinks=self._forget_lights(scene)
+            {required_map.key: required_map.size for required_map in required},
+            shrinks=self._forget_lights(scene),
         )
         self._draw(frame, self._decide(scene, required), bind_programs)
         self.aim(frame.camera)
@@ -333,13 +336,15 @@ class ShadowMaps:
         return bool(gone)
 
     def _allocate_tiles(self, sizes: dict[MapKey, int], *, shrinks: bool = False) -> None:
-        """Allocate a tile of its size to each map. Maps that the frame doesn't need keep theirs until others need
-        the room.
+        """Allocate a tile of its size to each map. Maps that the frame doesn't need keep theirs until others
+        need the room.
 
         Args:
             shrinks: whether the atlas becomes smaller if a smaller one is large enough.
         """
-        for key in [key for key, size in sizes.items() if key in self._maps and self._maps[key].tile.size != size]:
+        for key in [
+            key for key, size in sizes.items() if key in self._maps and self._maps[key].tile.size != size
+        ]:
             self._forget(key)
         self._fit(sizes, shrinks=shrinks)
         for key, size in sorted(sizes.items(), key=lambda item: -item[1]):
@@ -397,7 +402,11 @@ class ShadowMaps:
         """Add a map that has changed to the frame's updates."""
         shadow_map, casters, static = self._maps[required.key], required.casters, required.static
         if shadow_map.static != static:
-            reason = "it is new" if shadow_map.static is None else "the light, the view or its casters have changed"
+            reason = (
+                "it is new"
+                if shadow_map.static is None
+                else "the light, the view or its casters have changed"
+            )
             work.redrawn.append((shadow_map, np.concatenate([casters.static, casters.dynamic])))
             shadow_map.copied = None
             shadow_map.view.write(_view_constants(required.camera))
@@ -423,7 +432,9 @@ class ShadowMaps:
         self._draw_maps(frame, work.redrawn, bind_programs, clears=True)
         if work.copied_out and self._static_atlas is None:
             size = self.atlas.size
-            self._static_atlas = self._device.texture(size, Format.D32F, label="shadow maps of what can't move")
+            self._static_atlas = self._device.texture(
+                size, Format.D32F, label="shadow maps of what can't move"
+            )
         for source, target, maps in (
             (self._atlas, self._static_atlas, work.copied_out),
             (self._static_atlas, self._atlas, work.copied_back),
@@ -436,7 +447,12 @@ class ShadowMaps:
         self._draw_maps(frame, work.drawn_over, bind_programs, clears=False)
 
     def _draw_maps(
-        self, frame: Frame, maps: Sequence[tuple[ShadowMap, Indices]], bind_programs: BindPrograms, *, clears: bool
+        self,
+        frame: Frame,
+        maps: Sequence[tuple[ShadowMap, Indices]],
+        bind_programs: BindPrograms,
+        *,
+        clears: bool,
     ) -> None:
         """Draw objects to the tiles of maps, in one pass."""
         if not maps:
@@ -461,19 +477,24 @@ class ShadowMaps:
                             device.draw(device.program(FarDepth), self._triangle)
                     for masked, programs in kinds:
                         drawn = rows if len(kinds) == 1 else rows[is_masked[rows] == masked]
-                        groups = resources.group[drawn] % (len(DRAW_GROUPS) * len(programs))  # with one, by states
+                        groups = resources.group[drawn] % (
+                            len(DRAW_GROUPS) * len(programs)
+                        )  # with one, by states
                         for group in np.unique(groups).tolist():
                             program, bindings = choose_program(programs, group)
                             view = {"view": shadow_map.view.buffer}
                             with device.states(*draw_group_states(group)):
-                                resources.draw_objects(device, program, bindings | view, drawn[groups == group])
+                                resources.draw_objects(
+                                    device, program, bindings | view, drawn[groups == group]
+                                )
 
     def _report(self, key: MapKey, state: str, reason: str, required: RequiredMap | None = None) -> None:
         self._reported.append((key, state, reason, required))
 
     def _follow_materials(self, scene: Scene) -> bool:
-        """Collect the casters again if objects were hidden or shown, or have other materials. Return whether all maps
-        have to be drawn again: materials are transparent, masks or two-sided otherwise than the maps show."""
+        """Collect the casters again if objects were hidden or shown, or have other materials. Return whether
+        all maps have to be drawn again: materials are transparent, masks or two-sided otherwise than the maps
+        show."""
         if self._material_version == scene.material_version:
             return False
         self._material_version = scene.material_version
@@ -564,8 +585,8 @@ def shadow_passes(effects: FrameEffects, bind_programs: BindPrograms) -> list[Fr
 
 
 def casters_state_key(scene: Scene, rows: Indices, tessellations: int = 0) -> bytes:
-    """Return bytes that change when one of the objects `rows` moves; those that are simulated always do. Height fields
-    do if the triangles are chosen again: `tessellations` says how often they were."""
+    """Return bytes that change when one of the objects `rows` moves; those that are simulated always do.
+    Height fields do if the triangles are chosen again: `tessellations` says how often they were."""
     if not len(rows):
         return b""
     objects = scene.objects
@@ -581,13 +602,22 @@ _NO_VIEW: Final = ViewConstants(relative_view_projection=np.eye(4), eye_high=np.
 
 
 def _first_slots(first: dict[str, int]) -> dict[str, int]:
-    """Return the fields of a `LocalShadowTable` that say with which slot each kind of lights but the first begins."""
+    """Return the fields of a `LocalShadowTable` that say with which slot each kind of lights but the first
+    begins."""
     return {f"{kind.name}_slots": first[kind.name] for kind in LOCAL_LIGHT_KINDS[1:]}
 
 
 def _make_table(maps: list[CascadeMap], bias: float) -> CascadeTable:
     empty = CascadeMap(
-        axes=np.eye(3), middle=np.zeros(3), texel=1.0, center=(0, 0), half=0, inner=1, length=0, light=-1, is_last=0
+        axes=np.eye(3),
+        middle=np.zeros(3),
+        texel=1.0,
+        center=(0, 0),
+        half=0,
+        inner=1,
+        length=0,
+        light=-1,
+        is_last=0,
     )
     filled = [*maps, *[empty] * (MAX_CASCADES - len(maps))]
     return CascadeTable(maps=filled, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), count=len(maps))

@@ -1,23 +1,26 @@
 """Receivers of shadows, in shaders: the share of a light that shadow maps leave to a surface.
 
-A shader that lights surfaces derives from `ShadowReceiver` and passes each light to `shadow_directional_light`, or
-for a local light to the `shadow_…_light` of its kind, such as `shadow_point_light`. These return the light that
-arrives. Without shadows that is all of it; `has_…_shadows` turns on those of a kind of light, and a filter class reads
-the maps. So a technique has shadows by one call for each light, whichever maps there are. The table of the sun's maps
-is a uniform block, and those of local lights, of which there may be thousands, are textures: forward shading needs the
-eight storage buffers that a program may have.
+A shader that lights surfaces derives from `ShadowReceiver` and passes each light to
+`shadow_directional_light`, or for a local light to the `shadow_…_light` of its kind, such as
+`shadow_point_light`. These return the light that arrives. Without shadows that is all of it; `has_…_shadows`
+turns on those of a kind of light, and a filter class reads the maps. So a technique has shadows by one call
+for each light, whichever maps there are. The table of the sun's maps is a uniform block, and those of local
+lights, of which there may be thousands, are textures: forward shading needs the eight storage buffers that a
+program may have.
 
-**Bias.** A texel holds the depth of a surface at its middle, and is compared with a point elsewhere in it, whose
-depth differs by tan θ times the distance. So a point isn't compared with its own depth, but with that of its
-surface's plane at the middle of the texel, which follows from the normal. Where the plane is farther away there, it
-is compared with a depth that is as much nearer: at the foot of a wall the floor is in front of the wall's plane. What
-is left is rounding, and the difference between a normal and a facet: for these the point is moved along its normal,
-by `bias.x` texels and `bias.y` times the sine of θ, in all by less than a texel.
+**Bias.** A texel holds the depth of a surface at its middle, and is compared with a point elsewhere in it,
+whose depth differs by tan θ times the distance. So a point isn't compared with its own depth, but with that
+of its surface's plane at the middle of the texel, which follows from the normal. Where the plane is farther
+away there, it is compared with a depth that is as much nearer: at the foot of a wall the floor is in front of
+the wall's plane. What is left is rounding, and the difference between a normal and a facet: for these the
+point is moved along its normal, by `bias.x` texels and `bias.y` times the sine of θ, in all by less than a
+texel.
 
-The normal is that of the surface in the map, which normal maps don't bend (`SurfacePoint.geometric_normal`). Where
-they bend it towards a light behind the surface, the surface is in its own shadow.
+The normal is that of the surface in the map, which normal maps don't bend (`SurfacePoint.geometric_normal`).
+Where they bend it towards a light behind the surface, the surface is in its own shadow.
 
-Depth is reversed: 1 at the light, less farther away. A point is lit where it isn't farther than what is in the map.
+Depth is reversed: 1 at the light, less farther away. A point is lit where it isn't farther than what is in
+the map.
 """
 
 from __future__ import annotations
@@ -39,8 +42,8 @@ MAX_CASCADES: Final = 8
 
 NO_SHADOW: Final = -1
 NO_ATLAS_ROOM: Final = -2
-"""The slots of local lights without maps: those that nothing blocks, and those for whose maps there is no room. The
-latter light nothing, so that no wall is lit through."""
+"""The slots of local lights without maps: those that nothing blocks, and those for whose maps there is no
+room. The latter light nothing, so that no wall is lit through."""
 
 _SMALL: Final = 64
 """The width in texels of a local light's map up to which shadows err towards dark."""
@@ -50,8 +53,8 @@ _MIN_COSINE: Final = 0.005
 
 
 def make_disc(count: int, radius: float) -> NDArray[np.float64]:
-    """Return a Poisson disc (count, 2): each point is the one of many random points that is farthest from those
-    before."""
+    """Return a Poisson disc (count, 2): each point is the one of many random points that is farthest from
+    those before."""
     random = np.random.default_rng(5)
     points = np.zeros((1, 2))
     while len(points) < count:
@@ -69,11 +72,11 @@ DISC: Final = make_disc(12, 2.0)
 class CascadeMap(sl.Struct):
     """A map of a directional light.
 
-    `axes` turns the world to the light's right, up and back. `middle` is that of the map at depth 1, along these
-    axes and relative to the eye, `length` its depth in metres. `center` is that of the tile in texels of the atlas,
-    `half` half its width; a texel is `texel` metres wide. Points are looked up within `inner` metres. Without casters
-    `length` is 0. `light` is the row of the light, and `is_last` 1 in the last map of a light, whose shadows fade at
-    its edge.
+    `axes` turns the world to the light's right, up and back. `middle` is that of the map at depth 1, along
+    these axes and relative to the eye, `length` its depth in metres. `center` is that of the tile in texels
+    of the atlas, `half` half its width; a texel is `texel` metres wide. Points are looked up within `inner`
+    metres. Without casters `length` is 0. `light` is the row of the light, and `is_last` 1 in the last map of
+    a light, whose shadows fade at its edge.
     """
 
     axes: sl.mat3
@@ -88,7 +91,8 @@ class CascadeMap(sl.Struct):
 
 
 class CascadeTable(sl.Struct):
-    """The maps of directional lights, `count` of them, from the nearest of a light to its farthest, and their bias."""
+    """The maps of directional lights, `count` of them, from the nearest of a light to its farthest, and their
+    bias."""
 
     maps: sl.Array[CascadeMap] = sl.array(CascadeMap, MAX_CASCADES)
     bias: sl.vec3
@@ -119,7 +123,8 @@ class ShadowBias(sl.Struct):
 
 
 class LocalShadowTable(ShadowBias):
-    """The constants of all maps of local lights: their bias, and the first slot of each kind of light but the first."""
+    """The constants of all maps of local lights: their bias, and the first slot of each kind of light but the
+    first."""
 
     __annotations__ = dict.fromkeys([f"{kind.name}_slots" for kind in LOCAL_LIGHT_KINDS[1:]], int)
 
@@ -133,7 +138,8 @@ class ShadowFilterShader(sl.Shader):
         """Return the share of the texels around a point that are lit.
 
         Args:
-            at: the point in texels of the atlas. depth: that of the point. slope: its change per texel in x and y.
+            at: the point in texels of the atlas. depth: that of the point. slope: its change per texel in x
+                and y.
             center, half: the tile, whose edge is repeated outside of it.
         """
         return 1.0
@@ -144,7 +150,9 @@ class TexelFilterShader(ShadowFilterShader):
 
     shadow_atlas: sl.Texture2D
 
-    def is_lit(self, at: sl.vec2, texel: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
+    def is_lit(
+        self, at: sl.vec2, texel: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float
+    ) -> float:
         """Return 1 where the plane is lit at the middle of a texel, otherwise 0."""
         inside = sl.clamp(texel, center - half, center + (half - 1.0))
         plane = depth + sl.abs(sl.dot(slope, inside + 0.5 - at))
@@ -174,7 +182,8 @@ class HardwareShadows(ShadowFilterShader):
 
 
 class SmoothShadows(TexelFilterShader):
-    """Compares the 4 × 4 texels that a square of 3 × 3 around the point overlaps, weighted by their areas in it."""
+    """Compares the 4 × 4 texels that a square of 3 × 3 around the point overlaps, weighted by their areas in
+    it."""
 
     def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
         first = sl.floor(at - 1.5)
@@ -192,8 +201,8 @@ class SmoothShadows(TexelFilterShader):
 
 
 class PoissonShadows(TexelFilterShader):
-    """Compares 12 texels of a disc, turned by an angle that depends on the position in the map alone: noise doesn't
-    swim."""
+    """Compares 12 texels of a disc, turned by an angle that depends on the position in the map alone: noise
+    doesn't swim."""
 
     def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
         cell = sl.floor(at * 8.0)
@@ -208,14 +217,15 @@ class PoissonShadows(TexelFilterShader):
 
 
 class ShadowMapReader(ShadowFilterShader):
-    """The base of shaders that light surfaces: multiplies light by the share that casters let through. The geometric
-    normal is the one that normal maps don't bend. Without shadows light passes unchanged; with shadows, a filter class
-    is combined with this one.
+    """The base of shaders that light surfaces: multiplies light by the share that casters let through. The
+    geometric normal is the one that normal maps don't bend. Without shadows light passes unchanged; with
+    shadows, a filter class is combined with this one.
 
-    `shadow_slots` has for each local light twice the number of its first map, and 1 more if its maps are the faces
-    of a cube; `NO_SHADOW` or `NO_ATLAS_ROOM` without maps. `local_shadow_maps` has two texels for each map: the
-    rotation from the world to its right, up and back, as a quaternion, and its tile: its middle and half its width
-    in texels, and the texels in a unit of the tangent. The width of a face without casters is 0.
+    `shadow_slots` has for each local light twice the number of its first map, and 1 more if its maps are the
+    faces of a cube; `NO_SHADOW` or `NO_ATLAS_ROOM` without maps. `local_shadow_maps` has two texels for each
+    map: the rotation from the world to its right, up and back, as a quaternion, and its tile: its middle and
+    half its width in texels, and the texels in a unit of the tangent. The width of a face without casters is
+    0.
     """
 
     has_directional_shadows = False
@@ -233,8 +243,9 @@ class ShadowMapReader(ShadowFilterShader):
             return light
         if light.x + light.y + light.z <= 0.0:
             return light
-        # The first map that the position is in, if it has casters. What is read of it is read in the loop, where all
-        # fragments read the same: a read at an index of each fragment's own takes a CPU twice as long.
+        # The first map that the position is in, if it has casters. What is read of it is read in the loop,
+        # where all fragments read the same: a read at an index of each fragment's own takes a CPU twice as
+        # long.
         point = sl.vec3(0.0)
         facing = sl.vec3(0.0)
         tile = sl.vec4(0.0)
@@ -296,7 +307,9 @@ class ShadowMapReader(ShadowFilterShader):
         if not is_cube:
             depth = -rotate(self.shadow_map_texel(first), away).z
         texel = sl.max(depth, 0.0) / self.shadow_map_texel(first + 1).w
-        moved = away + normal * (texel * (self.local_shadow_table.bias.x + self.local_shadow_table.bias.y * sine))
+        moved = away + normal * (
+            texel * (self.local_shadow_table.bias.x + self.local_shadow_table.bias.y * sine)
+        )
         if is_cube:
             first += 2 * cube_face(moved)
         tile = self.shadow_map_texel(first + 1)
@@ -307,13 +320,15 @@ class ShadowMapReader(ShadowFilterShader):
         near = reach * NEAR
         nearness = 1.0 / sl.max(-point.z, near)
         at = tile.xy + sl.vec2(point.x, -point.y) * (nearness * tile.w)
-        # On a plane n · p = d through the light's space, 1 / -z is linear in x / -z and y / -z: n.x / d and n.y / d.
+        # On a plane n · p = d through the light's space, 1 / -z is linear in x / -z and y / -z: n.x / d and
+        # n.y / d.
         plane = sl.min(sl.dot(normal, moved), -_MIN_COSINE * distance)
         tilt = rotate(rotation, normal)
         slope = sl.vec2(tilt.x, -tilt.y) * (self.local_shadow_table.bias.z * near / (plane * tile.w))
         share = self.lit_fraction(at, near * nearness, slope, tile.xy, tile.z)
         if tile.z <= _SMALL / 2.0:
-            # An edge is drawn at most half a texel off, and filters reach 1.5: beyond it, 2/3 of them may be lit.
+            # An edge is drawn at most half a texel off, and filters reach 1.5: beyond it, 2/3 of them may be
+            # lit.
             share = sl.max(3.0 * share - 2.0, 0.0)
         return light * share
 

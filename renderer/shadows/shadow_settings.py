@@ -19,7 +19,8 @@ class ShadowFilter(Enum):
     SMOOTH = "smooth"
     """3 × 3 texels around the point, weighted by the area that they share with a square of that size."""
     POISSON = "poisson"
-    """12 texels of a Poisson disc, turned by another angle at each position: edges are noise instead of texels."""
+    """12 texels of a Poisson disc, turned by another angle at each position: edges are noise instead of
+    texels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +32,12 @@ class ShadowSettings:
         cascades: the number of maps of a directional light, one behind the other along the view.
         cascade_size: the width and height of each of them in texels.
         distance: how far from the eye, in metres, directional lights cast shadows.
-        split: where cascades end: 0 divides the distance evenly, 1 by equal ratios, the practical split is between.
+        split: where cascades end: 0 divides the distance evenly, 1 by equal ratios, the practical split is
+            between.
         min_size, max_size: bounds of the width of a local light's map in texels, powers of two.
         max_atlas_size: the greatest width of the texture that holds all maps, a power of two.
-        budget: how many maps of far local lights, those of at most `far_size` texels, are drawn again in a frame.
+        budget: how many maps of far local lights, those of at most `far_size` texels, are drawn again in a
+            frame.
         bias: 1 moves compared points by what texel size and angle call for; 0 shows what that is for.
         back_faces: whether the casters' back faces are drawn instead of their front faces.
     """
@@ -72,7 +75,8 @@ class ShadowSettings:
             ),
             (
                 "max_atlas_size",
-                _is_power(self.max_atlas_size) and self.max_atlas_size >= max(self.max_size, self.cascade_size),
+                _is_power(self.max_atlas_size)
+                and self.max_atlas_size >= max(self.max_size, self.cascade_size),
                 "a power of two, at least as large as each map",
             ),
             ("budget", self.budget >= 1, "1 or more"),

@@ -16,8 +16,8 @@ class Tile(NamedTuple):
 class TileAllocator:
     """Allocates tiles whose sizes are powers of two.
 
-    Tiles that are taken from the largest to the smallest fill the square without a gap. A tile that is given back is
-    joined with its three neighbours if these are free, too.
+    Tiles that are taken from the largest to the smallest fill the square without a gap. A tile that is given
+    back is joined with its three neighbours if these are free, too.
     """
 
     def __init__(self, size: int) -> None:

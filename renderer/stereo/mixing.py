@@ -1,9 +1,10 @@
 """Combines two images into one, pixel by pixel: selects bits from both, or mixes their colours.
 
-Pixels are words of four bytes that kernels read from buffers, so that no texture is sampled and no target blended.
-`MixColors` decodes colours by a table of the 256 levels, and encodes them by a table of the level that is nearest to
-each of 8,192 steps of light. Where levels are nearest to each other, in the dark, a step is 0.4 of them. So a mixed
-colour is at most one level from that of exact arithmetic, and a grey keeps its level.
+Pixels are words of four bytes that kernels read from buffers, so that no texture is sampled and no target
+blended. `MixColors` decodes colours by a table of the 256 levels, and encodes them by a table of the level
+that is nearest to each of 8,192 steps of light. Where levels are nearest to each other, in the dark, a step
+is 0.4 of them. So a mixed colour is at most one level from that of exact arithmetic, and a grey keeps its
+level.
 """
 
 from __future__ import annotations
@@ -24,15 +25,16 @@ _STEPS: Final = 8192
 
 _RED: Final = 0xFF0000FF  # the first byte, and alpha
 _BIT_MASKS: Final = {"color": (_RED, _RED), "interlaced": (0xFFFFFFFF, 0)}
-"""The outputs that only choose bits of both images: those of the left one's pixels in even and in odd rows."""
+"""The outputs that only choose bits of both images: those of the left one's pixels in even and in odd
+rows."""
 
 MIXED_OUTPUTS: Final = frozenset({*ANAGLYPHS, *_BIT_MASKS})
 """The outputs whose image is made pixel by pixel."""
 
 
 class MixConstants(sl.Struct):
-    """The way in which two images of `size`, of rows that are `pitch` pixels apart, are mixed: the bits of each pixel
-    that are the left one's, in even and in odd rows; or the matrices of both."""
+    """The way in which two images of `size`, of rows that are `pitch` pixels apart, are mixed: the bits of
+    each pixel that are the left one's, in even and in odd rows; or the matrices of both."""
 
     size: sl.ivec2
     pitch: int
@@ -101,7 +103,9 @@ class Mixer:
             self._constants = created.enter_context(device.uniform(nothing))
             decoded = from_srgb(np.arange(256) / 255.0)
             levels = 255.0 * to_srgb(np.arange(_STEPS) / (_STEPS - 1.0))
-            self._light = created.enter_context(device.storage(float, decoded.astype(np.float32), label="light"))
+            self._light = created.enter_context(
+                device.storage(float, decoded.astype(np.float32), label="light")
+            )
             self._levels = created.enter_context(
                 device.storage(sl.uint, np.round(levels).astype(np.uint32), label="levels")
             )
@@ -122,7 +126,12 @@ class Mixer:
             pitch = row_pitch(self._device, size[0])
             self._constants.write(
                 MixConstants(
-                    size=size, pitch=pitch, even_mask=even_mask, odd_mask=odd_mask, left=of_left, right=of_right
+                    size=size,
+                    pitch=pitch,
+                    even_mask=even_mask,
+                    odd_mask=odd_mask,
+                    left=of_left,
+                    right=of_right,
                 )
             )
             self._current = output, size

@@ -1,12 +1,13 @@
 """The outputs that show both eyes in one image, and the colours of an anaglyph, in float64.
 
-An anaglyph is seen through a red and a cyan glass: red is for the left eye, green and blue are for the right one.
-Each way to make one is two matrices, for the left and for the right image, and the image is the sum of both products,
-in linear light. In each row both matrices together sum to 1, so what is grey in both images stays the same grey.
+An anaglyph is seen through a red and a cyan glass: red is for the left eye, green and blue are for the right
+one. Each way to make one is two matrices, for the left and for the right image, and the image is the sum of
+both products, in linear light. In each row both matrices together sum to 1, so what is grey in both images
+stays the same grey.
 
-`grey` has no colours and thus no rivalry of the eyes, `color` has all, and `half_color` has grey for the left eye
-only. `dubois` is the least-squares match to what an eye sees through each glass (Dubois, 2001); what is below 0 or
-above 1 is cut off there.
+`grey` has no colours and thus no rivalry of the eyes, `color` has all, and `half_color` has grey for the left
+eye only. `dubois` is the least-squares match to what an eye sees through each glass (Dubois, 2001); what is
+below 0 or above 1 is cut off there.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ ANAGLYPHS: Final = {
 """The matrices (2, 3, 3) of each anaglyph, for the left and the right image."""
 
 OUTPUTS: Final = (*ANAGLYPHS, "interlaced", "side_by_side", "over_under")
-"""All ways to show two images. `interlaced` has the left image in even rows, from the top, and the right one in odd
-rows. The last two show both at half their width or height, the left one first."""
+"""All ways to show two images. `interlaced` has the left image in even rows, from the top, and the right one
+in odd rows. The last two show both at half their width or height, the left one first."""
 
 
 def check_output(name: str, call: str) -> None:
@@ -57,8 +58,8 @@ def check_output(name: str, call: str) -> None:
 
 
 def eye_image_size(output: str, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the (width, height) of each image in an image of `size` pixels. If it is odd where it is halved, the
-    right image lacks its last column or row."""
+    """Return the (width, height) of each image in an image of `size` pixels. If it is odd where it is halved,
+    the right image lacks its last column or row."""
     width, height = size
     if output == "side_by_side":
         return -(-width // 2), height

@@ -1,9 +1,9 @@
 """The second eye of a frame, the rig that suits a scene, and the image in which both are shown.
 
-A frame of two eyes is the frame of the left one, then that of the right one, each with its view and its targets, and
-all else shared: the simulation, the transforms, the light lists, the needs and the plan, and the objects found where
-only a frustum decides. Passes know nothing of this. So every technique works, and each eye's image is that of its
-camera, bit for bit.
+A frame of two eyes is the frame of the left one, then that of the right one, each with its view and its
+targets, and all else shared: the simulation, the transforms, the light lists, the needs and the plan, and the
+objects found where only a frustum decides. Passes know nothing of this. So every technique works, and each
+eye's image is that of its camera, bit for bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from renderer.visibility.boxes.depth_range import compute_depth_range
 from renderer.visibility.command_cache import CommandCache, copy
 from rhi import Device, Encoder, Region, Texture, refuse
 
-_MIN_NEAR_RATIO: Final = 1e-3  # of the farthest depth: an orthographic projection may see what is behind the eye
+_MIN_NEAR_RATIO: Final = (
+    1e-3  # of the farthest depth: an orthographic projection may see what is behind the eye
+)
 
 
 def compute_rig(
@@ -81,7 +83,9 @@ class EyePair:
         view, targets: those of the right eye. image: what is shown.
     """
 
-    def __init__(self, device: Device, stereo: Stereo, size: tuple[int, int], left: View, scale: float = 1.0) -> None:
+    def __init__(
+        self, device: Device, stereo: Stereo, size: tuple[int, int], left: View, scale: float = 1.0
+    ) -> None:
         self.stereo = stereo
         with ExitStack() as created:
             self.image: Texture = created.enter_context(device.texture(size, IMAGE_FORMAT, label="both eyes"))

@@ -1,4 +1,5 @@
-"""Images as words: buffers of four bytes a pixel, which compute shaders move and mix without decoding them."""
+"""Images as words: buffers of four bytes a pixel, which compute shaders move and mix without decoding
+them."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ class PixelBuffer(Generic[T]):
 
 
 def row_pitch(device: Device, width: int) -> int:
-    """Return the elements from row to row of an image that is copied to a buffer and back: more than `width` where
-    rows have to be aligned."""
+    """Return the elements from row to row of an image that is copied to a buffer and back: more than `width`
+    where rows have to be aligned."""
     step = max(device.capabilities.copy_row_alignment // 4, 1)
     return -(-width // step) * step

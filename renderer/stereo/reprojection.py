@@ -1,13 +1,15 @@
-"""Makes the right eye's image from the left eye's: each pixel moves along its row by the parallax of its depth.
+"""Makes the right eye's image from the left eye's: each pixel moves along its row by the parallax of its
+depth.
 
-The parallax is a linear function of depth, with each projection: a perspective one has depths that are linear in 1/z,
-and so is its parallax; with a parallel one both are linear in z. So a pixel's way takes one multiplication, of
-numbers that are computed in float64. Pixels are moved as they are, four bytes each: no colour is decoded.
+The parallax is a linear function of depth, with each projection: a perspective one has depths that are linear
+in 1/z, and so is its parallax; with a parallel one both are linear in z. So a pixel's way takes one
+multiplication, of numbers that are computed in float64. Pixels are moved as they are, four bytes each: no
+colour is decoded.
 
-An invocation has a row. `ShiftPixels` walks along it from left to right. Of several pixels that land on one the last
-wins, which is the nearest: it has moved farther to the left than those before it. Where nothing lands there is a
-*hole*: what the left eye doesn't see. `FillPixels` fills it with what is to its right, which is what was hidden,
-since near things move to the left.
+An invocation has a row. `ShiftPixels` walks along it from left to right. Of several pixels that land on one
+the last wins, which is the nearest: it has moved farther to the left than those before it. Where nothing
+lands there is a *hole*: what the left eye doesn't see. `FillPixels` fills it with what is to its right, which
+is what was hidden, since near things move to the left.
 
 What a surface reflects is what the left eye sees of it, highlights included.
 """
@@ -35,8 +37,8 @@ _AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two 
 
 
 class Shift(sl.Struct):
-    """The distance by which pixels move to the right: `base` + `rate` times their nearness, in pixels. `size` is that
-    of the image, whose rows are `pitch` pixels apart, `farthest` the depth of the background."""
+    """The distance by which pixels move to the right: `base` + `rate` times their nearness, in pixels. `size`
+    is that of the image, whose rows are `pitch` pixels apart, `farthest` the depth of the background."""
 
     size: sl.ivec2
     pitch: int
@@ -67,7 +69,8 @@ class ShiftPixels(sl.Shader):
 
 
 class FillPixels(sl.Shader):
-    """Fills each hole with the next pixel to its right, and those at the right edge with the last one of the row."""
+    """Fills each hole with the next pixel to its right, and those at the right edge with the last one of the
+    row."""
 
     work_group = (_ROWS,)
     shift: sl.Uniform[Shift]
@@ -170,8 +173,8 @@ class Reprojector:
 
 
 def compute_shift(left: Camera, right: Camera, size: tuple[int, int], pitch: int) -> Shift:
-    """Return how the pixels of an image of `size` move from one eye to the other, in rows that are `pitch` apart. The
-    eyes look in one direction."""
+    """Return how the pixels of an image of `size` move from one eye to the other, in rows that are `pitch`
+    apart. The eyes look in one direction."""
     depth, matrix = left.projection.depth, left.projection.matrix
     near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]
     nearness = _AHEAD @ near / (_AHEAD @ matrix[3])

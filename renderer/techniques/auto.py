@@ -1,9 +1,9 @@
 """The technique that measures others: which one is the fastest depends on the scene, the view and the device.
 
-Few techniques are worth a trial. What the lists of objects cost grows with the lights that reach an object and with
-what is drawn and hidden again; a geometry buffer is paid once a pixel, and lists of clusters or tiles have the lights
-that are near. So `forward` is tried against deferred shading by clusters and by tiles; every other technique was slower
-than one of these wherever they were compared (docs/lighting-measured.md).
+Few techniques are worth a trial. What the lists of objects cost grows with the lights that reach an object
+and with what is drawn and hidden again; a geometry buffer is paid once a pixel, and lists of clusters or
+tiles have the lights that are near. So `forward` is tried against deferred shading by clusters and by tiles;
+every other technique was slower than one of these wherever they were compared (docs/lighting-measured.md).
 """
 
 from __future__ import annotations
@@ -22,24 +22,26 @@ from rhi import Device
 CANDIDATES: Final[dict[str, Callable[[], Technique]]] = {
     technique.name: technique for technique in (Forward, ClusteredDeferred, TiledDeferred)
 }
-"""The techniques that `AutoTechnique` tries, in this order. Each is the fastest for some scene, view and device."""
+"""The techniques that `AutoTechnique` tries, in this order. Each is the fastest for some scene, view and
+device."""
 MIN_TRIAL_LIGHTS: Final = 32
-"""The number of point and spot lights in view below which kernels that take seconds to build aren't built for a
-trial."""
+"""The number of point and spot lights in view below which kernels that take seconds to build aren't built for
+a trial."""
 
 _SLOW_GROUPS: Final = ("llvmpipe", "softpipe")
-"""In the names of devices that run a work-group with barriers thread by thread, for which `tiled_deferred` takes 8
-times as long as `forward`."""
+"""In the names of devices that run a work-group with barriers thread by thread, for which `tiled_deferred`
+takes 8 times as long as `forward`."""
 _LIGHT_MARGIN: Final = 16
 """Added to numbers of lights before they are compared, so that a few more don't start a trial."""
 
 
 class AutoTechnique(CandidateSelector):
-    """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
+    """Tries each candidate for some frames, then stays with the fastest until the view has changed
+    (`SpeedTrial`).
 
-    The candidates' images differ by at most 2 of 255 levels, so a trial isn't seen. A trial frame waits for the
-    device. While the visibility algorithm is on trial itself, techniques aren't exchanged. Other than other techniques,
-    an object serves one renderer only.
+    The candidates' images differ by at most 2 of 255 levels, so a trial isn't seen. A trial frame waits for
+    the device. While the visibility algorithm is on trial itself, techniques aren't exchanged. Other than
+    other techniques, an object serves one renderer only.
 
     Attributes:
         name: the name on the command line.
@@ -115,7 +117,9 @@ def list_candidates(device: Device, effects: FrameEffects, names: Iterable[str])
     if not can.compute:
         return [first], "the device has no compute shaders to list lights"
     if can.backend == "cl" and light_count < MIN_TRIAL_LIGHTS:
-        return [first], f"{light_count} lights in view, and on cl other techniques pay from some {MIN_TRIAL_LIGHTS} on"
+        return [
+            first
+        ], f"{light_count} lights in view, and on cl other techniques pay from some {MIN_TRIAL_LIGHTS} on"
     if TiledDeferred.name in others and (not light_count or any(name in can.device for name in _SLOW_GROUPS)):
         others.remove(TiledDeferred.name)  # without local lights it is the same as by clusters
     return [first, *others], "the only candidate"

@@ -1,13 +1,13 @@
-"""Deferred shading: the scene's geometry is drawn once, without light; then each light lights the pixels that it
-reaches (Hargreaves and Harris, 2004).
+"""Deferred shading: the scene's geometry is drawn once, without light; then each light lights the pixels that
+it reaches (Hargreaves and Harris, 2004).
 
 1. `geometry` stores the nearest surface of each pixel (`geometry_buffer`).
 2. `point lights` and `spot lights` draw the lights' volumes and add what the surfaces in them reflect
    (`light_volumes`).
 3. `resolve` adds the light that reaches everything (ambient, directional, emitted), maps tones and adds haze.
 
-So the cost of a light doesn't depend on the number of objects. A scene without point and spot lights has no light
-buffer and only the passes 1 and 3.
+So the cost of a light doesn't depend on the number of objects. A scene without point and spot lights has no
+light buffer and only the passes 1 and 3.
 """
 
 from __future__ import annotations
@@ -38,7 +38,11 @@ class Deferred:
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
     def __init__(
-        self, *, stencil: bool = False, light_bits: int = DEFAULT_LIGHT_BITS, normal_bits: int = DEFAULT_NORMAL_BITS
+        self,
+        *,
+        stencil: bool = False,
+        light_bits: int = DEFAULT_LIGHT_BITS,
+        normal_bits: int = DEFAULT_NORMAL_BITS,
     ) -> None:
         """`stencil` masks each light in the stencil buffer, with two draws per light. `light_bits` (16 or
         32) are the bits per channel of the accumulated light. `normal_bits` (8 or 16) are the bits per
@@ -51,4 +55,6 @@ class Deferred:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `geometry`, one per kind of local lights in view, `resolve`, and those of transparent
         surfaces."""
-        return volume_passes(effects, stencil=self.stencil, light_bits=self.light_bits, normal_bits=self.normal_bits)
+        return volume_passes(
+            effects, stencil=self.stencil, light_bits=self.light_bits, normal_bits=self.normal_bits
+        )

@@ -1,9 +1,9 @@
 """Deferred shading by the lights of tiles or clusters: no light volumes are drawn.
 
-`tiled_deferred` (Andersson 2009; Lauritzen 2010) has one compute shader that does both: a work-group finds the depths
-of its tile, tests the lights against them, and lights its pixels by those that it has kept. `clustered_deferred`
-(Olsson, Billeter and Assarsson 2012) lists the lights of clusters and lights each pixel by its cluster's list, in the
-same pass that makes the image.
+`tiled_deferred` (Andersson 2009; Lauritzen 2010) has one compute shader that does both: a work-group finds
+the depths of its tile, tests the lights against them, and lights its pixels by those that it has kept.
+`clustered_deferred` (Olsson, Billeter and Assarsson 2012) lists the lights of clusters and lights each pixel
+by its cluster's list, in the same pass that makes the image.
 
 Without point and spot lights in view, both are deferred shading.
 """
@@ -41,7 +41,13 @@ from renderer.techniques.parts.geometry_buffer import (
 )
 from renderer.techniques.parts.light_list_reader import ForwardByCells
 from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, check_bits, resolve_pass
-from renderer.techniques.parts.samples import GeometrySamples, SampleMean, bind_samples, frame_samples, list_samples
+from renderer.techniques.parts.samples import (
+    GeometrySamples,
+    SampleMean,
+    bind_samples,
+    frame_samples,
+    list_samples,
+)
 from renderer.techniques.parts.scene_shader import LocalLightShader, ShadingShader
 from renderer.techniques.parts.variants import (
     bind,
@@ -176,14 +182,18 @@ class TiledLighting(GeometryReader, MaskedLightShader):
         """The tile's cell between its nearest and farthest surface, empty if it has none. `low` and `high`
         are the least and greatest depth of the lane's pixel; no depth is below 0."""
         if lane == 0:
-            self.least = sl.uint(0x7F7FFFFF)  # the largest float: as long as no depth is below it, there is none
+            self.least = sl.uint(
+                0x7F7FFFFF
+            )  # the largest float: as long as no depth is below it, there is none
             self.greatest = sl.uint(0)
         sl.barrier()
         if has_surface:
             sl.atomic_min(self.least, sl.float_bits_to_uint(low))  # bits are ordered as the depths are
             sl.atomic_max(self.greatest, sl.float_bits_to_uint(high))
         sl.barrier()
-        ends = self.tile_distance_range(sl.uint_bits_to_float(self.least), sl.uint_bits_to_float(self.greatest))
+        ends = self.tile_distance_range(
+            sl.uint_bits_to_float(self.least), sl.uint_bits_to_float(self.greatest)
+        )
         return block_cell(self.grid, tile, 1, ends.x, ends.y)
 
     def tile_distance_range(self, low: float, high: float) -> sl.vec2:
@@ -225,7 +235,9 @@ class SampledTiles(GeometrySamples, TiledLighting, ShadingShader):
                     far = sl.max(far, distance)
                     if self.is_new(sample):
                         material_index = int(self.load_material(pixel, sample).x)
-                        colors[sample] = self.shade(self.read_surface_sample(sample), self.materials[material_index])
+                        colors[sample] = self.shade(
+                            self.read_surface_sample(sample), self.materials[material_index]
+                        )
         lane = sl.local_index()
         cell = self.tile_cell(lane, sl.group_id().xy, near, far, near <= far)
         for base in range(0, self.lights.words, _CHUNK):
@@ -349,11 +361,15 @@ def _show(frame: Frame) -> None:
     draw_full_screen(frame, LitPixels, frame.image)
 
 
-def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[str, Any] = {}, **switches: int) -> None:
+def dispatch_tiles(
+    frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[str, Any] = {}, **switches: int
+) -> None:
     """Dispatch the compute shader with these bases over all tiles."""
     uploads = frame.view.workspace(_make_uploads)
     uploads.write(frame.camera, frame.targets.size, frame.resources.lights)
-    has_cones = any(LOCAL_LIGHTS[effect].kind.cones is not None for effect in local_light_effects(frame.effects))
+    has_cones = any(
+        LOCAL_LIGHTS[effect].kind.cones is not None for effect in local_light_effects(frame.effects)
+    )
     switches = {**geometry_buffer_switches(frame), **switches, "has_cones": has_cones}
     program: Any = frame.program(shader_variant(frame, *bases, **switches))
     cones = uploads.cones if has_cones else {}

@@ -1,25 +1,27 @@
-"""Deferred+ (Doghramachi and Bucci, GPU Zen 2017): geometry is drawn once, without materials; each pixel's material is
-evaluated afterwards, and lit by its cluster's lights in the same step.
+"""Deferred+ (Doghramachi and Bucci, GPU Zen 2017): geometry is drawn once, without materials; each pixel's
+material is evaluated afterwards, and lit by its cluster's lights in the same step.
 
 1. `geometry` draws the packed geometry buffer (`packed_geometry`), as the visibility algorithm decides: with
    `two_pass`, first what the last frame's depth doesn't hide, then what this frame's depth doesn't hide.
 2. `light lists` lists the lights of clusters.
-3. `shading` reads each pixel's surface and material, filters the textures and adds up the light, in one pass over the
-   screen. A depth test leaves out the pixels without a surface, before anything is shaded: a shader that discards them
-   would cost llvmpipe as much as one that lights them. What the test leaves is placed by a copy of the depth.
+3. `shading` reads each pixel's surface and material, filters the textures and adds up the light, in one pass
+   over the screen. A depth test leaves out the pixels without a surface, before anything is shaded: a shader
+   that discards them would cost llvmpipe as much as one that lights them. What the test leaves is placed by a
+   copy of the depth.
 
-Materials with shaders of their own are shaded by draws over the screen, one for each shader: `material ids` has the
-shaders of pixels as depth, which these draws test.
+Materials with shaders of their own are shaded by draws over the screen, one for each shader: `material ids`
+has the shaders of pixels as depth, which these draws test.
 
-With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
-finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
+With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth,
+`rectangles` finds where each is seen, and `shading` draws the rectangles with a depth test
+(`material_rectangles`).
 
-With `binned`, each pixel is listed with those of its material (`bins`), `shading` is a compute shader for each shader
-of materials that goes through its list, and `resolve` copies what they have stored.
+With `binned`, each pixel is listed with those of its material (`bins`), `shading` is a compute shader for
+each shader of materials that goes through its list, and `resolve` copies what they have stored.
 
-So a hidden fragment costs its geometry alone, and textures are read once a pixel. Scenes with what the packed buffer
-has no room for (textures of one material that are read at unlike coordinates, or clamped) are drawn as by
-`clustered_deferred`.
+So a hidden fragment costs its geometry alone, and textures are read once a pixel. Scenes with what the packed
+buffer has no room for (textures of one material that are read at unlike coordinates, or clamped) are drawn as
+by `clustered_deferred`.
 """
 
 from __future__ import annotations
@@ -44,7 +46,14 @@ from renderer.techniques.parts.light_list_reader import (
     light_list_pass,
     lit_by_cells,
 )
-from renderer.techniques.parts.material_bins import BIN_SHADERS, LANES, DispatchGroups, PixelBins, PixelRange, bins_pass
+from renderer.techniques.parts.material_bins import (
+    BIN_SHADERS,
+    LANES,
+    DispatchGroups,
+    PixelBins,
+    PixelRange,
+    bins_pass,
+)
 from renderer.techniques.parts.material_rectangles import (
     RECTANGLE_SHADERS,
     RectangleShader,
@@ -138,7 +147,9 @@ class PackedBins(PackedLight):
     lit: sl.Image2D = sl.image(LIGHT_FORMAT)
 
     def get_pixel(self) -> sl.ivec2:
-        entry = sl.min(self.ranges[self.shader].begin + sl.uint(sl.global_id().x), sl.uint(len(self.pixels) - 1))
+        entry = sl.min(
+            self.ranges[self.shader].begin + sl.uint(sl.global_id().x), sl.uint(len(self.pixels) - 1)
+        )
         pixel = self.pixels[int(entry)]
         return sl.ivec2(int(pixel & 0xFFFF), int(pixel >> 16))
 
@@ -223,7 +234,9 @@ class DeferredPlus:
             ),
             writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (effects.image, *copied),
         )
-        resolve = (resolve_pass(effects, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
+        resolve = (
+            (resolve_pass(effects, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
+        )
         lighting = lit_by_cells(CLUSTERS) if lists else FORWARD
         passes = packed_pass(effects, samples=samples), *lists, *material_passes.values(), shading, *resolve
         return frame_samples(effects, *passes, samples=samples, lighting=lighting)
@@ -261,7 +274,9 @@ class DeferredPlus:
         targets["depth"].copy_to(targets["depth copy"])
         own["depth"] = targets["depth copy"]
         depth, background = targets["depth"], frame.background
-        draw_full_screen(frame, PackedShading, frame.image, own, depth=depth, clear=background, switches=switches)
+        draw_full_screen(
+            frame, PackedShading, frame.image, own, depth=depth, clear=background, switches=switches
+        )
 
 
 def _shade_bins(frame: Frame, own: dict[str, Any], switches: dict[str, Any]) -> None:
@@ -269,9 +284,13 @@ def _shade_bins(frame: Frame, own: dict[str, Any], switches: dict[str, Any]) -> 
     bins = frame.view.workspace(PixelBins)
     bin_bindings = {**own, "pixels": bins.pixels, "ranges": bins.ranges, "lit": frame.targets["lit"].image(0)}
     for number, bases, parameters in list_shaders(frame):
-        program: Program[...] = frame.program(shader_variant(frame, *bases, PackedBins, **switches, shader=number))
+        program: Program[...] = frame.program(
+            shader_variant(frame, *bases, PackedBins, **switches, shader=number)
+        )
         bindings = bind(frame, program, {**bin_bindings, **parameters})
-        frame.device.dispatch_indirect(program, bins.groups, number * DispatchGroups.dtype.itemsize, **bindings)
+        frame.device.dispatch_indirect(
+            program, bins.groups, number * DispatchGroups.dtype.itemsize, **bindings
+        )
 
 
 def _show(frame: Frame) -> None:

@@ -1,4 +1,5 @@
-"""Forward shading: one pass, in which each fragment is lit by all lights that reach its object, or by all of the scene.
+"""Forward shading: one pass, in which each fragment is lit by all lights that reach its object, or by all of
+the scene.
 
 Objects are drawn front to back, so that early depth tests avoid the shading of hidden fragments.
 """
@@ -46,8 +47,8 @@ LIT_BY_ALL: Final = Lighting((LitByAll,))
 class Forward:
     """Draws the scene lit in one pass; the shader handles only the effects that the frame needs.
 
-    With several samples per pixel, edges are smooth. Depth of several samples can't be read, but layers and visibility
-    algorithms read it: so a pass of its own draws depth first, and finds the visible objects.
+    With several samples per pixel, edges are smooth. Depth of several samples can't be read, but layers and
+    visibility algorithms read it: so a pass of its own draws depth first, and finds the visible objects.
     """
 
     name: Final = "forward"

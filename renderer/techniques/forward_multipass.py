@@ -2,13 +2,15 @@
 algorithm 2).
 
 - The base pass draws depth, and all light that isn't a local light's: ambient, emission, directional lights.
-- A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds its light.
-  Of objects in one place only the one that the base pass shows is lit: that pass notes which one it is.
+- A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds
+  its light. Of objects in one place only the one that the base pass shows is lit: that pass notes which one
+  it is.
 - The light is added up in linear 32-bit floats; a last pass maps it to colours.
 
-An object that k lights reach is transformed k + 1 times, and each of its pixels is shaded as often: the cost grows with
-objects × lights. What a light doesn't reach it doesn't draw, and all point lights are one `draw_many`, in the order of
-the lights, in which an instance is a pair of an object and a light; so are all spot lights.
+An object that k lights reach is transformed k + 1 times, and each of its pixels is shaded as often: the cost
+grows with objects × lights. What a light doesn't reach it doesn't draw, and all point lights are one
+`draw_many`, in the order of the lights, in which an instance is a pair of an object and a light; so are all
+spot lights.
 """
 
 from __future__ import annotations
@@ -154,8 +156,8 @@ class VisibleLightPairs(VisiblePairReader):
     SurfaceVarying=SurfaceVarying,
     sl=sl,
 )
-"""Adds the light of pairs where their object is visible. The place of the bounds in the varyings has the light's entry
-and the object's index."""
+"""Adds the light of pairs where their object is visible. The place of the bounds in the varyings has the
+light's entry and the object's index."""
 
 
 class ForwardMultipass:
@@ -227,7 +229,9 @@ def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) 
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
     kinds = {**NO_LOCAL_LIGHTS, f"has_{kind.name}_lights": True}
-    programs = bind_programs(frame, *bases, own={"pairs": device.transient.storage(LightPair, pairs)}, switches=kinds)
+    programs = bind_programs(
+        frame, *bases, own={"pairs": device.transient.storage(LightPair, pairs)}, switches=kinds
+    )
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for group in resources.groups:
             group_draws = draws[resources.select_group(objects, group)]

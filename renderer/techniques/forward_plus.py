@@ -1,12 +1,13 @@
 """Forward shading with lists of lights for tiles or clusters.
 
-`forward_plus` (Harada, McKee and Yang 2012; Thatcher 2014) draws depth first, lists the lights that reach the surfaces
-of each tile, and then draws the scene lit by the lists. No hidden fragment is lit. `clustered` (Olsson, Billeter and
-Assarsson 2012) lists the lights of clusters, which needs no depth, so the scene is drawn once.
+`forward_plus` (Harada, McKee and Yang 2012; Thatcher 2014) draws depth first, lists the lights that reach the
+surfaces of each tile, and then draws the scene lit by the lists. No hidden fragment is lit. `clustered`
+(Olsson, Billeter and Assarsson 2012) lists the lights of clusters, which needs no depth, so the scene is
+drawn once.
 
-With several samples per pixel, a surface may cover samples of a tile, but no pixel's centre: depth of one sample
-doesn't bound what is lit. So tiles then have no ends in depth: their lists hold all lights that reach any place of
-the tile, as those of clusters do.
+With several samples per pixel, a surface may cover samples of a tile, but no pixel's centre: depth of one
+sample doesn't bound what is lit. So tiles then have no ends in depth: their lists hold all lights that reach
+any place of the tile, as those of clusters do.
 
 Without point and spot lights in view there is nothing to list, and both are plain forward shading.
 """
@@ -74,7 +75,9 @@ class Clustered:
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, samples: int = 1, *, depth_first: bool = False, clusters: ClusterSettings = CLUSTERS) -> None:
+    def __init__(
+        self, samples: int = 1, *, depth_first: bool = False, clusters: ClusterSettings = CLUSTERS
+    ) -> None:
         """`samples` is the number of samples per pixel, as for `Forward`; `clusters` are the clusters
         whose lights are listed. `depth_first` draws depth in a pass before, so that no hidden fragment is
         lit."""

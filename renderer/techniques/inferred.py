@@ -1,19 +1,23 @@
-"""Inferred lighting: a light pre-pass with light buffers that are smaller than the image (Kircher and Lawrance, 2009).
+"""Inferred lighting: a light pre-pass with light buffers that are smaller than the image (Kircher and
+Lawrance, 2009).
 
 1. `normals` draws the geometry, as in a light pre-pass.
 2. `downscale` keeps the surfaces of every so many pixels, with their depth.
-3. `point lights` and `spot lights` collect terms at these pixels, whose number falls with the square of the scale.
-4. `materials` draws the geometry again. Each fragment takes its terms from the four nearest texels by a filter that is
-   **sensitive to discontinuities**: texels whose surface lies in another plane or is turned away hardly count. So light
-   doesn't leak over edges. Where none of the four belongs to its surface, a fragment takes their mean.
+3. `point lights` and `spot lights` collect terms at these pixels, whose number falls with the square of the
+   scale.
+4. `materials` draws the geometry again. Each fragment takes its terms from the four nearest texels by a
+   filter that is **sensitive to discontinuities**: texels whose surface lies in another plane or is turned
+   away hardly count. So light doesn't leak over edges. Where none of the four belongs to its surface, a
+   fragment takes their mean.
 
-Transparent surfaces are lit by the same passes, because they are **stippled**: `stipple` draws them over three of each
-2 × 2 texels of the small buffers, an object always over the same one. So four surfaces behind each other are lit at
-once: an opaque one and three transparent ones. In the pass `transparency` a fragment takes its terms from the four
-nearest texels that its object may have. To opaque surfaces, stippled texels are those of strangers.
+Transparent surfaces are lit by the same passes, because they are **stippled**: `stipple` draws them over
+three of each 2 × 2 texels of the small buffers, an object always over the same one. So four surfaces behind
+each other are lit at once: an opaque one and three transparent ones. In the pass `transparency` a fragment
+takes its terms from the four nearest texels that its object may have. To opaque surfaces, stippled texels are
+those of strangers.
 
-The original compares the numbers of objects and faces; here the stored normals and distances say the same, without
-another buffer. What is lit is an exact position of the image, also where the scale isn't 1 / n.
+The original compares the numbers of objects and faces; here the stored normals and distances say the same,
+without another buffer. What is lit is an exact position of the image, also where the scale isn't 1 / n.
 """
 
 from __future__ import annotations
@@ -47,7 +51,13 @@ from renderer.techniques.parts.light_terms import (
 from renderer.techniques.parts.light_volumes import VolumeShader, declare_lights
 from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
-from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, make_scene_drawer
+from renderer.techniques.parts.variants import (
+    FORWARD,
+    Lighting,
+    draw_full_screen,
+    lit_pass,
+    make_scene_drawer,
+)
 from rhi import DepthFunction, DepthWrite, refuse
 
 _NEAR_PLANE: Final = 0.01
@@ -153,7 +163,9 @@ class InferredLightShader(ForwardShader, SurfaceReader):
         at = sl.fragment_coordinate().xy * sl.vec2(size) / self.rays.size - 0.5
         stride = 1
         offset = sl.ivec2(0)
-        if self.is_stippled:  # the texels of the object are every second one, from the one that `StippledShader` tells
+        if (
+            self.is_stippled
+        ):  # the texels of the object are every second one, from the one that `StippledShader` tells
             stride = 2
             offset = sl.ivec2(begin % 2, begin // 2)
             at = (at - sl.vec2(offset)) * 0.5
@@ -176,7 +188,10 @@ class InferredLightShader(ForwardShader, SurfaceReader):
         """Weight of a texel: 1 if it belongs to the same surface, else nearly 0."""
         texel = self.surface.load(texel_position)
         away = sl.abs(sl.dot(surface.normal, self.surface_position(texel, texel_position) - surface.position))
-        if away > _NEAR_PLANE * sl.length(surface.position) or sl.dot(surface.normal, decode_normal(texel.y)) < _ALIKE:
+        if (
+            away > _NEAR_PLANE * sl.length(surface.position)
+            or sl.dot(surface.normal, decode_normal(texel.y)) < _ALIKE
+        ):
             return _STRANGER
         return 1.0
 
@@ -184,7 +199,9 @@ class InferredLightShader(ForwardShader, SurfaceReader):
 def check_scale(scale: float, call: str) -> None:
     """Refuse a scale of the light buffers that isn't above 0 and at most 1."""
     if not 0.0 < scale <= 1.0:
-        refuse(rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
+        refuse(
+            rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well"
+        )
 
 
 class Inferred:
@@ -203,12 +220,14 @@ class Inferred:
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, scale: float = 0.6, stippled: bool = True, light_bits: int = DEFAULT_LIGHT_BITS) -> None:
+    def __init__(
+        self, *, scale: float = 0.6, stippled: bool = True, light_bits: int = DEFAULT_LIGHT_BITS
+    ) -> None:
         """`scale` is the size of the light buffers as a fraction of the image's, above 0 and at most 1;
         `light_bits` (16 or 32) are the bits per channel of the accumulated terms.
 
-        If they aren't `stippled`, transparent surfaces are lit by the lists of their objects; so they are at full size,
-        where each texel that they take is missing in the image of what is behind them.
+        If they aren't `stippled`, transparent surfaces are lit by the lists of their objects; so they are at
+        full size, where each texel that they take is missing in the image of what is behind them.
         """
         check_scale(scale, "Inferred")
         check_bits(light_bits, SUM_FORMATS, "Inferred(light_bits=...)")
@@ -231,8 +250,12 @@ class Inferred:
             return forward_passes(effects)
         own = dict(zip(list_terms(effects), last, strict=True), surface=lit[0])
         formats = (surface_format(effects), SHININESS_FORMAT, DEPTH_FORMAT)
-        lighting = Lighting((InferredLightShader,), bind=partial(bind_resources, names=own), reads=(lit[0], *last))
-        through = replace(lighting, bases=(StippledShader, InferredLightShader), switches={"is_stippled": True})
+        lighting = Lighting(
+            (InferredLightShader,), bind=partial(bind_resources, names=own), reads=(lit[0], *last)
+        )
+        through = replace(
+            lighting, bases=(StippledShader, InferredLightShader), switches={"is_stippled": True}
+        )
         reason = "draws the visible objects, lit by what was collected"
         return (
             normals_pass(effects),
@@ -241,7 +264,9 @@ class Inferred:
                 downscale,
                 f"lights {scale * scale:.0%} of the pixels",
                 reads=("surface", "shininess", "depth"),
-                writes=tuple(Target(name, format, scale) for name, format in zip(small, formats, strict=True)),
+                writes=tuple(
+                    Target(name, format, scale) for name, format in zip(small, formats, strict=True)
+                ),
             ),
             *([_stipple_pass(effects, small, lit)] if stippled else []),
             *lights,
@@ -268,7 +293,9 @@ def _stipple_pass(effects: FrameEffects, small: Sequence[str], stippled: Sequenc
 def _stipple(frame: Frame) -> None:
     surface, shininess, depth = (frame.targets[name] for name in downscaled_names("stippled "))
     color = [surface, shininess]
-    stippled = make_scene_drawer(frame, StippleShader, color=color, depth=depth, clears=False, switches=DIRECTIONS)
+    stippled = make_scene_drawer(
+        frame, StippleShader, color=color, depth=depth, clears=False, switches=DIRECTIONS
+    )
     frame.draw_transparent(stippled, in_order=False)
 
 

@@ -2,16 +2,18 @@
 
 - `normals`: the direction of each surface, from -1…1 to 0…1 along the axes of the world.
 - `depth`: the distance from the eye, from 0.1 m (white) to 1 km (black), equal steps for equal ratios.
-- `lights`: the number of point and spot lights whose range holds each surface, in Thatcher's seven colours (table 4):
-  black 0, blue 1 to 7, cyan to 15, green to 31, yellow to 63, red to 127, white 128 and more.
-- `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
-  0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
-- `tiles`, `clusters`: the number of lights in the list of each tile of `forward_plus`, or of the cluster of `clustered`
-  that each surface is in, in the colours of `lights`, with lines between tiles, over the lit scene, which shows
-  through. They are those of the settings.
-- `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has none.
-- `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach.
-  Their colours are added up in floats, and their mean is laid over the scene, which is so seen through hundreds.
+- `lights`: the number of point and spot lights whose range holds each surface, in Thatcher's seven colours
+  (table 4): black 0, blue 1 to 7, cyan to 15, green to 31, yellow to 63, red to 127, white 128 and more.
+- `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same
+  colours: black 0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
+- `tiles`, `clusters`: the number of lights in the list of each tile of `forward_plus`, or of the cluster of
+  `clustered` that each surface is in, in the colours of `lights`, with lines between tiles, over the lit
+  scene, which shows through. They are those of the settings.
+- `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has
+  none.
+- `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they
+  reach. Their colours are added up in floats, and their mean is laid over the scene, which is so seen through
+  hundreds.
 
 Other images are those of a technique's own buffers (`ResourceCapture`).
 """
@@ -43,7 +45,12 @@ from renderer.techniques.parts.light_list_reader import (
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS
 from renderer.techniques.parts.scene_shader import LocalLightShader, SceneShader, SurfaceShader
-from renderer.techniques.parts.variants import COVERAGE, draw_full_screen, local_light_effects, make_scene_drawer
+from renderer.techniques.parts.variants import (
+    COVERAGE,
+    draw_full_screen,
+    local_light_effects,
+    make_scene_drawer,
+)
 from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, refuse
 
 CELLS: Final = {"tiles": TILES, "clusters": CLUSTERS}
@@ -225,7 +232,9 @@ def _draw(
 ) -> None:
     """Draw the visible objects over black."""
     color, clear = frame.targets[resource], (0.0, 0.0, 0.0, 1.0)
-    frame.draw_visible(make_scene_drawer(frame, shader, switches=switches, color=color, clear=clear, states=states))
+    frame.draw_visible(
+        make_scene_drawer(frame, shader, switches=switches, color=color, clear=clear, states=states)
+    )
 
 
 def _draw_fragments(frame: Frame) -> None:
@@ -251,7 +260,9 @@ _PLAIN: Final[dict[str, tuple[FramePass[Frame], ...]]] = {
         depth_pass("finds the nearest surfaces"),
         FramePass("distances", partial(_show, shader=Distances), _REASON, reads=("depth",), writes=(_IMAGE,)),
     ),
-    "lights": (FramePass("lights", partial(_draw, shader=LightCountColors), _REASON, writes=(_IMAGE, _DEPTH)),),
+    "lights": (
+        FramePass("lights", partial(_draw, shader=LightCountColors), _REASON, writes=(_IMAGE, _DEPTH)),
+    ),
     "overdraw": (
         FramePass(
             "fragments",
@@ -259,7 +270,9 @@ _PLAIN: Final[dict[str, tuple[FramePass[Frame], ...]]] = {
             "counts fragments",
             writes=(Target("fragments", Format.R16F), _DEPTH),
         ),
-        FramePass("overdraw", partial(_show, shader=FragmentCounts), _REASON, reads=("fragments",), writes=(_IMAGE,)),
+        FramePass(
+            "overdraw", partial(_show, shader=FragmentCounts), _REASON, reads=("fragments",), writes=(_IMAGE,)
+        ),
     ),
 }
 
@@ -293,7 +306,11 @@ def _declare_volumes(effects: FrameEffects, cells: ClusterSettings) -> tuple[Fra
     sums = Target("volumes", SUM_FORMATS[DEFAULT_LIGHT_BITS])
     added = FramePass("volumes", _add_volumes, _REASON, ("depth",), (sums,))
     show, last = partial(_blend_over, shader=MeanVolume), last_version(passes, "image")
-    return *passes, added, FramePass("mean volume", show, _REASON, ("volumes",), changes={last: "image with volumes"})
+    return (
+        *passes,
+        added,
+        FramePass("mean volume", show, _REASON, ("volumes",), changes={last: "image with volumes"}),
+    )
 
 
 def _add_volumes(frame: Frame) -> None:
@@ -329,6 +346,7 @@ INSPECTIONS: Final[dict[str, Callable[[FrameEffects, ClusterSettings], tuple[Fra
     **dict.fromkeys(CELLS, _declare_cells),
     "volumes": _declare_volumes,
 }
-"""The function that declares the passes of each inspection, from a frame's effects and the tiles or clusters."""
+"""The function that declares the passes of each inspection, from a frame's effects and the tiles or
+clusters."""
 
 _LIT: Final = ("tessellation", "volumes", *CELLS)

@@ -1,16 +1,17 @@
-"""Light-indexed deferred rendering: a texture says which lights reach each pixel, then one forward pass reads it
-(Trebilco, Light Indexed Deferred Rendering, ShaderX7, 2009).
+"""Light-indexed deferred rendering: a texture says which lights reach each pixel, then one forward pass reads
+it (Trebilco, Light Indexed Deferred Rendering, ShaderX7, 2009).
 
 1. A depth pass.
-2. The volume of each light in view is drawn as the rectangle around it. Where the surface at a pixel's depth is in the
-   light, its number is packed into `light indices`.
-3. The forward pass, where depth is equal. A fragment unpacks its lights; materials may have any model of lighting.
+2. The volume of each light in view is drawn as the rectangle around it. Where the surface at a pixel's depth
+   is in the light, its number is packed into `light indices`.
+3. The forward pass, where depth is equal. A fragment unpacks its lights; materials may have any model of
+   lighting.
 
-Numbers are packed by blending, without reading the target. A number has 12 bits, 3 in each channel of RGBA32F, and
-blending multiplies what is there by 8 and adds the new bits. A float has 24 bits, so that a pixel holds 8 lights. The
-ninth brings at least one channel to 2²⁴, because no number is 0, and so do lights beyond the 4,095 in view that have a
-number. Such a pixel says so (`count_overflowing`), and its fragments use the list of their object's lights instead: it
-costs more, and looks the same.
+Numbers are packed by blending, without reading the target. A number has 12 bits, 3 in each channel of
+RGBA32F, and blending multiplies what is there by 8 and adds the new bits. A float has 24 bits, so that a
+pixel holds 8 lights. The ninth brings at least one channel to 2²⁴, because no number is 0, and so do lights
+beyond the 4,095 in view that have a number. Such a pixel says so (`count_overflowing`), and its fragments use
+the list of their object's lights instead: it costs more, and looks the same.
 """
 
 from __future__ import annotations
@@ -123,7 +124,9 @@ class PackIndices(sl.Shader):
 def next_light(packed: sl.uvec4) -> int:
     """Number of the first light in a pixel's packed numbers; 0 if there is none."""
     parts = packed & sl.uvec4(LIGHT_MASK)
-    return int(parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS)))
+    return int(
+        parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS))
+    )
 
 
 class PixelLightReader(ForwardShader):

@@ -1,16 +1,17 @@
 """Light pre-pass: light is collected before materials are known (Engel, 2009; Russell, 2010).
 
 1. `normals` draws the geometry and stores normal, distance and shininess of the nearest surface.
-2. `point lights` and `spot lights` add up the **terms** of the lighting equation, by volumes as in deferred shading:
-   the irradiance, and the light that a specular colour of 1 would mirror.
-3. `materials` draws the geometry again, where its depth equals, with the shader of forward shading. Each material
-   completes the equation itself, and adds what no light buffer has: ambient and directional light, rim, emission.
+2. `point lights` and `spot lights` add up the **terms** of the lighting equation, by volumes as in deferred
+   shading: the irradiance, and the light that a specular colour of 1 would mirror.
+3. `materials` draws the geometry again, where its depth equals, with the shader of forward shading. Each
+   material completes the equation itself, and adds what no light buffer has: ambient and directional light,
+   rim, emission.
 
-So a geometry buffer need not hold what materials are made of: 10 bytes a pixel instead of 16, for geometry that is
-drawn twice. A scene without point and spot lights is drawn once, by forward shading.
+So a geometry buffer need not hold what materials are made of: 10 bytes a pixel instead of 16, for geometry
+that is drawn twice. A scene without point and spot lights is drawn once, by forward shading.
 
-The terms take six channels. With `specular_channels=1` they take four: what is mirrored is stored as its luminance, in
-the alpha of the diffuse term, and gets that term's hue. That is right where one light prevails.
+The terms take six channels. With `specular_channels=1` they take four: what is mirrored is stored as its
+luminance, in the alpha of the diffuse term, and gets that term's hue. That is right where one light prevails.
 """
 
 from __future__ import annotations
@@ -102,7 +103,9 @@ class LightPrePass:
         if not lights:
             return forward_passes(effects)
         own, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1
-        lighting = Lighting((LitByTerms,), {"is_packed": packed}, partial(bind_resources, names=own), tuple(last))
+        lighting = Lighting(
+            (LitByTerms,), {"is_packed": packed}, partial(bind_resources, names=own), tuple(last)
+        )
         reason = "draws the visible objects, lit by what was collected"
         return (
             normals_pass(effects, Format.D32FS8 if self.stencil else DEPTH_FORMAT),

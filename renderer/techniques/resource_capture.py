@@ -17,7 +17,8 @@ class ResourceCapture(WrappedTechnique):
     over it. Waits for the device.
 
     Attributes:
-        texels: the resource (height, width) or (height, width, channels) of the last frame; None before the first.
+        texels: the resource (height, width) or (height, width, channels) of the last frame; None before the
+            first.
     """
 
     def __init__(self, technique: Technique, resource: str) -> None:
@@ -38,7 +39,9 @@ class ResourceCapture(WrappedTechnique):
             rules.refuse_name(
                 rules.UNKNOWN_RESOURCE, f"ResourceCapture(resource={self._resource!r})", self._resource, names
             )
-        read = FramePass("read back", self._read, "was asked for", reads=(self._resource,), has_side_effects=True)
+        read = FramePass(
+            "read back", self._read, "was asked for", reads=(self._resource,), has_side_effects=True
+        )
         return *passes, read
 
     def _read(self, frame: Frame) -> None:
@@ -49,6 +52,8 @@ def list_resources(passes: Iterable[FramePass[Frame]]) -> list[str]:
     """Names of the textures of a plan with one sample per pixel, in the order in which passes write them."""
     names: list[str] = []
     for frame_pass in passes:
-        names += [target.name for target in frame_pass.writes if isinstance(target, Target) and target.samples == 1]
+        names += [
+            target.name for target in frame_pass.writes if isinstance(target, Target) and target.samples == 1
+        ]
         names += [new for old, new in frame_pass.changes.items() if old in names]
     return names

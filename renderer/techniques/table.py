@@ -32,4 +32,5 @@ TECHNIQUES: Final[dict[str, Callable[..., Technique]]] = {
         DeferredPlus,
     )
 }
-"""Constructors of all techniques, by name. Their parameters have the names and defaults of `TechniqueSettings`."""
+"""Constructors of all techniques, by name. Their parameters have the names and defaults of
+`TechniqueSettings`."""

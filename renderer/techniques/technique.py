@@ -11,8 +11,8 @@ from renderer.frame import Frame, FrameEffects, FramePass
 class Technique(Protocol):
     """A way to draw a frame: its passes and their shaders.
 
-    A technique keeps no state of a scene or a device. So one object can serve several renderers, and can be exchanged
-    between two frames.
+    A technique keeps no state of a scene or a device. So one object can serve several renderers, and can be
+    exchanged between two frames.
     """
 
     @property
@@ -23,8 +23,9 @@ class Technique(Protocol):
     def declare(self, effects: FrameEffects) -> Sequence[FramePass[Frame]]:
         """The passes of a frame with these effects.
 
-        They write the resources `image` and `depth`, and draw the scene with `Frame.draw_visible`. The result is
-        cached while `effects.key` stays the same, so it depends on nothing else; passes find all else in their `Frame`.
+        They write the resources `image` and `depth`, and draw the scene with `Frame.draw_visible`. The result
+        is cached while `effects.key` stays the same, so it depends on nothing else; passes find all else in
+        their `Frame`.
         """
         ...
 

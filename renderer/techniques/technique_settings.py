@@ -28,21 +28,24 @@ class TechniqueSettings:
 
     Attributes:
         name: of `TECHNIQUES`, or `auto`.
-        samples: samples per pixel, of `forward`, `forward_plus`, `clustered`, `tiled_deferred`, `clustered_deferred`
-            and `deferred_plus`; more than one is refused for others. `auto` is then `forward`.
+        samples: samples per pixel, of `forward`, `forward_plus`, `clustered`, `tiled_deferred`,
+            `clustered_deferred` and `deferred_plus`; more than one is refused for others. `auto` is then
+            `forward`.
         fxaa: whether the edges of the image are smoothed.
         tiles: the tiles of `forward_plus`. clusters: those of `clustered`.
-        scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws transparent
-            surfaces to them, too.
+        scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws
+            transparent surfaces to them, too.
         specular_channels: 1 or 3, of `light_pre_pass`.
-        light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`, `light_pre_pass` and
-            `inferred` add up; 16 on devices that can't blend 32.
+        light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`,
+            `light_pre_pass` and `inferred` add up; 16 on devices that can't blend 32.
         normal_bits: 8 or 16, the bits of each of the two numbers that `deferred`, `tiled_deferred` and
             `clustered_deferred` store of a normal.
-        all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its object's list.
-        stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
-            `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
-            own. binned: whether it lists pixels by material, and shades the lists. Images are the same.
+        all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its
+            object's list.
+        stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first:
+            whether `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material
+            by draws of its own. binned: whether it lists pixels by material, and shades the lists. Images are
+            the same.
     """
 
     name: str = AutoTechnique.name
@@ -65,11 +68,23 @@ class TechniqueSettings:
         rules.check_types(self, rules.BAD_TECHNIQUE)
         if self.name not in (AutoTechnique.name, *TECHNIQUES):
             rules.refuse_name(
-                rules.BAD_TECHNIQUE, "TechniqueSettings(name=...)", self.name, [AutoTechnique.name, *TECHNIQUES]
+                rules.BAD_TECHNIQUE,
+                "TechniqueSettings(name=...)",
+                self.name,
+                [AutoTechnique.name, *TECHNIQUES],
             )
         if self.samples < 1:
-            refuse(rules.BAD_TECHNIQUE, "TechniqueSettings(samples=...)", self.samples, "a whole number of 1 or more")
-        if self.samples > 1 and self.name != AutoTechnique.name and "samples" not in _list_parameters(self.name):
+            refuse(
+                rules.BAD_TECHNIQUE,
+                "TechniqueSettings(samples=...)",
+                self.samples,
+                "a whole number of 1 or more",
+            )
+        if (
+            self.samples > 1
+            and self.name != AutoTechnique.name
+            and "samples" not in _list_parameters(self.name)
+        ):
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
@@ -88,12 +103,16 @@ class TechniqueSettings:
         if self.light_bits > 16 and SUM_FORMATS[self.light_bits] in device.capabilities.unblendable_formats:
             return replace(self, light_bits=16).make(scene, device)
         if self.samples == 1 and self.name == AutoTechnique.name:
-            return AutoTechnique(scene, device, {name: partial(self.make_technique, name) for name in CANDIDATES})
+            return AutoTechnique(
+                scene, device, {name: partial(self.make_technique, name) for name in CANDIDATES}
+            )
         return self.make_technique(Forward.name if self.name == AutoTechnique.name else self.name)
 
     def make_technique(self, name: str) -> Technique:
         """The technique of this name in `TECHNIQUES`, with the settings that it has as parameters."""
-        technique = TECHNIQUES[name](**{parameter: getattr(self, parameter) for parameter in _list_parameters(name)})
+        technique = TECHNIQUES[name](
+            **{parameter: getattr(self, parameter) for parameter in _list_parameters(name)}
+        )
         return FxaaTechnique(technique) if self.fxaa else technique
 
 

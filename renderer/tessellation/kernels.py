@@ -1,9 +1,9 @@
 """The shaders that choose a field's triangles: two roots are bisected level by level.
 
-A triangle that is to be split is three vertices of the grid: the ends of its longest edge and the apex opposite. A
-vertex is row · 2^16 + column, so the middle of an edge is half the sum of its ends. `BeginBisection` makes the roots,
-`Bisect` splits the triangles of one level and passes on the children that are split, too, and writes the others to
-the mesh. `FinishBisection` tells the draws how many there are.
+A triangle that is to be split is three vertices of the grid: the ends of its longest edge and the apex
+opposite. A vertex is row · 2^16 + column, so the middle of an edge is half the sum of its ends.
+`BeginBisection` makes the roots, `Bisect` splits the triangles of one level and passes on the children that
+are split, too, and writes the others to the mesh. `FinishBisection` tells the draws how many there are.
 
 Whether an edge is split depends on nothing but its middle (`EdgeTest`), so both triangles at the edge agree.
 """
@@ -40,8 +40,9 @@ class GridVertex(sl.Struct):
 
 
 class FieldShape(sl.Struct):
-    """The constants of a field: the position of vertex 0, the steps of the grid, its side in vertices, the number
-    of levels, the limit of triangles, the place of its first index, and the rows of its mesh and of its draw."""
+    """The constants of a field: the position of vertex 0, the steps of the grid, its side in vertices, the
+    number of levels, the limit of triangles, the place of its first index, and the rows of its mesh and of
+    its draw."""
 
     corner: sl.vec2
     steps: sl.vec2
@@ -56,11 +57,11 @@ class FieldShape(sl.Struct):
 class FieldView(sl.Struct):
     """A view in the space of a field, where reaches and lengths are as they are.
 
-    What has n · p >= d is inside a plane (n, d) of `planes`. In perspective, `is_perspective` is 1, `depth` is the
-    plane through the eye, and an edge is as long on screen as is wanted if it is its distance from that plane,
-    divided by `scale`. In an orthographic projection, `is_perspective` is 0, that length is 1 / `scale` everywhere.
-    `out_of_view_scale` is the scale for what is not in view, by the distance from the `eye`, whose square is
-    multiplied by `squared_axis_ratio`."""
+    What has n · p >= d is inside a plane (n, d) of `planes`. In perspective, `is_perspective` is 1, `depth`
+    is the plane through the eye, and an edge is as long on screen as is wanted if it is its distance from
+    that plane, divided by `scale`. In an orthographic projection, `is_perspective` is 0, that length is 1 /
+    `scale` everywhere. `out_of_view_scale` is the scale for what is not in view, by the distance from the
+    `eye`, whose square is multiplied by `squared_axis_ratio`."""
 
     depth: sl.vec4
     eye: sl.vec3
@@ -91,7 +92,8 @@ class EdgeTest(sl.Shader):
     grid: sl.Storage[GridVertex]
 
     def is_split(self, left: sl.uint, right: sl.uint) -> bool:
-        """Return whether an edge is: it is long on screen and in view, or close enough to the eye otherwise."""
+        """Return whether an edge is: it is long on screen and in view, or close enough to the eye
+        otherwise."""
         middle = (left + right) >> sl.uint(1)
         row = int(middle >> sl.uint(16))
         column = int(middle & sl.uint(65535))
@@ -109,7 +111,8 @@ class EdgeTest(sl.Shader):
         near = vertex.length * self.view.out_of_view_scale + perspective * vertex.reach
         return (
             should_split
-            or perspective * self.view.squared_axis_ratio * ordered_dot(away, away) + (1.0 - perspective) <= near * near
+            or perspective * self.view.squared_axis_ratio * ordered_dot(away, away) + (1.0 - perspective)
+            <= near * near
         )
 
 
@@ -125,7 +128,9 @@ class BeginBisection(EdgeTest):
     def compute(self) -> None:
         lane = sl.local_index()
         if lane < COUNTER_COUNT:
-            self.counters[lane] = self.draws[self.shape.draw].count if lane == PREVIOUS_INDEX_COUNT else sl.uint(0)
+            self.counters[lane] = (
+                self.draws[self.shape.draw].count if lane == PREVIOUS_INDEX_COUNT else sl.uint(0)
+            )
         sl.barrier()
         if lane < 2:
             n = self.shape.side - 1
@@ -150,8 +155,8 @@ class BeginBisection(EdgeTest):
 
 
 class Bisect(EdgeTest):
-    """Splits the triangles of a level, unless there would be more than the limit: then they are kept, all of them, so
-    that the mesh is one that a smaller number of levels gives."""
+    """Splits the triangles of a level, unless there would be more than the limit: then they are kept, all of
+    them, so that the mesh is one that a smaller number of levels gives."""
 
     work_group = (GROUP,)
     level: sl.Uniform[Level]
@@ -178,7 +183,10 @@ class Bisect(EdgeTest):
             if is_cut:
                 self.counters[LIMIT_REACHED] = sl.uint(1)
                 self.write_triangle(
-                    written + int(sl.atomic_add(self.counters[WRITTEN_COUNTS + level], sl.uint(1))), left, apex, right
+                    written + int(sl.atomic_add(self.counters[WRITTEN_COUNTS + level], sl.uint(1))),
+                    left,
+                    apex,
+                    right,
                 )
             else:
                 middle = (left + right) >> sl.uint(1)

@@ -1,8 +1,8 @@
 """Chooses the triangles of a scene's height fields for the view of a frame, before its first pass.
 
-The triangles are written over the indices of the field's mesh, so that all techniques, visibility algorithms and shadow
-maps draw them as they draw any mesh. Nothing depends on earlier frames: after any move of the camera the triangles are
-those of the new view at once. While the view stays the same nothing is issued.
+The triangles are written over the indices of the field's mesh, so that all techniques, visibility algorithms
+and shadow maps draw them as they draw any mesh. Nothing depends on earlier frames: after any move of the
+camera the triangles are those of the new view at once. While the view stays the same nothing is issued.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ from rhi.math import is_parallel
 from rhi.shading import uint
 
 _GROUPS: Final = 16
-"""The largest number of work-groups of a dispatch, each of which takes every such group of triangles. How many there
-are is known to the device only, and on a CPU each group that finds none costs 2 µs, in some twenty dispatches."""
+"""The largest number of work-groups of a dispatch, each of which takes every such group of triangles. How
+many there are is known to the device only, and on a CPU each group that finds none costs 2 µs, in some twenty
+dispatches."""
 
 
 class FieldTessellation:
@@ -44,8 +45,8 @@ class FieldTessellation:
 
     Attributes:
         field: the height field. row: the row of its object.
-        cuts: how many of the views so far needed more triangles than the field's limit, as far as is known without
-            waiting. Their triangles are those of as many levels as fit.
+        cuts: how many of the views so far needed more triangles than the field's limit, as far as is known
+            without waiting. Their triangles are those of as many levels as fit.
     """
 
     def __init__(self, device: Device, resources: SceneResources, object_index: int) -> None:
@@ -76,7 +77,9 @@ class FieldTessellation:
             grid[name] = np.nextafter(values.reshape(-1).astype(np.float32), np.float32(np.inf))
         self._grid = device.storage(GridVertex, grid, label="height field")
         self._counters = device.storage(uint, COUNTER_COUNT, label="triangle counts")
-        self._split = [device.storage(uint, 3 * self.field.limit, label="triangles to split") for _ in range(2)]
+        self._split = [
+            device.storage(uint, 3 * self.field.limit, label="triangles to split") for _ in range(2)
+        ]
         self._levels = [device.uniform(Level(number=number)) for number in range(self.field.levels)]
         self._view: FieldView | None = None
         self._constants = device.uniform(_no_view())
@@ -104,10 +107,19 @@ class FieldTessellation:
 
     def _issue(self, encoder: Encoder) -> None:
         device, resources = self._device, self._resources
-        shared: dict[str, Any] = {"shape": self._shape, "counters": self._counters, "indices": resources.indices}
+        shared: dict[str, Any] = {
+            "shape": self._shape,
+            "counters": self._counters,
+            "indices": resources.indices,
+        }
         test: dict[str, Any] = {"view": self._constants, "grid": self._grid}
         encoder.dispatch(
-            device.program(BeginBisection), 1, split=self._split[0], draws=resources.tessellated_draws, **shared, **test
+            device.program(BeginBisection),
+            1,
+            split=self._split[0],
+            draws=resources.tessellated_draws,
+            **shared,
+            **test,
         )
         for number, level in enumerate(self._levels):
             most = min(2 << number, self.field.limit)
@@ -136,7 +148,14 @@ class FieldTessellation:
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._repeated.forget()
-        for resource in (self._shape, self._grid, self._counters, self._constants, *self._split, *self._levels):
+        for resource in (
+            self._shape,
+            self._grid,
+            self._counters,
+            self._constants,
+            *self._split,
+            *self._levels,
+        ):
             resource.destroy()
 
 
@@ -153,12 +172,16 @@ class Tessellator:
         self.fields: list[FieldTessellation] = []
         self._device = device
 
-    def update(self, resources: SceneResources, camera: Camera, height: int, *, has_shadows: bool = False) -> None:
-        """Choose the triangles for what `camera` sees in an image of `height` pixels. Paused fields that cast no
-        shadow keep theirs until they are drawn, and then get those of this frame."""
+    def update(
+        self, resources: SceneResources, camera: Camera, height: int, *, has_shadows: bool = False
+    ) -> None:
+        """Choose the triangles for what `camera` sees in an image of `height` pixels. Paused fields that cast
+        no shadow keep theirs until they are drawn, and then get those of this frame."""
         if not self.fields:
             object_indices = resources.scene.height_fields
-            self.fields = [FieldTessellation(self._device, resources, object_index) for object_index in object_indices]
+            self.fields = [
+                FieldTessellation(self._device, resources, object_index) for object_index in object_indices
+            ]
 
         def choose(object_indices: Indices) -> None:
             for field in self.fields:

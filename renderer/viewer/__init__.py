@@ -1,4 +1,5 @@
-"""The viewer: a scene in a window or a notebook, with a camera that is moved, and commands that switch what draws it.
+"""The viewer: a scene in a window or a notebook, with a camera that is moved, and commands that switch what
+draws it.
 
 viewer = Viewer(device, scene)
 viewer.handle(event)           # of rendercanvas

@@ -1,6 +1,7 @@
 """Records the cameras of frames, and replays them in real time, however long frames take.
 
-A recording is a walk-through (`CameraPath`) at 60 cameras a second, as `render --camera` and `capture --camera` take.
+A recording is a walk-through (`CameraPath`) at 60 cameras a second, as `render --camera` and `capture
+--camera` take.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ class CameraRecorder:
 
         positions = at(path.positions)
         return CameraPath(
-            positions, positions + at(path.targets - path.positions), path.projection, at(np.asarray(path.ups))
+            positions,
+            positions + at(path.targets - path.positions),
+            path.projection,
+            at(np.asarray(path.ups)),
         )
 
 

@@ -2,11 +2,11 @@
 
 Each received line is run, and answered by a line: `ok` or `error:`, and the command's message.
 
-It is bound to the loopback address, which every user of this computer and every page in a browser can reach. So a
-connection must begin with the greeting, a line with a random token that only the user has seen; with any other line it
-is closed, and nothing is answered. Connections that don't greet make room for new ones. Of those that have greeted, the
-one that has been silent for longest makes room for another that greets: nobody is locked out, and no stranger closes
-one.
+It is bound to the loopback address, which every user of this computer and every page in a browser can reach.
+So a connection must begin with the greeting, a line with a random token that only the user has seen; with any
+other line it is closed, and nothing is answered. Connections that don't greet make room for new ones. Of
+those that have greeted, the one that has been silent for longest makes room for another that greets: nobody
+is locked out, and no stranger closes one.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ class CommandServer:
         self._selector.register(connection, selectors.EVENT_READ)
 
     def _make_room(self, has_greeted: bool) -> None:
-        """Close the connection of a kind that has been silent for longest, if their number is at the limit."""
+        """Close the connection of a kind that has been silent for longest, if their number is at the
+        limit."""
         connections = [each for each in self._connections.values() if each.has_greeted == has_greeted]
         if len(connections) == _MAX_CONNECTIONS:
             self._drop(connections[0])

@@ -62,7 +62,10 @@ class ViewerCommand:
     @property
     def usage(self) -> str:
         """The command as it is typed, such as `camera NAME`; optional parameters are in brackets."""
-        words = [f"[{parameter.name}]" if parameter.is_optional else parameter.name for parameter in self.parameters]
+        words = [
+            f"[{parameter.name}]" if parameter.is_optional else parameter.name
+            for parameter in self.parameters
+        ]
         return " ".join([self.name, *words])
 
 
@@ -97,7 +100,8 @@ class CommandTable:
         if not least <= len(arguments) <= most:
             refuse(rules.BAD_ARGUMENT, command.name, f"{len(arguments)} arguments", command.usage)
         values = [
-            parameter.read(command.name, word) for parameter, word in zip(command.parameters, arguments, strict=False)
+            parameter.read(command.name, word)
+            for parameter, word in zip(command.parameters, arguments, strict=False)
         ]
         return command.run(*values)
 
@@ -112,13 +116,19 @@ class CommandTable:
         if command is None or number >= len(command.parameters):
             return []
         list_words = command.parameters[number].words
-        return sorted({word for word in list_words() if word.startswith(begun)}) if list_words is not None else []
+        return (
+            sorted({word for word in list_words() if word.startswith(begun)})
+            if list_words is not None
+            else []
+        )
 
 
 def refuse_word(rule: Rule, call: str, word: str, words: Iterable[str]) -> NoReturn:
     """Refuse a word, listing the nearest ones; Tab lists the others."""
     words = list(words)
-    near = get_close_matches(word.lower(), words, n=3, cutoff=0.5) or (words if len(words) <= _MAX_LISTED else [])
+    near = get_close_matches(word.lower(), words, n=3, cutoff=0.5) or (
+        words if len(words) <= _MAX_LISTED else []
+    )
     refuse(rule, call, word, "", f"did you mean {' or '.join(near)}?" if near else "")
 
 

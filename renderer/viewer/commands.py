@@ -54,7 +54,9 @@ def _display_commands(session: ViewerSession) -> Iterable[ViewerCommand]:
     blendings = [member.value for member in Blending]
     yield _choice(session, "blending", "put transparent surfaces together like this", lambda: blendings)
     outputs = {"off": None} | {name: name for name in OUTPUTS}
-    yield _choice(session, "stereo", "draw two eyes and show them like this", lambda: outputs, outputs.__getitem__)
+    yield _choice(
+        session, "stereo", "draw two eyes and show them like this", lambda: outputs, outputs.__getitem__
+    )
     samples = {str(count): count for count in session.renderer.device.capabilities.sample_counts}
     yield _choice(session, "samples", "draw samples in each pixel", lambda: samples, samples.__getitem__)
     yield _display_switch(session, "fxaa", "smooth edges")
@@ -79,7 +81,9 @@ def _display_commands(session: ViewerSession) -> Iterable[ViewerCommand]:
         return f"{path} {to_json(settings.get(path))}"
 
     paths = Parameter("SETTING", words=session.display.settings.list_paths, is_exhaustive=True)
-    yield ViewerCommand("set", "set any setting, or say it", assign, (paths, Parameter("VALUE", is_optional=True)))
+    yield ViewerCommand(
+        "set", "set any setting, or say it", assign, (paths, Parameter("VALUE", is_optional=True))
+    )
 
 
 def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
@@ -105,8 +109,12 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
         session.drive(_after(names, session.controller.name) if name == NEXT else name)
         return session.controller.name
 
-    drives = Parameter("HOW", words=lambda: (Fly.name, Orbit.name, NEXT), is_exhaustive=True, is_optional=True)
-    yield ViewerCommand("drive", "fly freely, or orbit around what was picked or is in the middle", drive, (drives,))
+    drives = Parameter(
+        "HOW", words=lambda: (Fly.name, Orbit.name, NEXT), is_exhaustive=True, is_optional=True
+    )
+    yield ViewerCommand(
+        "drive", "fly freely, or orbit around what was picked or is in the middle", drive, (drives,)
+    )
 
     def speed(text: str | None = None) -> str:
         factor = {"faster": _SPEED, "slower": 1.0 / _SPEED}.get(text or "")
@@ -120,7 +128,9 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
     yield ViewerCommand("speed", "move this fast, or faster, or slower", speed, (speeds,))
 
     def play(name: str | None = None) -> str:
-        session.play(None if name is None else parse_camera_path(name, session.scene), name or "latest recording")
+        session.play(
+            None if name is None else parse_camera_path(name, session.scene), name or "latest recording"
+        )
         return ""
 
     paths = Parameter("PATH", words=lambda: session.scene.paths, is_optional=True)
@@ -131,7 +141,9 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
             session.seconds = seconds
         return f"{session.seconds:.2f} s"
 
-    yield ViewerCommand("time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),))
+    yield ViewerCommand(
+        "time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),)
+    )
     yield _pause(session)
 
     def clip(name: str | None = None) -> str:
@@ -142,7 +154,9 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
         return f"plays {', '.join(played) or 'no clip'}"
 
     names = Parameter("CLIP", words=lambda: session.scene.clips, is_exhaustive=True, is_optional=True)
-    yield ViewerCommand("clip", "play a clip instead of what moves the same, or say what is played", clip, (names,))
+    yield ViewerCommand(
+        "clip", "play a clip instead of what moves the same, or say what is played", clip, (names,)
+    )
 
 
 def _files(session: ViewerSession) -> Iterable[ViewerCommand]:
@@ -174,16 +188,23 @@ def _files(session: ViewerSession) -> Iterable[ViewerCommand]:
         return f"wrote {path}: {median(one.milliseconds for one in captured):.1f} ms a frame"
 
     number = Parameter("FRAMES", partial(parse_number, minimum=1, maximum=_CAPTURE_FRAMES), is_optional=True)
-    yield ViewerCommand("capture", "write the times of frames and of their passes to a file", capture, (file, number))
+    yield ViewerCommand(
+        "capture", "write the times of frames and of their passes to a file", capture, (file, number)
+    )
     yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
-    yield ViewerCommand("status", "say how fast frames are, and what draws them", lambda: describe_status(session))
+    yield ViewerCommand(
+        "status", "say how fast frames are, and what draws them", lambda: describe_status(session)
+    )
 
 
 def describe_status(session: ViewerSession) -> str:
     """A line with the frame counter, the display settings, the camera and the scene's time."""
     eye, ahead = session.camera.position, session.camera.position + session.camera.forward
     camera_text = ",".join(f"{value:.6g}" for value in (*eye, *ahead))
-    device, worked = session.renderer.device.backend_name, f"{1e3 * session.counter.processor:.1f} ms of processors"
+    device, worked = (
+        session.renderer.device.backend_name,
+        f"{1e3 * session.counter.processor:.1f} ms of processors",
+    )
     rate = f"{session.counter.describe()}, {worked} a frame"
     rate = rate if session.budget is None else f"{rate}, {session.budget.describe()}"
     return f"{rate}, {session.display.describe()} on {device}, camera {camera_text}, {session.seconds:.2f} s"
@@ -275,7 +296,12 @@ _ON: Final = {"on": True, "off": False}
 
 
 def switch(
-    name: str, summary: str, read: Callable[[], bool], write: Callable[[bool], None], *, is_silent: bool = False
+    name: str,
+    summary: str,
+    read: Callable[[], bool],
+    write: Callable[[bool], None],
+    *,
+    is_silent: bool = False,
 ) -> ViewerCommand:
     """A command that turns what `read` returns on or off with `write`, or toggles it."""
 
@@ -290,7 +316,9 @@ def switch(
 
 def _display_switch(session: ViewerSession, name: str, summary: str) -> ViewerCommand:
     """A command that switches one of the display settings."""
-    return switch(name, summary, lambda: getattr(session.display, name), lambda on: session.change(**{name: on}))
+    return switch(
+        name, summary, lambda: getattr(session.display, name), lambda on: session.change(**{name: on})
+    )
 
 
 def _pause(session: ViewerSession) -> ViewerCommand:

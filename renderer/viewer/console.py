@@ -42,7 +42,9 @@ class Console:
 
     def insert(self, text: str) -> None:
         """Insert typed characters at the cursor; control characters are dropped."""
-        text = "".join(character for character in text if character.isprintable())[: _MAX_LENGTH - len(self.text)]
+        text = "".join(character for character in text if character.isprintable())[
+            : _MAX_LENGTH - len(self.text)
+        ]
         self.text = self.text[: self.cursor] + text + self.text[self.cursor :]
         self.cursor += len(text)
         self.choices = []

@@ -1,7 +1,8 @@
 """The display settings of a viewer: one value that says how frames are drawn, and the `Configurator` that
 applies it.
 
-They change as a whole. If the device refuses to draw them, the viewer returns to the last ones that were drawn.
+They change as a whole. If the device refuses to draw them, the viewer returns to the last ones that were
+drawn.
 """
 
 from __future__ import annotations
@@ -112,7 +113,17 @@ class DisplaySettings:
     def describe(self) -> str:
         """A line with what differs from the plain settings."""
         words, plain = [self.technique, self.visibility], DisplaySettings()
-        for name in ("show", "samples", "fxaa", "shadows", "blending", "stereo", "overlay", "particles", "grid"):
+        for name in (
+            "show",
+            "samples",
+            "fxaa",
+            "shadows",
+            "blending",
+            "stereo",
+            "overlay",
+            "particles",
+            "grid",
+        ):
             value = getattr(self, name)
             if value != getattr(plain, name):
                 words.append(name if value is True else f"{name} {value}")
@@ -158,7 +169,11 @@ class Configurator:
     """
 
     def __init__(
-        self, renderer: Renderer, display: DisplaySettings, original: OriginalState, always: Iterable[Layer] = ()
+        self,
+        renderer: Renderer,
+        display: DisplaySettings,
+        original: OriginalState,
+        always: Iterable[Layer] = (),
     ) -> None:
         """Configure for `display`. The layers `always` are drawn last, with all settings."""
         self._renderer = renderer
@@ -200,7 +215,9 @@ class Configurator:
         with ExitStack() as undo:
             if "visibility" in changed:
                 check_algorithm(settings.algorithm, renderer.device, "visibility")
-                visibility = make_visibility(settings.algorithm, renderer.scene, renderer.device, settings.visibility)
+                visibility = make_visibility(
+                    settings.algorithm, renderer.scene, renderer.device, settings.visibility
+                )
                 undo.callback(visibility.destroy)
             if stereo is not renderer.stereo:
                 renderer.stereo = stereo
@@ -247,7 +264,9 @@ class Configurator:
         return settings.make(self._renderer.scene, self._renderer.device)
 
     def _make_technique(self, display: DisplaySettings) -> Technique:
-        plain = self._make_plain(display)  # refuses samples that it lacks, also if a shown texture would hide that
+        plain = self._make_plain(
+            display
+        )  # refuses samples that it lacks, also if a shown texture would hide that
         if display.show in INSPECTIONS:
             return Inspection(display.show, display.settings.technique.get_cluster_settings(display.show))
         return plain if display.show == LIT_IMAGE else ResourceCapture(plain, display.show)

@@ -1,11 +1,11 @@
 """Keeps frames within a time budget: each is drawn with the most accurate settings that are fast enough.
 
-The settings are those of a front, as `accuracy --output` finds it: each is slower and more accurate than the one
-before. Its times are those of the views that it was found with. So what frames take now scales all of them, and what
-settings were found to take here counts more than what the front says of them.
+The settings are those of a front, as `accuracy --output` finds it: each is slower and more accurate than the
+one before. Its times are those of the views that it was found with. So what frames take now scales all of
+them, and what settings were found to take here counts more than what the front says of them.
 
-One slow frame changes nothing: the median of some frames does. More accurate settings are chosen only with room to
-spare, so that they don't alternate with those that were too slow for them.
+One slow frame changes nothing: the median of some frames does. More accurate settings are chosen only with
+room to spare, so that they don't alternate with those that were too slow for them.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Hot reload in a viewer: what is saved while it runs takes effect between two of its frames.
 
-- **Modules of shaders**, the renderer's and the program's, are exchanged by `rhi.Reloader`. A frame is tried after it,
-  which isn't shown: if it can't be drawn, the texts before come back. At a start these are from the cache, and if no
-  viewer can be made, they come back as well (`open_viewer`).
-- **The scene's files**, if it is a model file with its buffers, materials and textures: the scene is read and uploaded
-  beside the old one, and takes its place once a frame of it could be drawn. A texture that is missing is waited for.
+- **Modules of shaders**, the renderer's and the program's, are exchanged by `rhi.Reloader`. A frame is tried
+  after it, which isn't shown: if it can't be drawn, the texts before come back. At a start these are from the
+  cache, and if no viewer can be made, they come back as well (`open_viewer`).
+- **The scene's files**, if it is a model file with its buffers, materials and textures: the scene is read and
+  uploaded beside the old one, and takes its place once a frame of it could be drawn. A texture that is
+  missing is waited for.
 - **The settings** that were read last.
 
 A failure is shown in the frame for as long as the file is faulty, and the last good version keeps drawing.
@@ -28,7 +29,11 @@ from renderer.viewer.commands import output_path, parse_number, switch
 from renderer.viewer.session import ViewerSession
 from rhi import Reloader, RhiError, ShaderError
 
-_COUNTS: Final = {"bazaar": "instances", "glass": "panes", "terrain": "trees"}  # other generators have `count`
+_COUNTS: Final = {
+    "bazaar": "instances",
+    "glass": "panes",
+    "terrain": "trees",
+}  # other generators have `count`
 LOGGER: Final = logging.getLogger("rhi.reload")
 
 
@@ -78,8 +83,8 @@ class FileReloader:
                 raise
 
     def show_scene(self, text: str) -> str:
-        """Show the scene that a text names, from its first view, or the present one with other options (`lights=300`),
-        from here; return its whole text.
+        """Show the scene that a text names, from its first view, or the present one with other options
+        (`lights=300`), from here; return its whole text.
 
         Raises:
             RhiError: what is wrong with it. Then the present one stays.
@@ -128,7 +133,8 @@ class FileReloader:
             self._say(f"exchanged {reloader.exchanged - before} programs", False)
 
     def remember_shaders(self) -> None:
-        """Keep the texts of shaders that a frame was just drawn with, for a start at which they are at fault."""
+        """Keep the texts of shaders that a frame was just drawn with, for a start at which they are at
+        fault."""
         if self._reloader is not None:
             self._reloader.checkpoint()
 
@@ -172,7 +178,10 @@ def describe_fault(error: Exception) -> str:
     if isinstance(error, RhiError):
         return rules.describe(error)
     lines = [f"{type(error).__name__}: {error}"]
-    lines += [f"  {frame.filename}:{frame.lineno}\n    {frame.line}" for frame in extract_tb(error.__traceback__)[-1:]]
+    lines += [
+        f"  {frame.filename}:{frame.lineno}\n    {frame.line}"
+        for frame in extract_tb(error.__traceback__)[-1:]
+    ]
     return "\n".join(lines)
 
 
@@ -182,7 +191,9 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
     yield switch("reload", summary, lambda: file_reloader.is_watching, file_reloader.watch)
 
     summary = "show another scene, or this one with other options: lights=300"
-    yield ViewerCommand("scene", summary, file_reloader.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),))
+    yield ViewerCommand(
+        "scene", summary, file_reloader.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),)
+    )
 
     def lights(number: int | None = None) -> str:
         if number is not None:
@@ -201,13 +212,17 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
         objects = session.scene.objects
         return f"{len(objects.node)} objects, {int(objects.is_shown.sum())} of them not hidden"
 
-    yield ViewerCommand("objects", "show the scene with so many objects, or count them", show_objects, numbers)
+    yield ViewerCommand(
+        "objects", "show the scene with so many objects, or count them", show_objects, numbers
+    )
 
     def settings(path: Path) -> str:
         file_reloader.read_settings(path)
         return f"read {path}: {session.display.describe()}"
 
-    yield ViewerCommand("settings", "draw with the settings of a file", settings, (Parameter("FILE.json", parse_path),))
+    yield ViewerCommand(
+        "settings", "draw with the settings of a file", settings, (Parameter("FILE.json", parse_path),)
+    )
 
     def save(_: str, path: Path) -> str:
         path = output_path(session, "save settings", path, ".json")
@@ -216,4 +231,6 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
         return f"wrote {path}"
 
     what = Parameter("settings", words=lambda: ("settings",), is_exhaustive=True)
-    yield ViewerCommand("save", "write the settings to a file", save, (what, Parameter("FILE.json", parse_path)))
+    yield ViewerCommand(
+        "save", "write the settings to a file", save, (what, Parameter("FILE.json", parse_path))
+    )

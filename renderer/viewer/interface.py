@@ -37,8 +37,10 @@ class InterfaceState:
     """The contents of the interface in the next frame.
 
     Attributes:
-        corner: a line at the top in the middle. notes: lines at the bottom left, each with whether it is an error.
-        help: rows of keys and what they do, or None. console: the lines of the console, or None if it is closed.
+        corner: a line at the top in the middle. notes: lines at the bottom left, each with whether it is an
+            error.
+        help: rows of keys and what they do, or None. console: the lines of the console, or None if it is
+            closed.
         line, cursor, choices: its line, where that is edited, and the words that could follow.
         box: (8, 3) corners of a box in the world, numbered by bits. triangle: (3, 3), a triangle there.
     """
@@ -94,7 +96,9 @@ class InterfaceLayer:
             self._add_console(ScreenRectangle(0, 0, width, bottom))
         elif state.notes and state.help is None:
             notes = self._wrap(state.notes, width - 4 * _PAD * self.scale)
-            self._add_text(2 * _PAD * self.scale, bottom - self._line_height * len(notes) - _PAD * self.scale, notes)
+            self._add_text(
+                2 * _PAD * self.scale, bottom - self._line_height * len(notes) - _PAD * self.scale, notes
+            )
         if state.help is not None:
             self._add_help(width, height)
         if not len(canvas):
@@ -117,7 +121,9 @@ class InterfaceLayer:
         canvas.rect(x - pad, y - pad // 2, wide + 2 * pad, self._line_height * len(lines) + pad, _PANEL)
         self._add_lines(x, y, lines, _TEXT)
 
-    def _add_lines(self, x: int, y: int, lines: Sequence[tuple[str, bool]], color: NDArray[np.float32]) -> None:
+    def _add_lines(
+        self, x: int, y: int, lines: Sequence[tuple[str, bool]], color: NDArray[np.float32]
+    ) -> None:
         """Add lines, those of a colour that follow each other as one text; errors have their own colour."""
         for is_error, run in groupby(lines, lambda line: line[1]):
             texts = [text for text, _ in run]
@@ -147,7 +153,11 @@ class InterfaceLayer:
     def _add_console(self, box: ScreenRectangle) -> None:
         canvas, scale, pad, row = self._canvas, self.scale, _PAD * self.scale, self._line_height
         state = self.state
-        lines = [*(state.console or ()), ("  ".join(state.choices), False)] if state.choices else state.console or ()
+        lines = (
+            [*(state.console or ()), ("  ".join(state.choices), False)]
+            if state.choices
+            else state.console or ()
+        )
         room = max(min(_CONSOLE_LINES, (box.height - 2 * pad) // row - 1), 0)
         lines = self._wrap(lines[max(len(lines) - room, 0) :], box.width - 2 * pad)
         lines = lines[max(len(lines) - room, 0) :]
@@ -172,13 +182,15 @@ class InterfaceLayer:
 
 
 def project_lines(camera: Camera, size: tuple[int, int], lines: Floats) -> Floats:
-    """Return the lines (k, 2, 2), in pixels, as which lines (n, 2, 3) in the world are seen. They are cut off where
-    they are before the near plane, or outside the image by more than its size."""
+    """Return the lines (k, 2, 2), in pixels, as which lines (n, 2, 3) in the world are seen. They are cut off
+    where they are before the near plane, or outside the image by more than its size."""
     ends = (lines - camera.position) @ camera.rotation.T
     clip = np.concatenate([ends, np.ones((*ends.shape[:2], 1))], axis=2) @ camera.projection.matrix.T
     w = clip[..., 3:]
     nearest = getattr(camera.projection, "near", 0.0)
-    inside = np.concatenate([3.0 * w - clip[..., :2], 3.0 * w + clip[..., :2], -ends[..., 2:] - nearest], axis=2)
+    inside = np.concatenate(
+        [3.0 * w - clip[..., :2], 3.0 * w + clip[..., :2], -ends[..., 2:] - nearest], axis=2
+    )
     begin, end = np.zeros(len(lines)), np.ones(len(lines))
     for number in range(inside.shape[2]):  # Liang and Barsky, 1984
         first, last = inside[:, 0, number], inside[:, 1, number]

@@ -29,7 +29,8 @@ KEY_BINDINGS: Final[dict[str, tuple[str, str]]] = {
     "p": ("play", "show the latest recording"),
     "F12": ("screenshot", "write the image to a file"),
 }
-"""By the key's name in events: the line that it runs, and what it does, empty if it does as the key before."""
+"""By the key's name in events: the line that it runs, and what it does, empty if it does as the key
+before."""
 
 MOTION: Final = (
     ("W A S D, Q E, PgUp PgDn", "ahead, left, back, right, down, up; fast with Shift"),
@@ -58,7 +59,9 @@ def list_key_bindings(scene: Scene) -> list[tuple[str, str]]:
     """Return all keys and what they do, for people."""
     names = {" ": "Space", "`": ""}
     keys = [
-        (names.get(key, key.upper() if len(key) == 1 else key), text) for key, (_, text) in KEY_BINDINGS.items() if text
+        (names.get(key, key.upper() if len(key) == 1 else key), text)
+        for key, (_, text) in KEY_BINDINGS.items()
+        if text
     ]
     cameras = list_cameras(scene)
     words = ", ".join(line.partition(" ")[2] for line in cameras)

@@ -1,9 +1,10 @@
 """Picking: the surface in the middle of a pixel, found by a ray in float64 against the scene's triangles.
 
-A ray is exact where an id buffer would have to be drawn and read back, which waits for the device and costs each
-technique a target. It says which triangle, where and how far, also on a device that draws nothing. Boxes come first,
-then the triangles of the objects whose boxes are hit, the nearest first, until no box is nearer than the best hit. What
-isn't drawn can't be hit: backs of one-sided surfaces, holes of masks, what is before the near plane.
+A ray is exact where an id buffer would have to be drawn and read back, which waits for the device and costs
+each technique a target. It says which triangle, where and how far, also on a device that draws nothing. Boxes
+come first, then the triangles of the objects whose boxes are hit, the nearest first, until no box is nearer
+than the best hit. What isn't drawn can't be hit: backs of one-sided surfaces, holes of masks, what is before
+the near plane.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ _EDGE: Final = 1e-9  # of barycentric coordinates, so that no ray passes between
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ray:
-    """A ray: `origin` (3,), `direction` (3,) of unit length, and the distance `max_distance` at which it ends.
-    `eye_distance` is that from the eye to its origin."""
+    """A ray: `origin` (3,), `direction` (3,) of unit length, and the distance `max_distance` at which it
+    ends. `eye_distance` is that from the eye to its origin."""
 
     origin: Floats
     direction: Floats
@@ -44,7 +45,11 @@ class Ray:
             else projection.near * np.tan(0.5 * projection.fov)
         )
         start = np.array((across * high * projection.aspect, up * high, -projection.near))
-        along = np.array((0.0, 0.0, -1.0)) if isinstance(projection, Orthographic) else start / np.linalg.norm(start)
+        along = (
+            np.array((0.0, 0.0, -1.0))
+            if isinstance(projection, Orthographic)
+            else start / np.linalg.norm(start)
+        )
         eye_distance = 0.0 if isinstance(projection, Orthographic) else float(np.linalg.norm(start))
         max_distance = (projection.far - projection.near) / -float(along[2])
         turned = start @ camera.rotation
@@ -56,7 +61,8 @@ class Hit:
     """A hit of a ray with a surface.
 
     Attributes:
-        row: the object. triangle: its number in the mesh. distance: from the eye, in metres. point: (3,) in the world.
+        row: the object. triangle: its number in the mesh. distance: from the eye, in metres. point: (3,) in
+            the world.
         corners: (3, 3) of the triangle, in the world.
     """
 
@@ -86,7 +92,9 @@ def intersect_boxes(ray: Ray, lower: Floats, upper: Floats) -> Floats:
     """The distances (n,) from the ray's origin at which it enters boxes; infinite if it doesn't."""
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (lower - ray.origin) / ray.direction, (upper - ray.origin) / ray.direction
-    along = (lower <= ray.origin) & (ray.origin <= upper)  # decides where the ray is parallel to a pair of faces
+    along = (lower <= ray.origin) & (
+        ray.origin <= upper
+    )  # decides where the ray is parallel to a pair of faces
     moves = ray.direction != 0.0
     enter = np.where(moves, np.minimum(first, second), np.where(along, -np.inf, np.inf)).max(axis=1)
     leave = np.where(moves, np.maximum(first, second), np.where(along, np.inf, -np.inf)).min(axis=1)

@@ -54,7 +54,8 @@ class ViewerSession:
         scene, renderer: the scene, and its renderer. layers: drawn over each frame, but not in screenshots.
         controller: moves the camera while nothing is replayed. counter: counts frames.
         seconds: the scene's time. is_paused: whether that stands still.
-        replay: the walk-through that is replayed, if any. hit, hit_lines: what was picked, and lines about it.
+        replay: the walk-through that is replayed, if any. hit, hit_lines: what was picked, and lines about
+            it.
         folder: commands write only below it; None: anywhere.
         budget: selects the settings of frames, if any; changing settings ends it.
     """
@@ -115,7 +116,12 @@ class ViewerSession:
         self.clear()
 
     def _open(
-        self, device: Device, scene: Scene, size: tuple[int, int], display: DisplaySettings, original: OriginalState
+        self,
+        device: Device,
+        scene: Scene,
+        size: tuple[int, int],
+        display: DisplaySettings,
+        original: OriginalState,
     ) -> tuple[Renderer, Configurator]:
         with ExitStack() as stack:
             textures = display.settings.textures
@@ -132,7 +138,7 @@ class ViewerSession:
         self.renderer, self._configurator = renderer, configurator
         _destroy(*old)
 
-    # -- the camera ------------------------------------------------------------------------------------------------
+    # -- the camera ------------------------------------------------------------------------------------------
 
     @property
     def camera(self) -> Camera:
@@ -150,8 +156,8 @@ class ViewerSession:
             self.controller = Fly(camera, speed)
 
     def drive(self, name: str) -> None:
-        """Fly or orbit from here. An orbit is around what was picked, or what is in the middle of the image, or the
-        scene."""
+        """Fly or orbit from here. An orbit is around what was picked, or what is in the middle of the image,
+        or the scene."""
         camera, speed = self.camera, self.controller.speed
         self.replay = None
         if name == Fly.name:
@@ -171,7 +177,7 @@ class ViewerSession:
             or self.display.overlay
         )
 
-    # -- display settings ------------------------------------------------------------------------------------------
+    # -- display settings ------------------------------------------------------------------------------------
 
     @property
     def display(self) -> DisplaySettings:
@@ -198,7 +204,7 @@ class ViewerSession:
         """What can be shown of a frame."""
         return self._configurator.list_show_choices(self.camera)
 
-    # -- picking ---------------------------------------------------------------------------------------------------
+    # -- picking ---------------------------------------------------------------------------------------------
 
     def pick(self, x: int, y: int) -> str:
         """Pick what the latest frame shows at a pixel, and describe it."""
@@ -250,7 +256,7 @@ class ViewerSession:
         lower, upper = self.scene.bounds
         return 0.5 * (lower + upper) if hit is None else hit.point
 
-    # -- recording -------------------------------------------------------------------------------------------------
+    # -- recording -------------------------------------------------------------------------------------------
 
     @property
     def is_recording(self) -> bool:
@@ -291,13 +297,19 @@ class ViewerSession:
         """Replay a walk-through, or the latest recording."""
         path = path or self._latest
         if path is None:
-            refuse(rules.BAD_ARGUMENT, "play", "no recording", "a path of the scene, or a walk-through's .json file")
+            refuse(
+                rules.BAD_ARGUMENT,
+                "play",
+                "no recording",
+                "a path of the scene, or a walk-through's .json file",
+            )
         self.replay = CameraReplay(path, name)
 
-    # -- frames ----------------------------------------------------------------------------------------------------
+    # -- frames ----------------------------------------------------------------------------------------------
 
     def move(self, push: Floats, turn: Floats, seconds: float) -> None:
-        """Advance the time of the scene and move the camera, which keys push and turn (`Controller.advance`)."""
+        """Advance the time of the scene and move the camera, which keys push and turn
+        (`Controller.advance`)."""
         step = min(max(seconds, 0.0), MAX_STEP)
         if not self.is_paused:
             self.seconds += step
@@ -347,8 +359,13 @@ class ViewerSession:
 
     def capture(self, frames: int) -> list[CapturedFrame]:
         """Draw frames from the current camera and time on, and return their times."""
-        camera, first = self.display.settings.adapt_camera(self.camera), round(self.seconds * FRAMES_PER_SECOND)
-        return list(capture_frames(self.renderer, [PathFrame(first + number, camera) for number in range(frames)]))
+        camera, first = (
+            self.display.settings.adapt_camera(self.camera),
+            round(self.seconds * FRAMES_PER_SECOND),
+        )
+        return list(
+            capture_frames(self.renderer, [PathFrame(first + number, camera) for number in range(frames)])
+        )
 
     def screenshot(self) -> NDArray[np.uint8]:
         """Draw the latest frame again without the layers, and return its pixels (height, width, 4), sRGB.

@@ -1,7 +1,8 @@
 """The viewer: a session, and its inputs: events, keys, the console, scripts and a socket.
 
-It knows no window: a window passes events to `handle` and calls `draw` for each frame. Whatever can be switched
-is a command, a line of words, and keys, console, scripts and socket all run those. An error of one is said in a line.
+It knows no window: a window passes events to `handle` and calls `draw` for each frame. Whatever can be
+switched is a command, a line of words, and keys, console, scripts and socket all run those. An error of one
+is said in a line.
 
 An event that is handled before a frame begins affects that frame.
 """
@@ -43,9 +44,11 @@ class Viewer:
     """Shows a scene on a device, one frame at a time.
 
     Attributes:
-        session: the scene, its camera and what draws it. file_reloader: reloads saved files, while it watches.
+        session: the scene, its camera and what draws it. file_reloader: reloads saved files, while it
+            watches.
         commands: the commands of `run`. console: see `Console`.
-        clock: returns the time in seconds. has_keys: whether the keys are listed. is_over: whether it has quit.
+        clock: returns the time in seconds. has_keys: whether the keys are listed. is_over: whether it has
+            quit.
         set_size: draws the next frames in so many physical pixels; on a screen, asks its canvas for them.
     """
 
@@ -84,7 +87,7 @@ class Viewer:
         self._typed = ""  # a key that may be a character, until a character event says which one
         self._notes: deque[tuple[float, str, bool]] = deque(maxlen=_NOTES)
 
-    # -- events ----------------------------------------------------------------------------------------------------
+    # -- events ----------------------------------------------------------------------------------------------
 
     @property
     def is_moving(self) -> bool:
@@ -147,7 +150,7 @@ class Viewer:
         if self.session.replay is not None:
             self.session.camera = self.session.replay.camera
 
-    # -- commands --------------------------------------------------------------------------------------------------
+    # -- commands --------------------------------------------------------------------------------------------
 
     def run(self, line: str) -> tuple[str, bool]:
         """Run a line, and show its message in the console; return the message and whether it is an error."""
@@ -165,12 +168,15 @@ class Viewer:
         """Run the lines of a script during the next frames, before other waiting lines."""
         lines = text.splitlines()
         if len(self._queue) + len(lines) > _QUEUE:
-            refuse(rules.BAD_ARGUMENT, "script", f"{len(self._queue) + len(lines)} lines", f"at most {_QUEUE}")
+            refuse(
+                rules.BAD_ARGUMENT, "script", f"{len(self._queue) + len(lines)} lines", f"at most {_QUEUE}"
+            )
         self._queue.extendleft(reversed(lines))
 
     def listen(self, port: int, folder: Path | None = None) -> int:
-        """Run the lines that come over a socket of this computer; return the port. Each connection begins with the
-        line `greeting`. From then on commands write only below `folder`, by default the working folder.
+        """Run the lines that come over a socket of this computer; return the port. Each connection begins
+        with the line `greeting`. From then on commands write only below `folder`, by default the working
+        folder.
 
         Raises:
             DeviceError: `viewer-cannot-listen`.
@@ -201,7 +207,9 @@ class Viewer:
             state = self.commands if name is None else [self.commands[name]]
             return "\n".join(f"{command.usage}: {command.summary}" for command in state)
 
-        names = Parameter("COMMAND", words=lambda: [command.name for command in self.commands], is_optional=True)
+        names = Parameter(
+            "COMMAND", words=lambda: [command.name for command in self.commands], is_optional=True
+        )
         yield ViewerCommand("help", "say what a command does, or all of them", describe, (names,))
 
         def resize(size: tuple[int, int] | None = None) -> str:
@@ -271,7 +279,7 @@ class Viewer:
             if line.strip():
                 self.run(line)
 
-    # -- frames ----------------------------------------------------------------------------------------------------
+    # -- frames ----------------------------------------------------------------------------------------------
 
     def resize(self, size: tuple[int, int], ratio: float = 1.0) -> None:
         """Draw the next frames in `size` physical pixels, `ratio` of them to a logical one."""
@@ -313,8 +321,14 @@ class Viewer:
             words.append(session.replay.name)
         state = InterfaceState(corner="   ".join(words))
         faults = self.file_reloader.faults
-        notes = [(line, is_error) for _, line, is_error in self._notes if line not in (*session.hit_lines, *faults)]
-        state.notes = [*((line, False) for line in session.hit_lines), *((line, True) for line in faults), *notes]
+        notes = [
+            (line, is_error) for _, line, is_error in self._notes if line not in (*session.hit_lines, *faults)
+        ]
+        state.notes = [
+            *((line, False) for line in session.hit_lines),
+            *((line, True) for line in faults),
+            *notes,
+        ]
         if self.has_keys:
             state.help = list_key_bindings(session.scene)
         if self.console.is_open:

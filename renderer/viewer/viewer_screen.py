@@ -1,7 +1,7 @@
 """A viewer on a screen: in a window, a notebook, a browser page.
 
-Frames are drawn only while something moves, and after each event. While lines may come over a socket, ten a second
-are drawn at least.
+Frames are drawn only while something moves, and after each event. While lines may come over a socket, ten a
+second are drawn at least.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class ViewerScreen:
     """A viewer and the screen that shows it.
 
     Attributes:
-        viewer, screen: these. frames: how many frames were shown. end_after: how many there are to be, None for no end.
+        viewer, screen: these. frames: how many frames were shown. end_after: how many there are to be, None
+            for no end.
     """
 
     def __init__(self, viewer: Viewer, screen: Screen) -> None:
@@ -116,8 +117,9 @@ def open_viewer(
         canvas: one of `rhi_screen.CANVASES`; by default a widget in a notebook, and else a window.
         size: in logical pixels. display, camera: the initial display settings and camera.
         settings: a file of settings instead of the display's (`RenderSettings.load`).
-        reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are saved,
-            and shaders that can't be drawn with at the beginning are as they were when a viewer has drawn last.
+        reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are
+            saved, and shaders that can't be drawn with at the beginning are as they were when a viewer has
+            drawn last.
         options: those of `rhi_screen.open_screen`.
 
     Raises:

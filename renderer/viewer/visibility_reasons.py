@@ -7,7 +7,13 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility import AutoCulling, NoCulling, TraversalOutcome, VisibilityAlgorithm, compute_traversal
+from renderer.visibility import (
+    AutoCulling,
+    NoCulling,
+    TraversalOutcome,
+    VisibilityAlgorithm,
+    compute_traversal,
+)
 from renderer.visibility.boxes.volumes import Containment, classify
 
 _OF_NODES: Final = {

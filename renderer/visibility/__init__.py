@@ -78,11 +78,11 @@ AUTO_CANDIDATES: Final[tuple[str, ...]] = (
     "two_pass",
     "none",
 )
-"""The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
-is."""
+"""The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no
+other is."""
 _CL_AUTO_CANDIDATES: Final = "frustum", "none", "depth_pyramid"
-"""Those on cl, whose rasteriser drops instances that are hidden: what asks for the sake of that costs more than it
-spares once kernels are optimised. Last, since it builds kernels, comes what culls on the device."""
+"""Those on cl, whose rasteriser drops instances that are hidden: what asks for the sake of that costs more
+than it spares once kernels are optimised. Last, since it builds kernels, comes what culls on the device."""
 
 
 def _create_auto_culling(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
@@ -113,14 +113,16 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], Visibi
 
 
 def list_algorithms(device: Device) -> list[str]:
-    """Return the names of the algorithms that `device` can run. The null device answers no queries and runs no
-    shaders, unless it is told how (see `count_samples` and `run_shaders`)."""
+    """Return the names of the algorithms that `device` can run. The null device answers no queries and runs
+    no shaders, unless it is told how (see `count_samples` and `run_shaders`)."""
     return [name for name in ALGORITHMS if find_missing_feature(name, device) is None]
 
 
 def find_missing_feature(name: str, device: Device) -> str | None:
     """Return what a device lacks for an algorithm, in a few words, or None if it can run it."""
-    return _LISTED[name].find_missing_feature(device) if name in _LISTED else None  # `auto` tries those that can run
+    return (
+        _LISTED[name].find_missing_feature(device) if name in _LISTED else None
+    )  # `auto` tries those that can run
 
 
 def check_algorithm(name: str, device: Device, call: str) -> None:

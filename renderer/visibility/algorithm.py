@@ -1,10 +1,10 @@
 """The protocol of visibility algorithms: an algorithm decides which objects are drawn, and has them drawn.
 
-An algorithm is one object, made for one scene, with one method. It draws batches of objects in a technique's pass, as
-soon as it knows them to be visible. Frustum culling draws one batch. Algorithms that use occlusion queries
-(stop-and-wait, CHC, CHC++) draw many, with queries of their own in between, on the same device and in the order in
-which they are to be executed. Whatever else an algorithm needs, above all the device, its constructor takes, so all
-algorithms can be exchanged at run time.
+An algorithm is one object, made for one scene, with one method. It draws batches of objects in a technique's
+pass, as soon as it knows them to be visible. Frustum culling draws one batch. Algorithms that use occlusion
+queries (stop-and-wait, CHC, CHC++) draw many, with queries of their own in between, on the same device and in
+the order in which they are to be executed. Whatever else an algorithm needs, above all the device, its
+constructor takes, so all algorithms can be exchanged at run time.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class VisibilityStatistics:
         queries: number of occlusion queries issued.
         box_draws, boxes: draws of bounding boxes inside queries, and the number of boxes drawn; not objects.
         stalled_milliseconds: how long the CPU waited for query results.
-        is_frustum_only: whether only the frustum of `SceneDrawer.widen` decided, so that the objects are those of all
-            eyes.
+        is_frustum_only: whether only the frustum of `SceneDrawer.widen` decided, so that the objects are
+            those of all eyes.
     """
 
     objects: int
@@ -54,7 +54,8 @@ class VisibilityAlgorithm(Protocol):
 
     @property
     def opens_pass(self) -> bool:
-        """Whether the algorithm opens the pass itself. Otherwise the pass must be open when `render` is called."""
+        """Whether the algorithm opens the pass itself. Otherwise the pass must be open when `render` is
+        called."""
         ...
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
@@ -71,7 +72,8 @@ class VisibilityAlgorithm(Protocol):
 
 
 class ListedAlgorithm(VisibilityAlgorithm, Protocol):
-    """An algorithm that can be chosen by name: it takes its settings whole, and says what it needs of a device."""
+    """An algorithm that can be chosen by name: it takes its settings whole, and says what it needs of a
+    device."""
 
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings, /) -> None: ...
 

@@ -15,14 +15,16 @@ from renderer.visibility.traversal import CullingTraversal, TraversalSource
 from rhi import Device, Preparation
 
 _WARM_UP_FRAMES: Final = 3
-"""The frame by which it shows which kernels are hot. These are optimised before those that only a candidate needs."""
+"""The frame by which it shows which kernels are hot. These are optimised before those that only a candidate
+needs."""
 
 
 class AutoCulling(CandidateSelector):
-    """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
+    """Tries each candidate for some frames, then stays with the fastest until the view has changed
+    (`SpeedTrial`).
 
-    In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled. While
-    code is built in the background there is no trial: the frame would wait, or its time say little.
+    In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled.
+    While code is built in the background there is no trial: the frame would wait, or its time say little.
 
     Attributes:
         latest: the algorithm of the latest frame, None before the first.
@@ -41,8 +43,8 @@ class AutoCulling(CandidateSelector):
         frames: int = 5,
         idle: int = 120,
     ) -> None:
-        """`factories` make the candidates, `prepare` begins to build what they need for a direction of depth; `frames`
-        and `idle` are those of a `SpeedTrial`."""
+        """`factories` make the candidates, `prepare` begins to build what they need for a direction of depth;
+        `frames` and `idle` are those of a `SpeedTrial`."""
         self.candidates: dict[str, VisibilityAlgorithm] = {}
         self.latest: VisibilityAlgorithm | None = None
         self._factories = dict(factories)
@@ -88,7 +90,9 @@ class AutoCulling(CandidateSelector):
         is_prepared = self._prepare is None and (self._preparation is None or self._preparation.done())
         return is_prepared and not self._device.is_building
 
-    def _try(self, candidate: VisibilityAlgorithm, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
+    def _try(
+        self, candidate: VisibilityAlgorithm, camera: Camera, scene_drawer: SceneDrawer
+    ) -> VisibilityStatistics:
         device = self._device
         device.finish()
         began = perf_counter()
@@ -107,7 +111,9 @@ class AutoCulling(CandidateSelector):
         return self.latest
 
 
-def _render(algorithm: VisibilityAlgorithm, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
+def _render(
+    algorithm: VisibilityAlgorithm, camera: Camera, scene_drawer: SceneDrawer
+) -> VisibilityStatistics:
     """Draw what an algorithm draws, in an open pass if it doesn't open the pass itself."""
     if not algorithm.opens_pass:
         scene_drawer.open()

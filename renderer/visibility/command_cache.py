@@ -1,7 +1,8 @@
 """Commands that are the same in frame after frame: recorded once, and only submitted from then on.
 
-A frame's static part is whatever its *key* names: the resources that are used, and the numbers that are part of
-commands. What changes from frame to frame, such as the camera, lies in buffers, which commands only refer to.
+A frame's static part is whatever its *key* names: the resources that are used, and the numbers that are part
+of commands. What changes from frame to frame, such as the camera, lies in buffers, which commands only refer
+to.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ Dispatch = tuple[Program[...], int | tuple[int, ...], dict[str, Any]]
 class CommandCache:
     """Commands that a device executes in each frame.
 
-    Those with a new key are executed directly. When they come again in the next frame they are recorded, since they
-    are likely to stay; after that they are only submitted, until the key changes. So commands that change in every
-    frame cost nothing more.
+    Those with a new key are executed directly. When they come again in the next frame they are recorded,
+    since they are likely to stay; after that they are only submitted, until the key changes. So commands that
+    change in every frame cost nothing more.
     """
 
     def __init__(self, device: Device, label: str) -> None:
@@ -30,8 +31,8 @@ class CommandCache:
         self._commands: CommandBuffer | None = None
 
     def execute(self, key: tuple[object, ...], issue: Callable[[Encoder], None]) -> None:
-        """Execute the commands that `issue` gives to an encoder; they depend on nothing but `key`. The key holds the
-        resources that are used."""
+        """Execute the commands that `issue` gives to an encoder; they depend on nothing but `key`. The key
+        holds the resources that are used."""
         if key != self._key:
             self.forget()
             issue(self._device)
@@ -75,8 +76,8 @@ def copy(
     x: int = 0,
     y: int = 0,
 ) -> None:
-    """Copy a region (None: all) of a texture to (x, y) of another one, or a whole texture to a buffer or from it, in
-    order with the commands of a device or of a command buffer."""
+    """Copy a region (None: all) of a texture to (x, y) of another one, or a whole texture to a buffer or from
+    it, in order with the commands of a device or of a command buffer."""
     commands = encoder if isinstance(encoder, CommandBuffer) else None
     if isinstance(source, Texture) and isinstance(target, Texture):
         if commands is None:

@@ -47,9 +47,9 @@ class NoCulling(DevicelessCulling):
 class FrustumCulling(DevicelessCulling):
     """Draws the objects whose bounds are not outside the frustum.
 
-    Objects with fixed bounds are in a hierarchy that is built once by surface area, unless they are few. The others
-    are tested one by one: that takes less time than building a hierarchy over them. The result is the set that
-    `boxes.culling.select_visible` gives for all objects."""
+    Objects with fixed bounds are in a hierarchy that is built once by surface area, unless they are few. The
+    others are tested one by one: that takes less time than building a hierarchy over them. The result is the
+    set that `boxes.culling.select_visible` gives for all objects."""
 
     def __init__(self, scene: Scene, *_: object) -> None:
         """Neither a device nor settings are needed."""
@@ -58,7 +58,9 @@ class FrustumCulling(DevicelessCulling):
         lower, upper = scene.objects.lower[object_indices], scene.objects.upper[object_indices]
         few = len(object_indices) <= _MAX_BRUTE_FORCE
         self._static = (
-            BruteForceCuller(lower, upper) if few else HierarchyCuller(build_by_area(lower, upper), lower, upper)
+            BruteForceCuller(lower, upper)
+            if few
+            else HierarchyCuller(build_by_area(lower, upper), lower, upper)
         )
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:

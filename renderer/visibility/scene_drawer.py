@@ -1,11 +1,12 @@
 """The pass that a visibility algorithm draws the scene in, and the scene's arrays on the device.
 
-`SceneDrawer` is all that an algorithm gets of a renderer. An algorithm of the CPU draws objects by index: all in a
-pass of their own, or in several batches in an open pass. One that runs on the device opens and closes the pass
-itself: it draws lists that the device has made, dispatches compute work between them, which has to happen outside of
-passes, and reads the pass's depth.
+`SceneDrawer` is all that an algorithm gets of a renderer. An algorithm of the CPU draws objects by index: all
+in a pass of their own, or in several batches in an open pass. One that runs on the device opens and closes
+the pass itself: it draws lists that the device has made, dispatches compute work between them, which has to
+happen outside of passes, and reads the pass's depth.
 
-Techniques implement `SceneDrawer` with `renderer.frame.TechniqueDrawer`. `CallbackDrawer` is for tools and tests.
+Techniques implement `SceneDrawer` with `renderer.frame.TechniqueDrawer`. `CallbackDrawer` is for tools and
+tests.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from rhi.shading import StorageRange, UniformRange
 class SceneArrays:
     """The buffers of a scene on a device, as shaders read them.
 
-    An object is an element of `objects` and of `object_positions`; its index is the base instance of its draw. A mesh
-    is an element of `mesh_parts`.
+    An object is an element of `objects` and of `object_positions`; its index is the base instance of its
+    draw. A mesh is an element of `mesh_parts`.
     """
 
     view: UniformRange[ViewConstants]
@@ -54,12 +55,13 @@ class DeviceDrawList(Protocol):
         ...
 
     def read_object_indices_async(self) -> Callable[[], Indices]:
-        """Begin to read the indices of the listed objects, and return a function that returns them. That waits for
-        the device."""
+        """Begin to read the indices of the listed objects, and return a function that returns them. That
+        waits for the device."""
         ...
 
     def read_marks(self, first_object: int, count: int) -> Readback:
-        """Begin to read the marks (`count`,) of the objects from `first_object` on: `occludees.HIDDEN` and others."""
+        """Begin to read the marks (`count`,) of the objects from `first_object` on: `occludees.HIDDEN` and
+        others."""
         ...
 
 
@@ -86,8 +88,8 @@ class SceneDrawer(Protocol):
         ...
 
     def widen(self, camera: Camera) -> Camera:
-        """Return a camera that sees all that the frame's eyes see, at least what `camera` sees. Objects in its
-        frustum are those of all eyes."""
+        """Return a camera that sees all that the frame's eyes see, at least what `camera` sees. Objects in
+        its frustum are those of all eyes."""
         ...
 
     def open(self) -> None:
@@ -99,13 +101,13 @@ class SceneDrawer(Protocol):
         ...
 
     def draw_alone(self, object_indices: Indices) -> None:
-        """Draw the objects `object_indices` (k,) in a pass of their own. Call it in each frame that draws nothing
-        else: then the commands are recorded once."""
+        """Draw the objects `object_indices` (k,) in a pass of their own. Call it in each frame that draws
+        nothing else: then the commands are recorded once."""
         ...
 
     def draw(self, object_indices: Indices) -> None:
-        """Draw the objects `object_indices` (k,) now, before anything that is issued later; opens the pass if it is
-        closed."""
+        """Draw the objects `object_indices` (k,) now, before anything that is issued later; opens the pass if
+        it is closed."""
         ...
 
     def draw_conditional(self, object_indices: Indices, queries: QuerySet, query_indices: Indices) -> None:
@@ -118,13 +120,14 @@ class SceneDrawer(Protocol):
         ...
 
     def draw_list(self, encoder: Encoder, draws: DeviceDrawList, *, first: bool) -> None:
-        """Draw the objects that the device has listed, in a pass of their own. The `first` list of a frame clears the
-        targets if nothing else has."""
+        """Draw the objects that the device has listed, in a pass of their own. The `first` list of a frame
+        clears the targets if nothing else has."""
         ...
 
 
 class CallbackDrawer:
-    """A `SceneDrawer` without a device, which hands the rows of each batch to a function; for tools and tests.
+    """A `SceneDrawer` without a device, which hands the rows of each batch to a function; for tools and
+    tests.
 
     It has neither buffers nor depth, so algorithms that need them are refused (`visibility-no-renderer`).
     """

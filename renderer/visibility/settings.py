@@ -1,7 +1,7 @@
 """The parameters of visibility algorithms, and the file that keeps them.
 
-`python -m renderer tune` finds the best b and n for a scene and a device (thesis 6.5.1) and writes such a file;
-`render`, `compare visibility` and `debug visibility` read it with `--settings`.
+`python -m renderer tune` finds the best b and n for a scene and a device (thesis 6.5.1) and writes such a
+file; `render`, `compare visibility` and `debug visibility` read it with `--settings`.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ class VisibilitySettings:
         batch: number of hidden nodes that are gathered before they are queried, the thesis's b; 1 or more.
         persistence: number of frames for which a visible leaf isn't queried again, the thesis's n; 1 or more.
         leaf_size: largest number of objects in a leaf; they are queried and drawn together. 1 or more.
-        threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
-        emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in
-            any case on a device without its own. Conditional culling can't use emulated ones.
+        threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may
+            differ.
+        emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they
+            are in any case on a device without its own. Conditional culling can't use emulated ones.
         occluders: the largest number of objects that software occlusion draws; 1 or more.
-        occluder_pixels: how many pixels of the image, in width and height, are one for its occluders; 1 or more.
-            Above 1 what is seen through narrow gaps between them may be missing.
-        pyramid_texels: the largest width and height, in texels of a depth pyramid, of what a box is compared with in
-            `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less. In the last level,
-            which is at most 16 texels wide and high, there may be more."""
+        occluder_pixels: how many pixels of the image, in width and height, are one for its occluders; 1 or
+            more. Above 1 what is seen through narrow gaps between them may be missing.
+        pyramid_texels: the largest width and height, in texels of a depth pyramid, of what a box is compared
+            with in `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less. In the
+            last level, which is at most 16 texels wide and high, there may be more."""
 
     batch: int = 50
     persistence: int = 20
@@ -53,7 +54,8 @@ class VisibilitySettings:
                 refuse(rules.BAD_PARAMETER, f"VisibilitySettings({name}=…)", text, allowed)
 
     def save(self, path: Path, **metadata: Any) -> None:
-        """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores it."""
+        """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores
+        it."""
         path.write_text(json.dumps({"visibility": asdict(self), **metadata}, indent=2) + "\n")
 
     @classmethod
@@ -78,7 +80,15 @@ class VisibilitySettings:
         return cls(**numbers)
 
 
-_COUNTS: Final = ("batch", "persistence", "leaf_size", "threshold", "occluders", "occluder_pixels", "pyramid_texels")
+_COUNTS: Final = (
+    "batch",
+    "persistence",
+    "leaf_size",
+    "threshold",
+    "occluders",
+    "occluder_pixels",
+    "pyramid_texels",
+)
 """The parameters that are whole numbers: of 1 or more, a threshold of 0 or more."""
 
 DEFAULTS: Final = VisibilitySettings()

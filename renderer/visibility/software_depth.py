@@ -1,12 +1,13 @@
 """Occlusion culling with a second device as software rasteriser (thesis 8.2).
 
-1. Of the objects in the frustum, those that look largest to the camera are drawn, with depth only, on a device of the
-   algorithm's own, at the image's size or a whole part of it. It is an OpenCL device: on a CPU, a rasteriser in
-   software.
-2. The boxes of all objects in the frustum are tested against that depth in one batch (`OccluderDepth`). What isn't
-   behind it is drawn.
+1. Of the objects in the frustum, those that look largest to the camera are drawn, with depth only, on a
+   device of the algorithm's own, at the image's size or a whole part of it. It is an OpenCL device: on a CPU,
+   a rasteriser in software.
+2. The boxes of all objects in the frustum are tested against that depth in one batch (`OccluderDepth`). What
+   isn't behind it is drawn.
 
-The renderer's device is not queried, and none of its states change. Nothing is remembered from frame to frame.
+The renderer's device is not queried, and none of its states change. Nothing is remembered from frame to
+frame.
 """
 
 from __future__ import annotations
@@ -49,9 +50,11 @@ class SoftwareDepth:
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene, _: Device | None = None, settings: VisibilitySettings = DEFAULTS) -> None:
-        """Occluders are drawn on a device of the algorithm's own. Raises `DeviceError` where there is no OpenCL
-        device."""
+    def __init__(
+        self, scene: Scene, _: Device | None = None, settings: VisibilitySettings = DEFAULTS
+    ) -> None:
+        """Occluders are drawn on a device of the algorithm's own. Raises `DeviceError` where there is no
+        OpenCL device."""
         self._scene = scene
         self._frustum = FrustumCulling(scene)
         self._limit = min(settings.occluders, len(scene.objects))
@@ -81,7 +84,9 @@ class SoftwareDepth:
         tested = np.flatnonzero(~visible_mask)
         lower, upper = lower[tested], upper[tested]
         begin = time.perf_counter()
-        visible_mask[tested] = self._depth.test_boxes(0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower))
+        visible_mask[tested] = self._depth.test_boxes(
+            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower)
+        )
         stalled = time.perf_counter() - begin
         visible = object_indices[visible_mask]
         if len(visible):
@@ -95,13 +100,15 @@ class SoftwareDepth:
         )
 
     def choose_occluders(self, camera: Camera, object_indices: Indices) -> Indices:
-        """Return those of the objects `object_indices` (k,) with the largest surface over squared distance, near ones
-        first."""
+        """Return those of the objects `object_indices` (k,) with the largest surface over squared distance,
+        near ones first."""
         objects = self._scene.objects
-        # Simulated objects are where the renderer has last drawn them, the triangles of height fields aren't those
-        # that it draws, and others than opaque ones hide only a part.
+        # Simulated objects are where the renderer has last drawn them, the triangles of height fields aren't
+        # those that it draws, and others than opaque ones hide only a part.
         is_opaque = self._scene.materials["alpha_mode"][objects.material[object_indices]] == AlphaMode.OPAQUE
-        is_fixed = ~(objects.simulated[object_indices] | np.isin(object_indices, list(self._scene.height_fields)))
+        is_fixed = ~(
+            objects.simulated[object_indices] | np.isin(object_indices, list(self._scene.height_fields))
+        )
         object_indices = object_indices[is_opaque & is_fixed]
         lower, upper = objects.lower[object_indices], objects.upper[object_indices]
         extent = np.minimum(upper - lower, 1e100)

@@ -1,7 +1,8 @@
 """Trials find the fastest of some candidates by drawing some frames with each.
 
-What is fastest depends on the scene, the view and the device, so a choice is looked at again when the view has
-changed. `AutoCulling` chooses visibility algorithms like this, `renderer.techniques.AutoTechnique` techniques."""
+What is fastest depends on the scene, the view and the device, so a choice is looked at again when the view
+has changed. `AutoCulling` chooses visibility algorithms like this, `renderer.techniques.AutoTechnique`
+techniques."""
 
 from __future__ import annotations
 
@@ -24,12 +25,12 @@ _MAX_IDLE_RATIO: Final = 8  # ratio to the shortest rest
 class SpeedTrial:
     """Tries each candidate for some frames, then stays with the fastest until the view has changed.
 
-    The view has changed when the eye has moved by 0.15 of the scene's diagonal or turned by 45°, or when the amount
-    drawn has grown or shrunk by a factor of 1.5. After a trial there is none for a number of frames, which doubles
-    each time that a trial has the same result.
+    The view has changed when the eye has moved by 0.15 of the scene's diagonal or turned by 45°, or when the
+    amount drawn has grown or shrunk by a factor of 1.5. After a trial there is none for a number of frames,
+    which doubles each time that a trial has the same result.
 
-    Each frame goes like this: `check_view` from the camera; if `is_trying`, draw with `current_name`, wait for the
-    device and `add_time`; otherwise draw with `current_name` and `idle`.
+    Each frame goes like this: `check_view` from the camera; if `is_trying`, draw with `current_name`, wait
+    for the device and `add_time`; otherwise draw with `current_name` and `idle`.
 
     Attributes:
         names: the names of all candidates.
@@ -40,10 +41,10 @@ class SpeedTrial:
     def __init__(self, scene: Scene, names: Sequence[str], *, frames: int = 5, idle: int = 120) -> None:
         """Begin the first trial, if there are several candidates.
 
-        Each is tried for `frames` frames, 3 or more: the first two aren't counted, and the least time of the others
-        counts. A candidate is given up when they leave no hope that it is the fastest. When the second best is close
-        to the fastest, both are tried again, because disturbances of a machine last for some frames. `idle` is the
-        least number of frames without a trial after a trial.
+        Each is tried for `frames` frames, 3 or more: the first two aren't counted, and the least time of the
+        others counts. A candidate is given up when they leave no hope that it is the fastest. When the second
+        best is close to the fastest, both are tried again, because disturbances of a machine last for some
+        frames. `idle` is the least number of frames without a trial after a trial.
         """
         self.names = tuple(names)
         self.current_name = self.names[0]
@@ -97,7 +98,8 @@ class SpeedTrial:
                 self.current_name = self._untried[-1]
 
     def idle(self, amount: int) -> None:
-        """Note what a frame without a trial has drawn, and begin one if it is far more or less than before."""
+        """Note what a frame without a trial has drawn, and begin one if it is far more or less than
+        before."""
         self._left -= 1
         self._amount = self._amount or amount
         if self._left < 0 and max(amount, self._amount) > _AMOUNT_RATIO * min(amount, self._amount):

@@ -1,8 +1,9 @@
 """The traversal of an algorithm in its last frame, node by node, for debug images.
 
-An algorithm that walks a hierarchy of the CPU tells what became of each node that it reached (`TraversalSource`). All
-is read from what it remembers anyway, and only when asked for. For the other algorithms `compute_traversal` shows
-objects: those in the frustum that were drawn, those that weren't, and those outside.
+An algorithm that walks a hierarchy of the CPU tells what became of each node that it reached
+(`TraversalSource`). All is read from what it remembers anyway, and only when asked for. For the other
+algorithms `compute_traversal` shows objects: those in the frustum that were drawn, those that weren't, and
+those outside.
 """
 
 from __future__ import annotations
@@ -76,7 +77,9 @@ def compute_traversal(
         outcomes[:] = TraversalOutcome.HIDDEN
         outcomes[drawn] = TraversalOutcome.VISIBLE
         inside[drawn] = True
-    return CullingTraversal(False, lower, upper, np.where(inside, outcomes, np.uint8(TraversalOutcome.OUTSIDE)))
+    return CullingTraversal(
+        False, lower, upper, np.where(inside, outcomes, np.uint8(TraversalOutcome.OUTSIDE))
+    )
 
 
 def forest_traversal(
@@ -88,8 +91,8 @@ def forest_traversal(
         visited: the nodes that were reached and aren't outside.
         visible: the nodes in which something is visible. asked: those for which a query was issued.
 
-    A node outside the frustum was reached if its parent was opened; of a parent in which nothing was found, it shows
-    only beside a sibling that was visited.
+    A node outside the frustum was reached if its parent was opened; of a parent in which nothing was found,
+    it shows only beside a sibling that was visited.
     """
     parent = np.array(forest.parent)
     has_parent = parent >= 0
@@ -98,6 +101,8 @@ def forest_traversal(
     opened[parent[visited & has_parent]] = True
     outside = (np.frombuffer(forest.status, np.uint8) == OUTSIDE) & (~has_parent | opened[parent])
     outcome = np.where(np.frombuffer(queried, np.uint8), TraversalOutcome.QUERIED, TraversalOutcome.VISIBLE)
-    outcome = np.where(outside, TraversalOutcome.OUTSIDE, np.where(is_visible, outcome, TraversalOutcome.HIDDEN))
+    outcome = np.where(
+        outside, TraversalOutcome.OUTSIDE, np.where(is_visible, outcome, TraversalOutcome.HIDDEN)
+    )
     rows = np.flatnonzero(visited | outside)
     return CullingTraversal(True, forest.lower[rows], forest.upper[rows], outcome[rows].astype(np.uint8))

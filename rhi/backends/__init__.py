@@ -1,1 +1,2 @@
-"""Implementations of `rhi.contract.Backend`, one package per platform. None imports another or holds policy."""
+"""Implementations of `rhi.contract.Backend`, one package per platform. None imports another or holds
+policy."""

@@ -27,13 +27,23 @@ class StreamContext:
         states: the value of every state type, as sent to the backend.
         labels: the open labels, outermost first.
         program: the id of the bound program, 0 for none.
-        open_query, condition: ids of the open occlusion query and of the query that draws depend on; 0 for none.
+        open_query, condition: ids of the open occlusion query and of the query that draws depend on; 0 for
+            none.
         render_pass: the descriptor of the open pass, or None outside a pass.
         resources: the descriptors of existing resources, by id.
         slots: the bindings by (kind, slot): the arguments of the binding command that follow the slot.
     """
 
-    __slots__ = ("condition", "labels", "open_query", "program", "render_pass", "resources", "slots", "states")
+    __slots__ = (
+        "condition",
+        "labels",
+        "open_query",
+        "program",
+        "render_pass",
+        "resources",
+        "slots",
+        "states",
+    )
 
     def __init__(self) -> None:
         self.states: States = dict(zip(STATE_TYPES, default_values(), strict=True))

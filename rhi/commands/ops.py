@@ -1,6 +1,7 @@
 """The operations: one `Op` for each method of `rhi.contract.Backend` that is a command.
 
-The names, order and types of a command's arguments come from the method's signature and are stated nowhere else.
+The names, order and types of a command's arguments come from the method's signature and are stated nowhere
+else.
 """
 
 from __future__ import annotations
@@ -119,6 +120,11 @@ States: TypeAlias = dict[type, object]
 """The value of each state type. For types that exist per target it is a tuple of 8, one per target."""
 
 Descriptor: TypeAlias = (
-    BufferDescriptor | TextureDescriptor | SamplerDescriptor | ProgramDescriptor | VertexArrayDescriptor | QueryKind
+    BufferDescriptor
+    | TextureDescriptor
+    | SamplerDescriptor
+    | ProgramDescriptor
+    | VertexArrayDescriptor
+    | QueryKind
 )
 """The descriptor of a resource."""

@@ -1,11 +1,11 @@
 """The recorder: a `Backend` that records each call and forwards it to another backend.
 
-- Each call is recorded before it is forwarded: its op, its arguments and its call site (the caller's code object
-  and instruction offset). A call that raises stays in the stream, marked with the error.
-- Data to be written is copied, and the copy is forwarded. So the stream stays correct whatever the caller does with
-  its array, and the inner backend need not copy again.
-- The methods are generated from the signatures of `Backend`, once when a class is created. One text stands for
-  all of them, and arguments are passed without packing (`*args` would double the cost).
+- Each call is recorded before it is forwarded: its op, its arguments and its call site (the caller's code
+  object and instruction offset). A call that raises stays in the stream, marked with the error.
+- Data to be written is copied, and the copy is forwarded. So the stream stays correct whatever the caller
+  does with its array, and the inner backend need not copy again.
+- The methods are generated from the signatures of `Backend`, once when a class is created. One text stands
+  for all of them, and arguments are passed without packing (`*args` would double the cost).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from rhi.errors.call_sites import MARK, MARKED, mark_library
 class CommandMethods:
     """The command methods of a `Backend`, all generated from one text.
 
-    A subclass defines `METHOD`, the body of a method, in which `{op}` stands for the number of its `Op`, `{method}`
-    for its name and `{arguments}` for its arguments ("a, b, " or nothing). Methods that the subclass defines itself
-    are kept. The body receives data to be written as `bytes`, and sequences as tuples. A subclass without a `METHOD`
-    of its own inherits the methods.
+    A subclass defines `METHOD`, the body of a method, in which `{op}` stands for the number of its `Op`,
+    `{method}` for its name and `{arguments}` for its arguments ("a, b, " or nothing). Methods that the
+    subclass defines itself are kept. The body receives data to be written as `bytes`, and sequences as
+    tuples. A subclass without a `METHOD` of its own inherits the methods.
 
     Attributes:
         METHOD: the body of each generated method.
@@ -96,7 +96,8 @@ class CommandMethods:
 
 
 def _make_methods(cls: type[CommandMethods], namespace: dict[str, object]) -> dict[str, Callable[..., Any]]:
-    """Generate the methods that a class doesn't define itself. Compiling them together takes half the time."""
+    """Generate the methods that a class doesn't define itself. Compiling them together takes half the
+    time."""
     lines: list[str] = []
     for op in Op:
         if op.method in vars(cls):
@@ -161,7 +162,8 @@ class CommandWriter(CommandMethods):
 
     Attributes:
         stream: the commands so far.
-        vertex_arrays: the requested vertex arrays, by id. They are created once, before the commands are executed.
+        vertex_arrays: the requested vertex arrays, by id. They are created once, before the commands are
+            executed.
     """
 
     __slots__ = ("_write", "capabilities", "stream", "vertex_arrays")
@@ -251,7 +253,9 @@ class Recorder(ForwardingBackend):
         """Record a command that was called elsewhere, with its own call site, and forward it."""
         self.repeat(*self.prepare(op, arguments, code, offset))
 
-    def prepare(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> tuple[Any, ...]:
+    def prepare(
+        self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int
+    ) -> tuple[Any, ...]:
         """Return arguments for `repeat`, which can be called many times with them, in half the time of
         `forward`."""
         return (int(op), *arguments, code, offset), *resolve_call(self.backend, op, arguments, code, offset)
@@ -287,7 +291,8 @@ class Recorder(ForwardingBackend):
 
 
 def forward(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-    """Call a backend's command that was called elsewhere, with its call site if the backend has a `forward` method."""
+    """Call a backend's command that was called elsewhere, with its call site if the backend has a `forward`
+    method."""
     call, given = resolve_call(backend, op, arguments, code, offset)
     call(*given)
 

@@ -1,10 +1,10 @@
 """The command stream: recorded commands, and views of them.
 
-- A stream is one flat list of entries `op, arguments…, code, lasti`. A tuple per command took 2.5 times as long: one
-  object per command keeps the garbage collector busy (a tuple that holds an enum stays tracked), and its header is a
-  third of the memory. The start of each command is found when the stream is read.
-- A call site is a code object and an instruction offset. It is resolved to a file and line on request. Code objects
-  are never hashed, because their hash reads all of their contents.
+- A stream is one flat list of entries `op, arguments…, code, lasti`. A tuple per command took 2.5 times as
+  long: one object per command keeps the garbage collector busy (a tuple that holds an enum stays tracked),
+  and its header is a third of the memory. The start of each command is found when the stream is read.
+- A call site is a code object and an instruction offset. It is resolved to a file and line on request. Code
+  objects are never hashed, because their hash reads all of their contents.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def call_site_at(code: CodeType | None, offset: int) -> CallSite | None:
 class Command:
     """A recorded call with its arguments: `command.op`, `command["count"]`, `command.site`.
 
-    Labels, states, program, bindings, resources and render pass are derived from the commands before it. They are
-    available until the stream is cleared; afterwards they raise `command-cleared`.
+    Labels, states, program, bindings, resources and render pass are derived from the commands before it. They
+    are available until the stream is cleared; afterwards they raise `command-cleared`.
     """
 
     __slots__ = ("_code", "_generation", "_stream", "failure", "index", "offset", "op", "values")
@@ -146,8 +146,8 @@ class Command:
 
     @property
     def bindings(self) -> dict[str, tuple[int, ...]]:
-        """The bindings of the bound program by name: (buffer, offset, size) of a uniform or storage range, (texture,
-        sampler) of a texture, (texture, level, layer) of an image."""
+        """The bindings of the bound program by name: (buffer, offset, size) of a uniform or storage range,
+        (texture, sampler) of a texture, (texture, level, layer) of an image."""
         context = self._context()
         program = context.resources.get(context.program)
         bindings = program.bindings if isinstance(program, ProgramDescriptor) else ()
@@ -215,8 +215,9 @@ class Commands(Sequence[Command]):
         where: Callable[[Command], bool] | None = None,
         **arguments: object,
     ) -> Commands:
-        """Return the commands that meet all conditions: their op is `op` or one of several, they are inside the label
-        at any depth, they have these argument values (`instances=4`; requires `op`), and `where` is true for them.
+        """Return the commands that meet all conditions: their op is `op` or one of several, they are inside
+        the label at any depth, they have these argument values (`instances=4`; requires `op`), and `where` is
+        true for them.
 
         Raises:
             ValidationError: `command-argument` for an argument that the op doesn't have.
@@ -250,8 +251,8 @@ class Commands(Sequence[Command]):
 
     @property
     def refusals(self) -> tuple[Refusal, ...]:
-        """The calls that were refused between the first and the last of these commands; all of them for a whole
-        stream."""
+        """The calls that were refused between the first and the last of these commands; all of them for a
+        whole stream."""
         indices, refused = self.indices(), self._stream._refusals
         if self._stream is self or not refused:
             return tuple(refused)
@@ -299,8 +300,8 @@ class CommandStream(Commands):
         data: the flat list of entries (`op, *arguments, code, lasti`). Only whole entries may be appended.
         failures: the calls that raised an exception, by index.
         generation: number of times that the stream was cleared.
-        is_complete: whether the stream contains all commands since its creation: it was never cleared and recording
-            was never paused.
+        is_complete: whether the stream contains all commands since its creation: it was never cleared and
+            recording was never paused.
     """
 
     __slots__ = (
@@ -324,7 +325,9 @@ class CommandStream(Commands):
         self.is_complete = True
         self._starts = array("Q")  # where each command begins in data, as far as it was read
         self._base = StreamContext()  # the context before the first command
-        self._gaps: list[tuple[int, int, tuple[Any, ...]]] = []  # (index, op, arguments) of commands that weren't kept
+        self._gaps: list[
+            tuple[int, int, tuple[Any, ...]]
+        ] = []  # (index, op, arguments) of commands that weren't kept
         self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context includes
 
     def indices(self) -> range:
@@ -399,7 +402,9 @@ class CommandStream(Commands):
         """Record that a call was refused at this point of the stream."""
         index = len(self)
         labels = self.context(index).labels
-        self.add_refusal(Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels))
+        self.add_refusal(
+            Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels)
+        )
 
     def add_refusal(self, refusal: Refusal) -> None:
         """Add a refused call. Its index is not below the indices of earlier ones."""

@@ -1,7 +1,7 @@
 """Commands as text: one line each, in the form of the call that made them.
 
-Arguments are shown as Python source where possible (`CullMode.NONE`, `Region(0, 0, 4, 4)`), without fields that have
-their default value. Memory is shown by its size.
+Arguments are shown as Python source where possible (`CullMode.NONE`, `Region(0, 0, 4, 4)`), without fields
+that have their default value. Memory is shown by its size.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def _describe_change(change: StateChange) -> str:
 
 
 def _describe_dataclass(value: object) -> str:
-    """Return a value's name in its class (`Scissor.OFF`), or its source without fields that have their default."""
+    """Return a value's name in its class (`Scissor.OFF`), or its source without fields that have their
+    default."""
     name = type(value).__name__
     for constant, constant_value in vars(type(value)).items():
         if type(constant_value) is type(value) and constant_value == value:

@@ -15,7 +15,8 @@ MARKS = {(True, True): "#", (True, False): "+", (False, True): "-", (False, Fals
 
 
 def assert_same(actual: ArrayLike, expected: ArrayLike) -> None:
-    """Assert that every value equals the expected one exactly; `expected` is broadcast to the shape of `actual`."""
+    """Assert that every value equals the expected one exactly; `expected` is broadcast to the shape of
+    `actual`."""
     assert_near(actual, expected, 0.0, "exact")
 
 
@@ -34,7 +35,8 @@ def assert_near(actual: ArrayLike, expected: ArrayLike, tolerance: ArrayLike, re
     worst = np.nan_to_num(error, nan=np.inf).max()
     lines = [f"{len(indices)} of {got.size} values differ by more than allowed ({reason}); worst {worst:g}"]
     lines += [
-        f"  at {tuple(int(i) for i in index)}: got {got[tuple(index)]!r}, expected {expected_values[tuple(index)]!r}"
+        f"  at {tuple(int(i) for i in index)}: got {got[tuple(index)]!r}, expected "
+        f"{expected_values[tuple(index)]!r}"
         for index in indices[:MAX_SHOWN]
     ]
     raise AssertionError("\n".join(lines))
@@ -45,12 +47,15 @@ def _widen(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def assert_mask(actual: NDArray[Any], expected: NDArray[np.bool_]) -> None:
-    """Assert that the nonzero texels of `actual` (height, width[, channels]) are exactly those of `expected`."""
+    """Assert that the nonzero texels of `actual` (height, width[, channels]) are exactly those of
+    `expected`."""
     __tracebackhide__ = True
     drawn = np.asarray(actual.any(axis=-1) if actual.ndim == 3 else actual != 0)
     if np.array_equal(drawn, expected):
         return
-    lines = [f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"]
+    lines = [
+        f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"
+    ]
     for got, expected_row in zip(drawn[:40], expected[:40], strict=True):
         lines.append("".join(MARKS[bool(g), bool(w)] for g, w in zip(got, expected_row, strict=True)))
     raise AssertionError("\n".join(lines))

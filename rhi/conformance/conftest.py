@@ -1,7 +1,7 @@
 """Fixtures of the kit.
 
-- `device`: one device per backend and session. Tests leave it as they found it; after a failed test the next one gets a
-  new device, so that a fault of one command doesn't show in the tests of others.
+- `device`: one device per backend and session. Tests leave it as they found it; after a failed test the next
+  one gets a new device, so that a fault of one command doesn't show in the tests of others.
 - `fresh_device`: a device for tests that change it permanently.
 - `mesh`: a rectangle of `device` over the whole target.
 - `recording`: a device for tests that read the command stream.
@@ -33,7 +33,9 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
     The kit's devices validate, and warn of what tests drop.
     """
-    item.add_marker(pytest.mark.filterwarnings("ignore:.* was collected instead of destroyed:ResourceWarning"))
+    item.add_marker(
+        pytest.mark.filterwarnings("ignore:.* was collected instead of destroyed:ResourceWarning")
+    )
     parameters = getattr(item, "callspec", None)
     backend = parameters.params.get("backend", "any") if parameters is not None else "any"
     group = f"{item.path.parent.name} · {item.path.stem.removeprefix('test_').replace('_', ' ')}"
@@ -102,8 +104,8 @@ def recording_device(request: pytest.FixtureRequest, shared_devices: SharedDevic
 def device(shared_device: rhi.Device, recording_device: rhi.Device, route: str) -> rhi.Device:
     """The shared device of this test's route.
 
-    Where a backend prepares draws, a device without a recorder calls other backend methods than a device with one.
-    Both must give the same pixels.
+    Where a backend prepares draws, a device without a recorder calls other backend methods than a device with
+    one. Both must give the same pixels.
     """
     device = shared_device if route == "direct" else recording_device
     if route == "recorded":

@@ -1,11 +1,11 @@
 """The kit's pytest plugin: its markers, the order of its tests, the scoreboard, and what to implement next.
 
 - The tests run in the order of the steps of a port, so `pytest -x` stops at the first problem.
-- A test that fails because a method of the backend is missing is reported as "missing", apart from failures: the
-  scoreboard counts it, and no traceback is printed for it, which would say no more.
+- A test that fails because a method of the backend is missing is reported as "missing", apart from failures:
+  the scoreboard counts it, and no traceback is printed for it, which would say no more.
 
-Pytest loads it through an entry point. It also loads `rhi.testing.plugin`, with the fixtures for users' tests and the
-option `--rhi-backend`: pytest would not know the option if a conftest below `--pyargs` defined it.
+Pytest loads it through an entry point. It also loads `rhi.testing.plugin`, with the fixtures for users' tests
+and the option `--rhi-backend`: pytest would not know the option if a conftest below `--pyargs` defined it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,12 @@ MAX_SHOWN: Final = 5
 
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the kit's markers."""
-    config.addinivalue_line("markers", "requires(*capabilities): skipped where the device declares one missing")
-    config.addinivalue_line("markers", "recorded_too: runs without and with a recorder in front of the backend")
+    config.addinivalue_line(
+        "markers", "requires(*capabilities): skipped where the device declares one missing"
+    )
+    config.addinivalue_line(
+        "markers", "recorded_too: runs without and with a recorder in front of the backend"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +78,8 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Attach to a failed kit test the backend method that it is missing.
 
-    Such a failure is replaced by a line with the method's name: formatting the tracebacks of 1,600 would take a minute.
+    Such a failure is replaced by a line with the method's name: formatting the tracebacks of 1,600 would take
+    a minute.
     """
     method = ""
     if call.excinfo is not None and _board_key(item) is not None:
@@ -92,7 +97,9 @@ def pytest_runtest_makereport(
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_report_teststatus(report: pytest.CollectReport | pytest.TestReport) -> tuple[str, str, object] | None:
+def pytest_report_teststatus(
+    report: pytest.CollectReport | pytest.TestReport,
+) -> tuple[str, str, object] | None:
     """Count a kit test that fails for a missing method as "missing"."""
     if report.failed and dict(getattr(report, "user_properties", ())).get(MISSING):
         return "missing", "m", ("MISSING", {"red": True})
@@ -126,7 +133,8 @@ class Board:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)  # after pytest's own summary, which has a line for each failure
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Generator[None]:
-    """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were skipped."""
+    """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were
+    skipped."""
     yield
     boards: dict[str, Board] = defaultdict(Board)
     for outcome in ("failed", "error", "missing", "passed", "skipped"):
@@ -153,7 +161,9 @@ def _write_board(reporter: pytest.TerminalReporter, board: Board) -> None:
         reporter.write_line(line, bold=True)
 
 
-def _write_row(reporter: pytest.TerminalReporter, name: str, counts: Counter[str], *, bold: bool = False) -> None:
+def _write_row(
+    reporter: pytest.TerminalReporter, name: str, counts: Counter[str], *, bold: bool = False
+) -> None:
     failed = counts["failed"] + counts["error"] + counts["missing"]
     row = f"{name}  {counts['passed']:5} passed"
     row += f"  {failed:4} failed" if failed or bold else ""
@@ -162,7 +172,8 @@ def _write_row(reporter: pytest.TerminalReporter, name: str, counts: Counter[str
 
 
 def describe_next(board: Board) -> list[str]:
-    """Return the lines about the first step with a failure: its missing methods, or else its failing tests."""
+    """Return the lines about the first step with a failure: its missing methods, or else its failing
+    tests."""
     if not board.failed:
         return []
     number = min(map(step_of, board.failed))

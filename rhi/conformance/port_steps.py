@@ -1,7 +1,7 @@
 """The steps of writing a port: the backend methods of each step, and the groups of the kit that test them.
 
-One table orders the template of a new backend, sorts the scoreboard and names the next step. A step's groups need only
-the methods of this step and those before it. docs/porting.md explains the steps one by one.
+One table orders the template of a new backend, sorts the scoreboard and names the next step. A step's groups
+need only the methods of this step and those before it. docs/porting.md explains the steps one by one.
 """
 
 from __future__ import annotations
@@ -29,14 +29,35 @@ class Step:
 STEPS: Final = (
     Step(
         "buffers",
-        ("capabilities", "close", "create_buffer", "destroy", "write_buffer", "read_buffer", "copy_buffer",
-         "clear_buffer", "signal", "completed", "wait"),
+        (
+            "capabilities",
+            "close",
+            "create_buffer",
+            "destroy",
+            "write_buffer",
+            "read_buffer",
+            "copy_buffer",
+            "clear_buffer",
+            "signal",
+            "completed",
+            "wait",
+        ),
         ("operation · buffers",),
     ),
     Step(
         "textures and passes",
-        ("create_texture", "create_sampler", "write_texture", "read_texture", "copy_texture", "copy_texture_to_buffer",
-         "copy_buffer_to_texture", "generate_mipmaps", "begin_pass", "end_pass"),
+        (
+            "create_texture",
+            "create_sampler",
+            "write_texture",
+            "read_texture",
+            "copy_texture",
+            "copy_texture_to_buffer",
+            "copy_buffer_to_texture",
+            "generate_mipmaps",
+            "begin_pass",
+            "end_pass",
+        ),
         ("operation · textures",),
     ),
     Step(
@@ -46,28 +67,57 @@ STEPS: Final = (
     ),
     Step(
         "compute",
-        ("create_program", "bind_program", "bind_uniform", "bind_storage", "bind_image", "dispatch",
-         "dispatch_indirect"),
+        (
+            "create_program",
+            "bind_program",
+            "bind_uniform",
+            "bind_storage",
+            "bind_image",
+            "dispatch",
+            "dispatch_indirect",
+        ),
         ("operation · compute", "operation · language", "operation · outside"),
     ),
     Step(
         "draws",
         ("create_vertex_array", "set_states", "draw", "draw_indirect"),
-        ("operation · orientation", "operation · rasterisation", "operation · topology", "operation · meshes",
-         "operation · points", "operation · transient", "operation · scopes", "operation · recording",
-         "operation · dropped", "operation · draw times", "operation · draw bounds"),
+        (
+            "operation · orientation",
+            "operation · rasterisation",
+            "operation · topology",
+            "operation · meshes",
+            "operation · points",
+            "operation · transient",
+            "operation · scopes",
+            "operation · recording",
+            "operation · dropped",
+            "operation · draw times",
+            "operation · draw bounds",
+        ),
     ),
     Step(
         "depth, stencil, blending and targets",
         ("resolve_texture",),
-        ("operation · depth", "operation · clipping", "operation · lines", "operation · stencil",
-         "operation · blending", "operation · targets", "operation · clears"),
+        (
+            "operation · depth",
+            "operation · clipping",
+            "operation · lines",
+            "operation · stencil",
+            "operation · blending",
+            "operation · targets",
+            "operation · clears",
+        ),
     ),
     Step(
         "texture reads",
         ("bind_texture",),
-        ("operation · textured draws", "operation · sampling", "operation · samples", "operation · compressed textures",
-         "operation · fragments"),
+        (
+            "operation · textured draws",
+            "operation · sampling",
+            "operation · samples",
+            "operation · compressed textures",
+            "operation · fragments",
+        ),
     ),
     Step(
         "occlusion queries",
@@ -77,10 +127,17 @@ STEPS: Final = (
     Step(
         "all together",
         (),
-        ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities",
-         "validation · threads", "validation · scopes", "validation · platform states"),
+        (
+            "operation · interplay",
+            "operation · command buffers",
+            "validation · refusals",
+            "validation · capabilities",
+            "validation · threads",
+            "validation · scopes",
+            "validation · platform states",
+        ),
     ),
-)  # fmt: skip
+)
 
 METHODS: Final = frozenset(name for name in vars(Backend) if not name.startswith("_"))
 """The names of all methods of the contract, and `capabilities`."""
@@ -89,7 +146,8 @@ _NUMBERS: Final = {group: number for number, step in enumerate(STEPS, 1) for gro
 
 
 def step_of(group: str) -> int:
-    """Return the number of a group's step, from 1, or the number of steps plus 1 for a group without a step."""
+    """Return the number of a group's step, from 1, or the number of steps plus 1 for a group without a
+    step."""
     return _NUMBERS.get(group, len(STEPS) + 1)
 
 

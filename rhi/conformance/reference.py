@@ -1,7 +1,7 @@
 """The reference: expected results, computed in float64 NumPy for values and in exact integers for coverage.
 
-The code is simple rather than fast, since all results are compared with it. Colors are (…, 4) arrays, images have
-their top row first, and y points down in windows.
+The code is simple rather than fast, since all results are compared with it. Colors are (…, 4) arrays, images
+have their top row first, and y points down in windows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ Array = NDArray[Any]
 Float = NDArray[np.float64]
 
 SUBTEXELS = 16
-"""Triangle corners lie on multiples of 1/16 texel, which every device's fixed-point grid represents exactly."""
+"""Triangle corners lie on multiples of 1/16 texel, which every device's fixed-point grid represents
+exactly."""
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "never": lambda new, stored: np.zeros(np.broadcast(new, stored).shape, bool),
@@ -50,15 +51,21 @@ def blend(function: BlendFunction, source: ArrayLike, destination: ArrayLike, co
         function.operation_alpha or function.operation,
         function.source_alpha or function.source,
         function.destination_alpha or function.destination,
-        src, dst, con,
-    )  # fmt: skip
+        src,
+        dst,
+        con,
+    )
     return np.concatenate([color[..., :3], alpha[..., 3:]], axis=-1)
 
 
 def _combine(
-    operation: BlendOperation, source_factor: BlendFactor, destination_factor: BlendFactor, source: Float,
-    destination: Float, constant: Float,
-) -> Float:  # fmt: skip
+    operation: BlendOperation,
+    source_factor: BlendFactor,
+    destination_factor: BlendFactor,
+    source: Float,
+    destination: Float,
+    constant: Float,
+) -> Float:
     if operation is BlendOperation.MINIMUM:
         return np.minimum(source, destination)
     if operation is BlendOperation.MAXIMUM:
@@ -72,7 +79,9 @@ def _combine(
     return left + right
 
 
-def blend_factor(factor: BlendFactor, source: ArrayLike, destination: ArrayLike, constant: ArrayLike) -> Float:
+def blend_factor(
+    factor: BlendFactor, source: ArrayLike, destination: ArrayLike, constant: ArrayLike
+) -> Float:
     """Blend factor of each channel, not yet clamped. All arrays are (…, 4)."""
     source, destination, constant = (np.asarray(v, np.float64) for v in (source, destination, constant))
     ones = np.ones_like(source)
@@ -152,7 +161,8 @@ def _scale(format: Format) -> Any:
 
 
 def decode(format: Format, stored: ArrayLike) -> Float:
-    """Return the (…, 4) value that a shader reads for `stored` (…, channels); missing channels are 0, 0, 1."""
+    """Return the (…, 4) value that a shader reads for `stored` (…, channels); missing channels are 0, 0,
+    1."""
     values = np.asarray(stored, np.float64)
     if format.kind is ChannelKind.UNORM:
         values = values / _scale(format)
@@ -183,7 +193,9 @@ def encode(format: Format, color: ArrayLike) -> Float:
 def rounding(format: Format, expected: Float) -> tuple[Float, str]:
     """Return (tolerance, reason) for a conversion whose exact result is `expected`."""
     if format is Format.R11G11B10F:  # truncation is allowed here, too
-        return np.maximum(np.abs(expected) * 2.0 ** -np.array([6, 6, 5]), 2.0**-19), "truncation to 6, 6 and 5 bits"
+        return np.maximum(
+            np.abs(expected) * 2.0 ** -np.array([6, 6, 5]), 2.0**-19
+        ), "truncation to 6, 6 and 5 bits"
     if format.dtype.kind == "f":
         # A device may truncate instead of rounding (OpenGL 4.3, section 2.3.4.1: implementation-dependent).
         bits = 10 if format.dtype.itemsize == 2 else 23
@@ -197,7 +209,8 @@ def rounding(format: Format, expected: Float) -> tuple[Float, str]:
 
 
 def halve(format: Format, stored: Array) -> Float:
-    """Return the next mip level of (height, width, channels) texels, not yet rounded: a 2×2 box in linear light.
+    """Return the next mip level of (height, width, channels) texels, not yet rounded: a 2×2 box in linear
+    light.
 
     Height and width must be even.
     """
@@ -215,7 +228,8 @@ def halve(format: Format, stored: Array) -> Float:
 def rasterise(triangle: ArrayLike, width: int, height: int, subtexels: int = SUBTEXELS) -> NDArray[np.bool_]:
     """Return the texels whose centers a triangle covers by the top-left rule, exactly.
 
-    `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, or in 1/`subtexels`, of either winding.
+    `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, or in 1/`subtexels`, of either
+    winding.
     """
     inside = np.ones((height, width), bool)
     for edge, is_top_left, _ in _edges(triangle, width, height, subtexels):
@@ -226,8 +240,9 @@ def rasterise(triangle: ArrayLike, width: int, height: int, subtexels: int = SUB
 def rasterise_line(
     start: ArrayLike, end: ArrayLike, line_width: int, width: int, height: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (certain, possible): the texels of a line that covers `line_width` texels in each column if it is wider
-    than high, else in each row. Platforms choose at its ends, and where a texel's centre lies on its border.
+    """Return (certain, possible): the texels of a line that covers `line_width` texels in each column if it
+    is wider than high, else in each row. Platforms choose at its ends, and where a texel's centre lies on its
+    border.
 
     `start` and `end` are int: window x (right), y (down) in 1/16 texel.
     """
@@ -244,7 +259,8 @@ def rasterise_line(
 def rasterise_within(
     triangle: ArrayLike, width: int, height: int, margin: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (certain, possible): the texels covered with every edge moved inwards, or outwards, by `margin` texels.
+    """Return (certain, possible): the texels covered with every edge moved inwards, or outwards, by `margin`
+    texels.
 
     This is for triangles that extend beyond the target: clipping them moves their edges by a rounding error.
     """
@@ -266,9 +282,9 @@ def _edges(
 def edge_functions(
     corners: Sequence[tuple[int, int]], x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.int64], bool, float]]:
-    """Yield for each edge of a triangle the edge function at places x (right) and y (down), in the corners' unit and
-    positive inside; whether it is a top or left edge, to which places on it belong; and its length. Corners have either
-    winding. A triangle without area gets one edge with every place outside."""
+    """Yield for each edge of a triangle the edge function at places x (right) and y (down), in the corners'
+    unit and positive inside; whether it is a top or left edge, to which places on it belong; and its length.
+    Corners have either winding. A triangle without area gets one edge with every place outside."""
     (ax, ay), (bx, by), (cx, cy) = corners
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if area == 0:

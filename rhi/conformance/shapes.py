@@ -29,15 +29,22 @@ def corners(positions: ArrayLike, color: ArrayLike = WHITE, depth: ArrayLike = 0
 
 
 def rectangle(
-    left: float = -1.0, bottom: float = -1.0, right: float = 1.0, top: float = 1.0, *,
-    depth: ArrayLike = 0.5, color: ArrayLike = WHITE,
-) -> VertexRows:  # fmt: skip
+    left: float = -1.0,
+    bottom: float = -1.0,
+    right: float = 1.0,
+    top: float = 1.0,
+    *,
+    depth: ArrayLike = 0.5,
+    color: ArrayLike = WHITE,
+) -> VertexRows:
     """Return a rectangle as two front-facing triangles (counter-clockwise with +Y up)."""
     a, b, c, d = (left, bottom), (right, bottom), (right, top), (left, top)
     return corners([a, b, c, a, c, d], color, depth)
 
 
-def texel_rectangle(x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any) -> VertexRows:
+def texel_rectangle(
+    x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any
+) -> VertexRows:
     """Return a rectangle given in texels from the top left of a (width, height) target."""
     w, h = size
     return rectangle(2 * x / w - 1, 1 - 2 * (y + height) / h, 2 * (x + width) / w - 1, 1 - 2 * y / h, **more)
@@ -55,9 +62,13 @@ def window_to_clip(points: ArrayLike, size: Sequence[int]) -> NDArray[np.float64
 
 
 def point_vertices(
-    positions: ArrayLike, size: Sequence[int], sizes: ArrayLike, colors: ArrayLike = (1, 1, 1, 1), depth: float = 0.5,
+    positions: ArrayLike,
+    size: Sequence[int],
+    sizes: ArrayLike,
+    colors: ArrayLike = (1, 1, 1, 1),
+    depth: float = 0.5,
     w: float = 1.0,
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """Return vertices of `shaders.Sized` at window positions in texels, with their sizes."""
     plane = window_to_clip(positions, size)
     rows = np.zeros(len(plane), [("position", "f4", 4), ("color", "f4", 4), ("size", "f4")])

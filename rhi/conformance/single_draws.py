@@ -14,12 +14,21 @@ from rhi.shading import Shader
 
 
 def draw_once(
-    device: Device, source: tuple[int, int] | NDArray[Any], format: Format, rows: VertexSource | int, /, *states: State,
-    shader: type[Shader] = Colored, indices: ArrayLike | None = None, primitive: Primitive = Primitive.TRIANGLES,
-    samples: int = 1, clear: tuple[float, float, float, float] | None = None, **bindings: Any,
-) -> NDArray[Any]:  # fmt: skip
-    """Return the texels (height, width, channels) of a new texture, of a size or with texels, after one draw of
-    vertices into it. One of several samples is resolved at the end of the pass; depth begins at 0."""
+    device: Device,
+    source: tuple[int, int] | NDArray[Any],
+    format: Format,
+    rows: VertexSource | int,
+    /,
+    *states: State,
+    shader: type[Shader] = Colored,
+    indices: ArrayLike | None = None,
+    primitive: Primitive = Primitive.TRIANGLES,
+    samples: int = 1,
+    clear: tuple[float, float, float, float] | None = None,
+    **bindings: Any,
+) -> NDArray[Any]:
+    """Return the texels (height, width, channels) of a new texture, of a size or with texels, after one draw
+    of vertices into it. One of several samples is resolved at the end of the pass; depth begins at 0."""
     with (
         device.texture(source, format, samples=samples) as image,
         device.mesh(rows, indices, primitive=primitive) as mesh,

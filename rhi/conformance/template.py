@@ -1,8 +1,8 @@
 """`python -m rhi new-backend NAME`: writes the package that a port starts from.
 
-The package can be installed, registers itself and runs the kit at once. Every method of the contract is there and
-raises NotImplementedError, so each test fails with the name of the method that it needs. The methods are generated
-from `Backend`, in the order of `steps`.
+The package can be installed, registers itself and runs the kit at once. Every method of the contract is there
+and raises NotImplementedError, so each test fails with the name of the method that it needs. The methods are
+generated from `Backend`, in the order of `steps`.
 """
 
 from __future__ import annotations
@@ -150,7 +150,8 @@ def write_package(name: str, folder: Path) -> Path:
 
 
 def _methods() -> Iterator[str]:
-    """Yield the source of each method that the template doesn't contain already, under the title of its step."""
+    """Yield the source of each method that the template doesn't contain already, under the title of its
+    step."""
     for number, step in enumerate(STEPS, 1):
         missing = [method for method in step.methods if method not in ("capabilities", "close")]
         if missing:

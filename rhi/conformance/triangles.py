@@ -1,10 +1,12 @@
-"""Random triangles in clip space, what they must cover, and how deep they are: an exam of clipping and interpolation.
+"""Random triangles in clip space, what they must cover, and how deep they are: an exam of clipping and
+interpolation.
 
-- The reference is a set of lines in the window: the three edges and the near and far planes' cuts. Weights divided
-  by w are linear in the window, also of a corner behind the eye (Olano and Greer 1997), so nothing has to be cut.
-  Lines are computed with 64 bits of mantissa where the machine has them, and evaluated in float64.
-- A sample farther than `MARGIN` from all lines is certain. Devices round window positions to 1/256 pixel, so only
-  certain samples are checked.
+- The reference is a set of lines in the window: the three edges and the near and far planes' cuts. Weights
+  divided by w are linear in the window, also of a corner behind the eye (Olano and Greer 1997), so nothing
+  has to be cut. Lines are computed with 64 bits of mantissa where the machine has them, and evaluated in
+  float64.
+- A sample farther than `MARGIN` from all lines is certain. Devices round window positions to 1/256 pixel, so
+  only certain samples are checked.
 - Many triangles are drawn into one target, each into a cell of its own, which a viewport and a scissor make.
 """
 
@@ -35,7 +37,7 @@ MARGIN: Final = 1 / 256
 _CENTRES: Final = np.arange(CELL) + 0.5
 
 
-# -- families of triangles ---------------------------------------------------------------------------------------------
+# -- families of triangles -----------------------------------------------------------------------------------
 
 
 def at_the_eye(rng: np.random.Generator, count: int) -> Floats:
@@ -89,7 +91,9 @@ def slivers(rng: np.random.Generator, count: int) -> Floats:
     start, along = rng.uniform(-1, 1, (2, count, 2))
     across = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(*along.T)[:, None]
     thin = 10.0 ** rng.uniform(-3, 0, (count, 1)) * (2 / CELL)
-    flat = np.stack([start, start + along, start + along * rng.uniform(-0.2, 1.2, (count, 1)) + across * thin], 1)
+    flat = np.stack(
+        [start, start + along, start + along * rng.uniform(-0.2, 1.2, (count, 1)) + across * thin], 1
+    )
     return _finish(rng, flat)
 
 
@@ -107,8 +111,12 @@ def _finish(rng: np.random.Generator, flat: Floats) -> Floats:
 
 Family = Callable[[np.random.Generator, int], Floats]
 CUT: Final[tuple[Family, ...]] = (
-    at_the_eye, of_all_magnitudes, through_the_near_plane, beyond_the_guard_band, at_infinity,
-)  # fmt: skip
+    at_the_eye,
+    of_all_magnitudes,
+    through_the_near_plane,
+    beyond_the_guard_band,
+    at_infinity,
+)
 """Families of triangles that reach beyond the view or the eye."""
 WHOLE: Final[tuple[Family, ...]] = (inside, of_a_pixel, slivers)
 """Families of triangles that lie in the view."""
@@ -121,7 +129,7 @@ def make_triangles(family: Family, seed: int) -> Floats:
     return triangles.astype(np.float64)
 
 
-# -- drawing -----------------------------------------------------------------------------------------------------------
+# -- drawing -------------------------------------------------------------------------------------------------
 
 
 class WeightedCorner(Struct):
@@ -133,7 +141,8 @@ class WeightedCorner(Struct):
 
 
 class Weights(Shader):
-    """Adds one for each time that a texel is drawn, and the weights of the corners, which are their colors."""
+    """Adds one for each time that a texel is drawn, and the weights of the corners, which are their
+    colors."""
 
     def vertex(self, v: Corner) -> WeightedCorner:
         return WeightedCorner(clip=v.position, weights=v.color, straight=v.color)
@@ -164,7 +173,9 @@ def draw_cells(device: Device, triangles: Floats, wide: float = CELL) -> Triangl
         wide: edge length of each triangle's viewport, of which the cell is the middle.
     """
     size = CELLS_PER_ROW * CELL, CELLS_PER_ROW * CELL
-    rows = corners(triangles.reshape(-1, 4), np.tile([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)], (len(triangles), 1)))
+    rows = corners(
+        triangles.reshape(-1, 4), np.tile([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)], (len(triangles), 1))
+    )
     program = device.program(Weights)
     with (
         device.texture(size, Format.RGBA32F) as image,
@@ -189,7 +200,7 @@ def _to_cells(image: NDArray[np.float32]) -> Floats:
     return cells.reshape(BATCH, CELL, CELL, -1).astype(np.float64)
 
 
-# -- reference ----------------------------------------------------------------------------------------------------
+# -- reference -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,8 +254,8 @@ def compute_reference(triangles: Floats, wide: float = CELL) -> TriangleReferenc
 
 
 def _compute_planes(triangles: Floats, wide: float) -> tuple[Floats, Floats, Floats]:
-    """Return planes in the window: (n, 3, 3) of the corners' weights divided by w, and (n, 3) of the depth, and of the
-    distance from the far plane. Those of a triangle without area are NaN."""
+    """Return planes in the window: (n, 3, 3) of the corners' weights divided by w, and (n, 3) of the depth,
+    and of the distance from the far plane. Those of a triangle without area are NaN."""
     x, y, z, w = np.moveaxis(triangles.astype(np.longdouble), -1, 0)
     half, middle = np.longdouble(wide) / 2, np.longdouble(CELL) / 2
     window = np.stack([x * half + w * middle, -y * half + w * middle, w], -1)
@@ -256,7 +267,8 @@ def _compute_planes(triangles: Floats, wide: float) -> tuple[Floats, Floats, Flo
 
 
 def _measure(lines: Floats) -> Floats:
-    """Scale lines (…, 3) so that they give distances in texels. One that is parallel to the window is far away."""
+    """Scale lines (…, 3) so that they give distances in texels. One that is parallel to the window is far
+    away."""
     length = np.hypot(lines[..., 0], lines[..., 1])
     parallel = length <= np.abs(lines[..., 2]) * 1e-15
     scaled = lines / np.where(parallel, np.abs(lines[..., 2]) / 1e9, length)[..., None]
@@ -269,7 +281,7 @@ def _evaluate(lines: Floats) -> Floats:
     return np.asarray(along + (lines[:, 1, None, None] * _CENTRES[:, None] + lines[:, 2, None, None]))
 
 
-# -- judgement ---------------------------------------------------------------------------------------------------------
+# -- judgement -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +290,8 @@ class TriangleErrors:
 
     Attributes:
         drawn: the number of texels drawn.
-        wrong: (n,), texels of each triangle that are drawn though farther than `MARGIN` outside, or not drawn though
-            farther than that inside, or drawn twice.
+        wrong: (n,), texels of each triangle that are drawn though farther than `MARGIN` outside, or not drawn
+            though farther than that inside, or drawn twice.
         depth_error: of depth, at texels whose centre lies inside.
         depth_beyond: how far a depth of a drawn texel lies outside of the corners' depths.
         weight_error: of a weight with perspective, at texels whose centre lies inside.
@@ -295,25 +307,34 @@ class TriangleErrors:
 
 
 def examine(device: Device, family: Family, seed: int, wide: float = CELL) -> TriangleErrors:
-    """Draw BATCH triangles of a family and compare the results with the reference; `wide` as for `draw_cells`."""
+    """Draw BATCH triangles of a family and compare the results with the reference; `wide` as for
+    `draw_cells`."""
     triangles = make_triangles(family, seed)
     results, reference = draw_cells(device, triangles, wide), compute_reference(triangles, wide)
     wrong = (results.counts != 0).sum((1, 2))  # of those that must draw nothing
-    counts, depth, weights = (array[reference.visible] for array in (results.counts, results.depth, results.weights))
-    drawn, once = counts != 0, counts == 1
-    wrong[reference.visible] = ((drawn & ~reference.possible) | (reference.certain & ~drawn) | (drawn & ~once)).sum(
-        (1, 2)
+    counts, depth, weights = (
+        array[reference.visible] for array in (results.counts, results.depth, results.weights)
     )
+    drawn, once = counts != 0, counts == 1
+    wrong[reference.visible] = (
+        (drawn & ~reference.possible) | (reference.certain & ~drawn) | (drawn & ~once)
+    ).sum((1, 2))
     inside, texels = once & reference.is_inside, np.nonzero(once)
     beyond = np.maximum(reference.low[texels[0]] - depth[texels], depth[texels] - reference.high[texels[0]])
     first, second, straight = weights[texels].T
-    straight = np.where(reference.is_before_eye[texels[0]], straight, 0.5)  # behind the eye it may be anything
+    straight = np.where(
+        reference.is_before_eye[texels[0]], straight, 0.5
+    )  # behind the eye it may be anything
     sums = np.stack([first, second, 1 - first - second, straight])
 
     def worst(errors: Floats) -> float:
         return float(np.nan_to_num(errors, nan=np.inf).max(initial=0.0))
 
     return TriangleErrors(
-        int(drawn.sum()), wrong, worst(np.abs(depth - reference.depth)[inside]), worst(beyond),
-        worst(np.abs(weights[..., :2] - reference.weights)[inside]), worst(np.maximum(-sums, sums - 1)),
-    )  # fmt: skip
+        int(drawn.sum()),
+        wrong,
+        worst(np.abs(depth - reference.depth)[inside]),
+        worst(beyond),
+        worst(np.abs(weights[..., :2] - reference.weights)[inside]),
+        worst(np.maximum(-sums, sums - 1)),
+    )

@@ -1,4 +1,5 @@
-"""The time for which the kit waits for a device. No result depends on it, only how soon a stuck device is reported."""
+"""The time for which the kit waits for a device. No result depends on it, only how soon a stuck device is
+reported."""
 
 from __future__ import annotations
 

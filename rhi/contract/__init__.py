@@ -1,7 +1,8 @@
 """The contract of a port: everything that an implementation package imports, on one page.
 
-A port implements `Backend`, says what it can do in `Capabilities`, and is given plain frozen values. It imports
-nothing else of `rhi` but `rhi.shading`, where it needs more of a shader than its text. See docs/porting.md.
+A port implements `Backend`, says what it can do in `Capabilities`, and is given plain frozen values. It
+imports nothing else of `rhi` but `rhi.shading`, where it needs more of a shader than its text. See
+docs/porting.md.
 """
 
 from rhi.contract.backend import FOREVER as FOREVER

@@ -1,15 +1,15 @@
 """The contract of a port: the methods that each platform implements, and the capabilities that it declares.
 
 - A backend holds no policy. Calls were validated (`rhi.device.device`) and redundant state changes removed
-  (`rhi.device.core.state_cache`) before they reach it, and it frees nothing on its own. It executes its commands in
-  order.
+  (`rhi.device.core.state_cache`) before they reach it, and it frees nothing on its own. It executes its
+  commands in order.
 - The device names resources by integers. A backend keeps its objects in tables indexed by them.
-- Arguments are plain data: integers, enums, frozen descriptors, bytes. So each call is a command that can be recorded
-  (`rhi.commands.recorder.Recorder` is a `Backend` that does so), saved, compared and replayed.
-- Commands take effect in the order of the calls. If a platform may reorder them (one dispatch writes memory that the
-  next one reads), its backend inserts the necessary barriers.
-- Conventions, each with its conformance tests: clip space has +Y up and depth 0 to 1. Row 0 of every image is its top
-  row; it is also texel row 0, window y = 0 and v = 0. Matrices in buffers are row-major.
+- Arguments are plain data: integers, enums, frozen descriptors, bytes. So each call is a command that can be
+  recorded (`rhi.commands.recorder.Recorder` is a `Backend` that does so), saved, compared and replayed.
+- Commands take effect in the order of the calls. If a platform may reorder them (one dispatch writes memory
+  that the next one reads), its backend inserts the necessary barriers.
+- Conventions, each with its conformance tests: clip space has +Y up and depth 0 to 1. Row 0 of every image is
+  its top row; it is also texel row 0, window y = 0 and v = 0. Matrices in buffers are row-major.
 - `capabilities` declares what the platform lacks. A method that needs a missing capability is never called.
 """
 
@@ -57,7 +57,8 @@ SAMPLE_COUNTS: Final = (1, 2, 4, 8)
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """The features and limits of a device. The front end refuses calls that need a feature whose flag is False."""
+    """The features and limits of a device. The front end refuses calls that need a feature whose flag is
+    False."""
 
     backend: str
     device: str
@@ -87,26 +88,28 @@ class Capabilities:
     max_shared_bytes: int = 32768
     max_anisotropy: float = 1.0
     max_point_size: float = 1.0
-    """The largest side of a point's square in texels, to which sizes are clamped. With 1.0, programs can't write point
-    sizes or read point coordinates."""
+    """The largest side of a point's square in texels, to which sizes are clamped. With 1.0, programs can't
+    write point sizes or read point coordinates."""
     max_line_width: float = 1.0
     """The largest `LineWidth`. With 1.0, all lines are one texel wide."""
     uniform_alignment: int = 256
     storage_alignment: int = 256
     copy_alignment: int = 1
-    """Offsets and sizes of `Backend.copy_buffer` are multiples of this number of bytes. Writes and reads aren't bound
-    by it."""
+    """Offsets and sizes of `Backend.copy_buffer` are multiples of this number of bytes. Writes and reads
+    aren't bound by it."""
     copy_offset_alignment: int = 4
-    """Alignment in bytes of a buffer's offset in copies between textures and buffers, besides that to whole texels."""
+    """Alignment in bytes of a buffer's offset in copies between textures and buffers, besides that to whole
+    texels."""
     copy_row_alignment: int = 1
     """Alignment in bytes of the distance between rows in such copies, besides that to whole texels."""
 
     compute: bool = True
     draws: bool = True
-    """Whether the device can draw. Without draws, passes still clear and resolve, and all programs are compute
-    programs."""
+    """Whether the device can draw. Without draws, passes still clear and resolve, and all programs are
+    compute programs."""
     shading: bool = True
-    """Whether draws and dispatches run shaders. False on a device that only records: pixels keep their clear value."""
+    """Whether draws and dispatches run shaders. False on a device that only records: pixels keep their clear
+    value."""
     indirect_count: bool = True
     """Whether the number of indirect draws can be read from a buffer."""
     occlusion_queries: bool = True
@@ -116,8 +119,8 @@ class Capabilities:
     timestamps: bool = True
     stencil: bool = True
     stencil_per_face: bool = True
-    """Whether front and back faces can have different stencil references and masks. Functions and operations always
-    can."""
+    """Whether front and back faces can have different stencil references and masks. Functions and operations
+    always can."""
     alpha_test: bool = False
     alpha_to_coverage: bool = True
     depth_bias_clamp: bool = True
@@ -125,8 +128,8 @@ class Capabilities:
     """Whether rasterisation is exact for extreme triangles: depth within 2e-5 of float64 and varyings within
     the corners' range for any sliver, and correct coverage however far a triangle reaches beyond the view."""
     precise_clipping: bool = True
-    """Whether clipping is exact: points whose centre is out of view aren't drawn, and `PolygonMode.LINE` draws
-    no edge where the near or far plane cuts a triangle."""
+    """Whether clipping is exact: points whose centre is out of view aren't drawn, and `PolygonMode.LINE`
+    draws no edge where the near or far plane cuts a triangle."""
     blend_per_target: bool = True
     wireframe: bool = False
     """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""
@@ -148,13 +151,16 @@ class Capabilities:
     border_colors: bool = True
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
     texture_buffer_copies: bool = False
-    """Whether textures are copied to and from buffers. Without it, `Texture.read_async` waits for the device."""
+    """Whether textures are copied to and from buffers. Without it, `Texture.read_async` waits for the
+    device."""
     shares_textures: bool = False
-    """Whether the device stands beside a context of other code, which uses the same textures: `adopt_texture`."""
+    """Whether the device stands beside a context of other code, which uses the same textures:
+    `adopt_texture`."""
     compressed_formats: frozenset[CompressedFormat] = frozenset()
     """Block-compressed formats that textures can be stored in. The front end decodes the others."""
     compressed_size_step: int = 1
-    """Widths and heights of textures stored in them are multiples of this number. The front end decodes others."""
+    """Widths and heights of textures stored in them are multiples of this number. The front end decodes
+    others."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
@@ -185,13 +191,13 @@ class Capabilities:
 class SupportsPreparedDraws(Protocol):
     """Optional part of the contract: draws and uniform bindings whose arguments are known in advance.
 
-    They are the most frequent commands. If each comes down to one call of the platform's API, preparing it saves a
-    Python frame per draw. A backend that doesn't gain by this leaves these methods out.
+    They are the most frequent commands. If each comes down to one call of the platform's API, preparing it
+    saves a Python frame per draw. A backend that doesn't gain by this leaves these methods out.
     """
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
-        """Return a function of (slot, offset, size) that is equivalent to `Backend.bind_uniform` for this buffer.
-        It is called only while a program is bound."""
+        """Return a function of (slot, offset, size) that is equivalent to `Backend.bind_uniform` for this
+        buffer. It is called only while a program is bound."""
 
     def prepare_draw(
         self,
@@ -203,17 +209,18 @@ class SupportsPreparedDraws(Protocol):
         base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:
-        """Return a function of the number of instances that is equivalent to `Backend.draw`. It is called only
-        while `program` is bound and `AlphaTest` is off."""
+        """Return a function of the number of instances that is equivalent to `Backend.draw`. It is called
+        only while `program` is bound and `AlphaTest` is off."""
 
     def on_interruption(self, call: Callable[[], None]) -> None:
-        """Register `call`, to be called whenever bindings are lost for a reason outside this device, such as another
-        context of the process becoming current."""
+        """Register `call`, to be called whenever bindings are lost for a reason outside this device, such as
+        another context of the process becoming current."""
 
 
 class SupportsCurrentContext(Protocol):
-    """Optional part of the contract, for platforms whose calls go to a context that is current on the calling thread,
-    and that any other code of the process may replace (OpenGL). These calls aren't commands; no recorder keeps them.
+    """Optional part of the contract, for platforms whose calls go to a context that is current on the calling
+    thread, and that any other code of the process may replace (OpenGL). These calls aren't commands; no
+    recorder keeps them.
     """
 
     def resume(self) -> bool:
@@ -226,16 +233,17 @@ class SupportsCurrentContext(Protocol):
         """
 
     def make_current(self) -> None:
-        """Make the context current on the calling thread, and set all of its state anew, whatever other code did to
-        it. Bindings may be lost, since the device binds everything again. Raises what `resume` raises."""
+        """Make the context current on the calling thread, and set all of its state anew, whatever other code
+        did to it. Bindings may be lost, since the device binds everything again. Raises what `resume`
+        raises."""
 
     def release_current(self) -> None:
-        """Make the context current on no thread, so that another thread can call `make_current`. The context of other
-        code that it shares textures with is current instead."""
+        """Make the context current on no thread, so that another thread can call `make_current`. The context
+        of other code that it shares textures with is current instead."""
 
     def hand_back(self) -> None:
-        """End a frame: make the context of other code that it shares textures with current, and show the image of the
-        latest `Backend.present` there. Do nothing if there is none."""
+        """End a frame: make the context of other code that it shares textures with current, and show the
+        image of the latest `Backend.present` there. Do nothing if there is none."""
 
 
 class SupportsTextureSharing(Protocol):
@@ -253,12 +261,12 @@ class SupportsTextureSharing(Protocol):
 
 
 class SupportsIssueTimes(Protocol):
-    """Optional part of the contract: when the CPU wrote timestamps, on the device's clock, so that the times of CPU and
-    GPU can be compared. This call isn't a command; no recorder keeps it."""
+    """Optional part of the contract: when the CPU wrote timestamps, on the device's clock, so that the times
+    of CPU and GPU can be compared. This call isn't a command; no recorder keeps it."""
 
     def read_issue_time(self, query: Id) -> int | None:
-        """Return when the latest `Backend.write_query` of a TIMESTAMP query was called, in nanoseconds on the clock of
-        its result. Return None until it has a result; never wait."""
+        """Return when the latest `Backend.write_query` of a TIMESTAMP query was called, in nanoseconds on the
+        clock of its result. Return None until it has a result; never wait."""
 
 
 class SupportsPreparedKernels(Protocol):
@@ -280,8 +288,8 @@ class SupportsPreparedKernels(Protocol):
         samples: int,
         states: Sequence[StateChange],
     ) -> Sequence[Future[None]]:
-        """Begin to build what draws of `program`, or its dispatches, need; return the ends of the builds, which never
-        fail. A compute program has no more arguments: no vertex array, no targets.
+        """Begin to build what draws of `program`, or its dispatches, need; return the ends of the builds,
+        which never fail. A compute program has no more arguments: no vertex array, no targets.
 
         Args:
             vertex_array: a vertex array of the program; 0 for none.
@@ -295,40 +303,50 @@ class PreparedQueries(Protocol):
     """A group of occlusion queries that are drawn and read together."""
 
     def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], query_indices: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        draws: NDArray[np.void],
+        query_indices: NDArray[np.int64],
     ) -> None:
         """Draw and count: for each run of equal `query_indices`, the equivalent of `Backend.begin_query`, one
         `Backend.draw` per element of `draws` (`rhi.DRAW` or, without indices, `rhi.DRAW_UNINDEXED`) and
-        `Backend.end_query`. Each query occurs in one run only; there is at least one draw. COUNTER queries count these
-        draws, too."""
+        `Backend.end_query`. Each query occurs in one run only; there is at least one draw. COUNTER queries
+        count these draws, too."""
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        query_indices: NDArray[np.int64],
     ) -> None:
-        """Draw on condition: for each run of equal `query_indices`, the equivalent of `Backend.begin_conditional` of
-        its query, one `Backend.draw_indirect` of its draws and `Backend.end_conditional`. The draws lie one after the
-        other at `offset` of `buffer`, one for each of `query_indices`, which the latest `draw` has used; there is at
-        least one."""
+        """Draw on condition: for each run of equal `query_indices`, the equivalent of
+        `Backend.begin_conditional` of its query, one `Backend.draw_indirect` of its draws and
+        `Backend.end_conditional`. The draws lie one after the other at `offset` of `buffer`, one for each of
+        `query_indices`, which the latest `draw` has used; there is at least one."""
 
     def read(self, query_indices: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """Return the samples that passed, for queries of the latest `draw` and in their order, as a new array. Return
-        None while any result is missing; never wait."""
+        """Return the samples that passed, for queries of the latest `draw` and in their order, as a new
+        array. Return None while any result is missing; never wait."""
 
 
 class SupportsClippedDraws(Protocol):
-    """Optional part of the contract: many draws in rectangles of their own, for platforms that can save the cost of a
-    change of states for each."""
+    """Optional part of the contract: many draws in rectangles of their own, for platforms that can save the
+    cost of a change of states for each."""
 
     def draw_clipped(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], clips: NDArray[np.int64]
     ) -> None:
-        """Draw each of `draws` (n,) in a rectangle of `clips` (n, 4): x, y, width, height. It is the equivalent of
-        `Backend.set_states` of a `Scissor` and `Backend.draw` for each of them; the `Scissor` then is the one before.
-        There is at least one draw. Not for QUADS."""
+        """Draw each of `draws` (n,) in a rectangle of `clips` (n, 4): x, y, width, height. It is the
+        equivalent of `Backend.set_states` of a `Scissor` and `Backend.draw` for each of them; the `Scissor`
+        then is the one before. There is at least one draw. Not for QUADS."""
 
 
 class SupportsPreparedQueries(Protocol):
-    """Optional part of the contract: many queries in one call, for platforms on which each query has a fixed cost."""
+    """Optional part of the contract: many queries in one call, for platforms on which each query has a fixed
+    cost."""
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """Return the group of these OCCLUSION queries. They exist already; the group isn't used after one is
@@ -336,7 +354,8 @@ class SupportsPreparedQueries(Protocol):
 
 
 class SupportsFilledBuffers(Protocol):
-    """Optional part of the contract: buffers that begin with their contents instead of zeros that a write replaces."""
+    """Optional part of the contract: buffers that begin with their contents instead of zeros that a write
+    replaces."""
 
     def create_filled_buffer(self, buffer: BufferId, descriptor: BufferDescriptor, data: BytesLike) -> None:
         """Create a STATIC buffer with these contents, which are as long as it is."""
@@ -345,8 +364,8 @@ class SupportsFilledBuffers(Protocol):
 class Backend(Protocol):
     """The methods that a platform implements. Sizes and offsets are in bytes unless stated otherwise.
 
-    A creation that fails raises `DeviceError` (rules `device-out-of-memory`, `device-driver`) or, for programs,
-    `ShaderError` (rule `shader-driver`). The id then stays unused.
+    A creation that fails raises `DeviceError` (rules `device-out-of-memory`, `device-driver`) or, for
+    programs, `ShaderError` (rule `shader-driver`). The id then stays unused.
     """
 
     @property
@@ -371,8 +390,8 @@ class Backend(Protocol):
         """Compile a program from the source that `descriptor.emit` returns for this backend's language."""
 
     def create_vertex_array(self, vertex_array: VertexArrayId, descriptor: VertexArrayDescriptor) -> None:
-        """Create a vertex array: where one program's vertex stage reads its inputs. Its buffers exist and outlive
-        it."""
+        """Create a vertex array: where one program's vertex stage reads its inputs. Its buffers exist and
+        outlive it."""
 
     def create_query(self, query: QueryId, kind: QueryKind) -> None:
         """Create a query. It has no result before its first use."""
@@ -383,11 +402,12 @@ class Backend(Protocol):
     # -- memory ------------------------------------------------------------------------------------------
 
     def write_buffer(self, buffer: BufferId, offset: int, data: BytesLike) -> None:
-        """Write bytes, in order with other commands. Writes to a `BufferUsage.STREAM` buffer may be unordered."""
+        """Write bytes, in order with other commands. Writes to a `BufferUsage.STREAM` buffer may be
+        unordered."""
 
     def read_buffer(self, buffer: BufferId, offset: int, size: int) -> bytes:
-        """Wait for all earlier commands, then return the bytes. A `BufferUsage.READBACK` buffer is read only when the
-        fence has passed all commands that write it, so it needs no wait."""
+        """Wait for all earlier commands, then return the bytes. A `BufferUsage.READBACK` buffer is read only
+        when the fence has passed all commands that write it, so it needs no wait."""
 
     def copy_buffer(
         self, source: BufferId, source_offset: int, target: BufferId, target_offset: int, size: int
@@ -398,13 +418,16 @@ class Backend(Protocol):
         """Fill a range with a 32-bit pattern. Offset and size are multiples of 4."""
 
     def write_texture(self, texture: TextureId, level: int, region: Region, data: BytesLike) -> None:
-        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats. To a
-        compressed texture, write tightly packed blocks; the region begins at a block and ends with one, or at the edge
-        of the level."""
+        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats.
+        To a compressed texture, write tightly packed blocks; the region begins at a block and ends with one,
+        or at the edge of the level."""
 
-    def read_texture(self, texture: TextureId, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        """Wait for all earlier commands, then return (layers, height, width, channels) of the format's `dtype`. Depth
-        is float32; with `stencil`, the stencil part as uint8. Not for multi-sampled textures."""
+    def read_texture(
+        self, texture: TextureId, level: int, region: Region, stencil: bool
+    ) -> NDArray[np.generic]:
+        """Wait for all earlier commands, then return (layers, height, width, channels) of the format's
+        `dtype`. Depth is float32; with `stencil`, the stencil part as uint8. Not for multi-sampled
+        textures."""
 
     def copy_texture(
         self,
@@ -422,27 +445,29 @@ class Backend(Protocol):
     def copy_texture_to_buffer(
         self, source: TextureId, level: int, region: Region, target: BufferId, offset: int, row_bytes: int
     ) -> None:
-        """Copy texels to a buffer, as `read_texture` returns them, without stencil. Rows begin `row_bytes` apart,
-        layers follow each other with `region.height` rows each. Bytes between the rows are left as they are. Not for
-        multi-sampled textures."""
+        """Copy texels to a buffer, as `read_texture` returns them, without stencil. Rows begin `row_bytes`
+        apart, layers follow each other with `region.height` rows each. Bytes between the rows are left as
+        they are. Not for multi-sampled textures."""
 
     def copy_buffer_to_texture(
         self, source: BufferId, offset: int, row_bytes: int, target: TextureId, level: int, region: Region
     ) -> None:
-        """Copy texels from a buffer, laid out as by `copy_texture_to_buffer`. Not for depth formats and multi-sampled
-        textures."""
+        """Copy texels from a buffer, laid out as by `copy_texture_to_buffer`. Not for depth formats and
+        multi-sampled textures."""
 
     def resolve_texture(self, source: TextureId, target: TextureId) -> None:
-        """Resolve a multi-sampled color texture: average its samples into a single-sampled one of equal size."""
+        """Resolve a multi-sampled color texture: average its samples into a single-sampled one of equal
+        size."""
 
     def generate_mipmaps(self, texture: TextureId) -> None:
-        """Fill all levels from 1 on by filtering level 0 with a 2×2 box filter; sRGB is filtered in linear light."""
+        """Fill all levels from 1 on by filtering level 0 with a 2×2 box filter; sRGB is filtered in linear
+        light."""
 
     # -- passes, state, binding --------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
-        """Begin a render pass and clear its targets. Clears ignore scissor and write masks. `Viewport.TARGET` and
-        `Scissor.OFF` stand for the size of this pass."""
+        """Begin a render pass and clear its targets. Clears ignore scissor and write masks. `Viewport.TARGET`
+        and `Scissor.OFF` stand for the size of this pass."""
 
     def end_pass(self) -> None:
         """End the render pass and resolve the attachments that have a resolve target."""
@@ -454,10 +479,12 @@ class Backend(Protocol):
         """Bind a graphics or compute program. Slots keep their bindings."""
 
     def bind_uniform(self, slot: int, buffer: BufferId, offset: int, size: int) -> None:
-        """Bind a range of a buffer as constants. `offset` is a multiple of `capabilities.uniform_alignment`."""
+        """Bind a range of a buffer as constants. `offset` is a multiple of
+        `capabilities.uniform_alignment`."""
 
     def bind_storage(self, slot: int, buffer: BufferId, offset: int, size: int) -> None:
-        """Bind a range of a buffer for reads and writes. `offset` is a multiple of `capabilities.storage_alignment`."""
+        """Bind a range of a buffer for reads and writes. `offset` is a multiple of
+        `capabilities.storage_alignment`."""
 
     def bind_texture(self, slot: int, texture: TextureId, sampler: SamplerId) -> None:
         """Bind all levels and layers of a texture, to be read through the sampler."""
@@ -477,9 +504,9 @@ class Backend(Protocol):
         base_vertex: int,
         base_instance: int,
     ) -> None:
-        """Draw. `first` and `count` are in indices if the vertex array has an index buffer, else in vertices. QUADS
-        draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. The largest value of the index
-        format restarts a strip."""
+        """Draw. `first` and `count` are in indices if the vertex array has an index buffer, else in vertices.
+        QUADS draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. The largest value
+        of the index format restarts a strip."""
 
     def draw_indirect(
         self,
@@ -492,9 +519,10 @@ class Backend(Protocol):
         count_buffer: BufferId,
         count_offset: int,
     ) -> None:
-        """Draw up to `draws` times with arguments that are read from `buffer` during execution. Each draw is a record
-        of 5 32-bit words: `DRAW` with an index buffer, `DRAW_UNINDEXED` without. With a `count_buffer` (0: none) the
-        number of draws is the smaller of `draws` and the uint32 at `count_offset`. Not for QUADS."""
+        """Draw up to `draws` times with arguments that are read from `buffer` during execution. Each draw is
+        a record of 5 32-bit words: `DRAW` with an index buffer, `DRAW_UNINDEXED` without. With a
+        `count_buffer` (0: none) the number of draws is the smaller of `draws` and the uint32 at
+        `count_offset`. Not for QUADS."""
 
     def dispatch(self, x: int, y: int, z: int) -> None:
         """Run this many work-groups of the bound compute program."""
@@ -505,8 +533,8 @@ class Backend(Protocol):
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self, value: int) -> None:
-        """Set the fence to `value` when all earlier commands have finished, and submit commands that are still
-        queued."""
+        """Set the fence to `value` when all earlier commands have finished, and submit commands that are
+        still queued."""
 
     def completed(self) -> int:
         """Return the current value of the fence; never wait."""
@@ -524,11 +552,12 @@ class Backend(Protocol):
         """Write the running counter (COUNTER) or the time (TIMESTAMP) at this point of the stream."""
 
     def read_query(self, query: QueryId) -> int | None:
-        """Return the latest result in samples or nanoseconds, or None while it isn't available; never wait."""
+        """Return the latest result in samples or nanoseconds, or None while it isn't available; never
+        wait."""
 
     def begin_conditional(self, query: QueryId, inverted: bool) -> None:
-        """Skip draws until `end_conditional` if the query counted no sample (`inverted`: if it counted any). The
-        device, not the CPU, waits for a query that isn't finished."""
+        """Skip draws until `end_conditional` if the query counted no sample (`inverted`: if it counted any).
+        The device, not the CPU, waits for a query that isn't finished."""
 
     def end_conditional(self) -> None:
         """End conditional rendering."""

@@ -1,10 +1,12 @@
 """Block compression: BC1 to BC7 (S3TC, RGTC, BPTC), and their decoder in NumPy.
 
-- A block is 8 or 16 bytes for 4 × 4 texels. Levels consist of whole blocks; what lies beyond an edge isn't used.
-- Definitions are those of the Khronos Data Format Specification 1.3, chapters 18 to 20. BC1 to BC5 interpolate real
-  numbers there. The decoder computes them exactly and rounds once, to the nearest number of 8 bits; drivers may be
-  off by a few units. BC6H and BC7 are defined to the bit.
-- Blocks are decoded side by side, grouped by their mode: each step is one array operation over all blocks of a mode.
+- A block is 8 or 16 bytes for 4 × 4 texels. Levels consist of whole blocks; what lies beyond an edge isn't
+  used.
+- Definitions are those of the Khronos Data Format Specification 1.3, chapters 18 to 20. BC1 to BC5
+  interpolate real numbers there. The decoder computes them exactly and rounds once, to the nearest number of
+  8 bits; drivers may be off by a few units. BC6H and BC7 are defined to the bit.
+- Blocks are decoded side by side, grouped by their mode: each step is one array operation over all blocks of
+  a mode.
 """
 
 from __future__ import annotations
@@ -58,7 +60,8 @@ class CompressedFormat(Choice):
 
 
 def decode_blocks(format: CompressedFormat, blocks: NDArray[np.uint8]) -> NDArray[np.generic]:
-    """Return the texels (…, 4 rows, 4 columns, channels) of blocks (…, bytes), in the format `format.decoded`."""
+    """Return the texels (…, 4 rows, 4 columns, channels) of blocks (…, bytes), in the format
+    `format.decoded`."""
     shape = blocks.shape[:-1]
     flat = np.ascontiguousarray(blocks, np.uint8).reshape(-1, format.block_bytes)
     channels = format.decoded.channels
@@ -88,7 +91,9 @@ def _decode(format: CompressedFormat, flat: NDArray[np.uint8]) -> NDArray[np.gen
     return texels
 
 
-def decode_level(format: CompressedFormat, blocks: NDArray[np.uint8], width: int, height: int) -> NDArray[np.generic]:
+def decode_level(
+    format: CompressedFormat, blocks: NDArray[np.uint8], width: int, height: int
+) -> NDArray[np.generic]:
     """Return the texels (layers, height, width, channels) of blocks (layers, rows, columns, bytes)."""
     layers, rows, columns, _ = blocks.shape
     texels = decode_blocks(format, blocks).swapaxes(2, 3).reshape(layers, rows * BLOCK, columns * BLOCK, -1)
@@ -171,7 +176,8 @@ _WEIGHTS: Final = {
     3: np.array([0, 9, 18, 27, 37, 46, 55, 64]),
     4: np.array([0, 4, 9, 13, 17, 21, 26, 30, 34, 38, 43, 47, 51, 55, 60, 64]),
 }
-# The subset of each texel. Of two: a hexadecimal number, texel 0 is its lowest bit. Of three: a digit per texel.
+# The subset of each texel. Of two: a hexadecimal number, texel 0 is its lowest bit. Of three: a digit per
+# texel.
 _TWO_SUBSETS: Final = """
     cccc 8888 eeee ecc8 c880 feec fec8 ec80 c800 ffec fe80 e800 ffe8 ff00 fff0 f000
     f710 008e 7100 08ce 008c 7310 3100 8cce 088c 3110 6666 366c 17e8 0ff0 718e 399c
@@ -191,7 +197,8 @@ _THREE_SUBSETS: Final = """
     0110011001102222 0000000021122112 0110011022222222 0022001100110022 0022112211220022 0000000000002112
     0002000100020001 0222122202221222 0101222222222222 0111201122012220
 """
-# The texel of the second subset of two, and of the second and third of three, whose index lacks its highest bit.
+# The texel of the second subset of two, and of the second and third of three, whose index lacks its highest
+# bit.
 _ANCHORS: Final = (
     "ffffffffffffffff f282288f28228822 ff6828ff28222ff6 6268ff22fffff22f",
     "33ff83ff88666533 338f336a588685ff 8f356a8ff3f5ffff 3f55585a5a8dfc33",
@@ -214,7 +221,9 @@ def _partitions(subsets: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     return texels, anchors
 
 
-def _indices(bits: NDArray[np.uint8], start: int, count: int, anchors: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _indices(
+    bits: NDArray[np.uint8], start: int, count: int, anchors: NDArray[np.bool_]
+) -> NDArray[np.int32]:
     """Return 16 indices of `count` bits, (n, 16); the indices of anchors are one bit shorter."""
     sizes = count - anchors.astype(np.int64)
     starts = start + np.cumsum(sizes, axis=1) - sizes
@@ -233,7 +242,8 @@ def _mix(first: Any, second: Any, weights: Any) -> Any:
 
 
 class _Bc7Mode(NamedTuple):
-    """The fields of a mode. `unique_bits`: each end has a lowest bit of its own; `shared_bits`: each subset has one."""
+    """The fields of a mode. `unique_bits`: each end has a lowest bit of its own; `shared_bits`: each subset
+    has one."""
 
     subsets: int
     partition_bits: int
@@ -275,7 +285,9 @@ def _decode_bc7_mode(bits: NDArray[np.uint8], mode: _Bc7Mode, start: int) -> NDA
         start += count
         return _field(bits, start - count, count)
 
-    partition, rotation, selection = (read(n) for n in (mode.partition_bits, mode.rotation_bits, mode.selection_bits))
+    partition, rotation, selection = (
+        read(n) for n in (mode.partition_bits, mode.rotation_bits, mode.selection_bits)
+    )
     ends = np.full((len(bits), mode.subsets, 2, 4), 255, np.int32)
     sizes = [*[mode.color_bits] * 3, *([mode.alpha_bits] if mode.alpha_bits else [])]
     for channel, size in enumerate(sizes):
@@ -320,8 +332,8 @@ _ROTATIONS: Final = ([3, 1, 2, 0], [0, 3, 2, 1], [0, 1, 3, 2])
 
 
 class _FloatMode(NamedTuple):
-    """The fields of a mode behind its number: channel, end (w and x of subset 0, y and z of subset 1), and the bits
-    from the first to the last. All ends but w are differences to w if the mode `differs`."""
+    """The fields of a mode behind its number: channel, end (w and x of subset 0, y and z of subset 1), and
+    the bits from the first to the last. All ends but w are differences to w if the mode `differs`."""
 
     differs: bool
     end_bits: int
@@ -356,14 +368,20 @@ _FLOAT_MODES: Final = {
         True,
         11,
         (4, 5, 4),
-        ("rw0:9 gw0:9 bw0:9 rx0:3 rw10 gz4 gy0:3 gx0:4 gw10 gz0:3 bx0:3 bw10 bz1 by0:3 ry0:3 bz0 bz2 rz0:3 gy4 bz3"),
+        (
+            "rw0:9 gw0:9 bw0:9 rx0:3 rw10 gz4 gy0:3 gx0:4 gw10 gz0:3 bx0:3 bw10 bz1 by0:3 ry0:3 bz0 bz2 "
+            "rz0:3 gy4 bz3"
+        ),
     ),
     7: _FloatMode(True, 11, (9, 9, 9), ("rw0:9 gw0:9 bw0:9 rx0:8 rw10 gx0:8 gw10 bx0:8 bw10")),
     10: _FloatMode(
         True,
         11,
         (4, 4, 5),
-        ("rw0:9 gw0:9 bw0:9 rx0:3 rw10 by4 gy0:3 gx0:3 gw10 bz0 gz0:3 bx0:4 bw10 by0:3 ry0:3 bz1 bz2 rz0:3 bz4 bz3"),
+        (
+            "rw0:9 gw0:9 bw0:9 rx0:3 rw10 by4 gy0:3 gx0:3 gw10 bz0 gz0:3 bx0:4 bw10 by0:3 ry0:3 bz1 bz2 "
+            "rz0:3 bz4 bz3"
+        ),
     ),
     11: _FloatMode(True, 12, (8, 8, 8), ("rw0:9 gw0:9 bw0:9 rx0:7 rw11:10 gx0:7 gw11:10 bx0:7 bw11:10")),
     14: _FloatMode(
@@ -383,13 +401,19 @@ _FLOAT_MODES: Final = {
         True,
         8,
         (5, 6, 5),
-        ("rw0:7 bz0 by4 gw0:7 gy5 gy4 bw0:7 gz5 bz4 rx0:4 gz4 gy0:3 gx0:5 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 rz0:4 bz3"),
+        (
+            "rw0:7 bz0 by4 gw0:7 gy5 gy4 bw0:7 gz5 bz4 rx0:4 gz4 gy0:3 gx0:5 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 "
+            "rz0:4 bz3"
+        ),
     ),
     26: _FloatMode(
         True,
         8,
         (5, 5, 6),
-        ("rw0:7 bz1 by4 gw0:7 by5 gy4 bw0:7 bz5 bz4 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:5 by0:3 ry0:4 bz2 rz0:4 bz3"),
+        (
+            "rw0:7 bz1 by4 gw0:7 by5 gy4 bw0:7 bz5 bz4 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:5 by0:3 ry0:4 bz2 "
+            "rz0:4 bz3"
+        ),
     ),
     30: _FloatMode(
         False,
@@ -412,7 +436,9 @@ def _decode_floats(blocks: NDArray[np.uint8], signed: bool) -> NDArray[np.float1
         block_indices = np.flatnonzero(number == each)
         if len(block_indices):
             start = 2 if each < 2 else 5
-            texels[block_indices, :, :3] = _decode_float_mode(_bits(blocks[block_indices]), mode, start, signed)
+            texels[block_indices, :, :3] = _decode_float_mode(
+                _bits(blocks[block_indices]), mode, start, signed
+            )
     texels[..., 3] = 0x3C00
     return texels.view(np.float16)
 
@@ -422,7 +448,9 @@ def _extend(values: Any, bits: int) -> Any:
     return (values & (1 << bits) - 1 ^ 1 << bits - 1) - (1 << bits - 1)
 
 
-def _decode_float_mode(bits: NDArray[np.uint8], mode: _FloatMode, start: int, signed: bool) -> NDArray[np.uint16]:
+def _decode_float_mode(
+    bits: NDArray[np.uint8], mode: _FloatMode, start: int, signed: bool
+) -> NDArray[np.uint16]:
     ends = np.zeros((len(bits), 4, 3), np.int32)
     for channel, end, first, last in re.findall(_FIELD, mode.fields):
         step = 1 if int(first) <= int(last or first) else -1

@@ -1,7 +1,8 @@
 """Clip space: +Y is up, and depth runs from 0 to 1 with any projection's sign.
 
-Most renderers use reversed depth, 1 at the near plane and 0 at the far one: float depth is then equally exact at all
-distances. Matrices from OpenGL's libraries (PyGLM, pyrr, transforms3d) map depth to -1…1 instead, -1 at the near plane.
+Most renderers use reversed depth, 1 at the near plane and 0 at the far one: float depth is then equally exact
+at all distances. Matrices from OpenGL's libraries (PyGLM, pyrr, transforms3d) map depth to -1…1 instead, -1
+at the near plane.
 """
 
 from __future__ import annotations
@@ -14,18 +15,19 @@ from rhi.errors.rules import DEVICE_ARGUMENT
 
 
 def convert_projection(projection: ArrayLike, *, reverse: bool = True) -> NDArray[np.float64]:
-    """Convert projections with a clip depth of -1…1, as OpenGL's libraries make them, to this interface's 0…1.
+    """Convert projections with a clip depth of -1…1, as OpenGL's libraries make them, to this interface's
+    0…1.
 
     Args:
-        projection: (…, 4, 4), row-major, applied as `matrix @ column`. Transpose those of libraries that multiply rows
-            by matrices (pyrr) first.
+        projection: (…, 4, 4), row-major, applied as `matrix @ column`. Transpose those of libraries that
+            multiply rows by matrices (pyrr) first.
         reverse: map the near plane to 1 and the far plane to 0, as the default depth function (GREATER) and a
             `clear_depth` of 0 expect; otherwise near to 0 and far to 1.
 
     Returns:
-        (…, 4, 4): the same in x, y and w; z becomes (w - z) / 2, or (w + z) / 2. Computed in float64. A float32 input
-        has already lost depth: its far plane is right to about far / near * 1e-7 of itself. So make projections in
-        float64 where far / near is large.
+        (…, 4, 4): the same in x, y and w; z becomes (w - z) / 2, or (w + z) / 2. Computed in float64. A
+        float32 input has already lost depth: its far plane is right to about far / near * 1e-7 of itself. So
+        make projections in float64 where far / near is large.
 
     Raises:
         ValidationError: `device-argument` for another shape or numbers that aren't finite.

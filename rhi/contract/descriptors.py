@@ -1,7 +1,7 @@
 """Descriptors of resources, passes and programs: plain frozen values, validated before a backend sees them.
 
-- The device names resources by integers, so a command is plain data: a stream of commands can be printed, saved,
-  compared and replayed without translating object references.
+- The device names resources by integers, so a command is plain data: a stream of commands can be printed,
+  saved, compared and replayed without translating object references.
 - Defaults serve the most common use: a 2D texture with one level, a linear sampler that repeats.
 """
 
@@ -54,8 +54,8 @@ class Primitive(Choice):
 
 
 class Access(enum.Enum):
-    """Access to locked memory. READ copies from the device when the lock begins, WRITE copies to it when the lock ends,
-    READ_WRITE does both."""
+    """Access to locked memory. READ copies from the device when the lock begins, WRITE copies to it when the
+    lock ends, READ_WRITE does both."""
 
     READ = "read"
     WRITE = "write"
@@ -72,10 +72,10 @@ class Access(enum.Enum):
 class BufferUsage(enum.Enum):
     """The way in which a buffer's contents change.
 
-    STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that the GPU
-    has finished reading, so a backend may map it and write without synchronisation. READBACK: the target of copies,
-    which the CPU reads only where a fence guarantees that the GPU has finished writing. A backend may treat both like
-    STATIC.
+    STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that
+    the GPU has finished reading, so a backend may map it and write without synchronisation. READBACK: the
+    target of copies, which the CPU reads only where a fence guarantees that the GPU has finished writing. A
+    backend may treat both like STATIC.
     """
 
     STATIC = "static"
@@ -103,9 +103,9 @@ class TextureKind(Choice):
 
 @dataclass(frozen=True, slots=True)
 class TextureDescriptor:
-    """The shape and format of a texture. `size` is (width, height); `layers` are array layers, cube faces (6) or the
-    depth of a 3D texture. A texture that is stored as blocks names their format as `compressed`; then `format` is that
-    of its texels, and it is only written and sampled."""
+    """The shape and format of a texture. `size` is (width, height); `layers` are array layers, cube faces (6)
+    or the depth of a 3D texture. A texture that is stored as blocks names their format as `compressed`; then
+    `format` is that of its texels, and it is only written and sampled."""
 
     size: tuple[int, int]
     format: Format
@@ -121,8 +121,8 @@ class TextureDescriptor:
         return max(1, self.size[0] >> level), max(1, self.size[1] >> level)
 
     def level_layers(self, level: int) -> int:
-        """Return the number of layers of a mip level: the depth of a 3D texture shrinks, the layers of an array
-        don't."""
+        """Return the number of layers of a mip level: the depth of a 3D texture shrinks, the layers of an
+        array don't."""
         return max(1, self.layers >> level) if self.kind is TextureKind.D3 else self.layers
 
 
@@ -134,8 +134,8 @@ class Filter(enum.Enum):
 
 
 class Wrap(enum.Enum):
-    """Texture address mode outside 0 to 1: REPEAT the image, MIRROR it at each repetition, CLAMP to its edge texels, or
-    use the sampler's BORDER color."""
+    """Texture address mode outside 0 to 1: REPEAT the image, MIRROR it at each repetition, CLAMP to its edge
+    texels, or use the sampler's BORDER color."""
 
     REPEAT = "repeat"
     MIRROR = "mirror"
@@ -147,10 +147,11 @@ class Wrap(enum.Enum):
 class SamplerDescriptor:
     """Filters, addressing and comparison with which a shader samples a texture.
 
-    With `mip` None only level 0 is sampled; loads of single texels may still name any level. With `compare` it is a
-    depth comparison sampler, which returns 1 where `reference compare texel` is true. A `border` is clamped to the
-    range of the texture's format. With `max_anisotropy` above 1 a pixel that covers up to so many times as much of the
-    texture in one direction as in the other is an average along the longer one. Integers are never averaged.
+    With `mip` None only level 0 is sampled; loads of single texels may still name any level. With `compare`
+    it is a depth comparison sampler, which returns 1 where `reference compare texel` is true. A `border` is
+    clamped to the range of the texture's format. With `max_anisotropy` above 1 a pixel that covers up to so
+    many times as much of the texture in one direction as in the other is an average along the longer one.
+    Integers are never averaged.
     """
 
     minify: Filter = Filter.LINEAR
@@ -239,7 +240,8 @@ class VertexFormat(Choice):
 
 @dataclass(frozen=True, slots=True)
 class VertexAttribute:
-    """The attribute `location` of a vertex: `offset` bytes into each element of its stream, in this `format`."""
+    """The attribute `location` of a vertex: `offset` bytes into each element of its stream, in this
+    `format`."""
 
     location: int
     format: VertexFormat
@@ -272,8 +274,8 @@ class VertexArrayDescriptor:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A color target: one level and layer of a texture. `clear` None loads its contents. `resolve` names the texture
-    that receives the resolved samples at the end of the pass, in its level and layer 0."""
+    """A color target: one level and layer of a texture. `clear` None loads its contents. `resolve` names the
+    texture that receives the resolved samples at the end of the pass, in its level and layer 0."""
 
     texture: TextureId
     level: int = 0
@@ -308,8 +310,8 @@ class PassDescriptor:
 
 
 class QueryKind(enum.Enum):
-    """Type of a query. OCCLUSION counts the samples that pass between begin and end. COUNTER reads the running
-    samples-passed counter and TIMESTAMP the time in nanoseconds, both at one point of the stream."""
+    """Type of a query. OCCLUSION counts the samples that pass between begin and end. COUNTER reads the
+    running samples-passed counter and TIMESTAMP the time in nanoseconds, both at one point of the stream."""
 
     OCCLUSION = "occlusion"
     COUNTER = "counter"
@@ -340,9 +342,9 @@ class BindingKind(Choice):
 class Binding:
     """A binding of a program. `slot` counts from 0 for each kind.
 
-    `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or image type.
-    `size` is the size of one element in bytes. `writes` and `reads` say what the program does with its memory;
-    `reads` may be True for memory that isn't read.
+    `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or
+    image type. `size` is the size of one element in bytes. `writes` and `reads` say what the program does
+    with its memory; `reads` may be True for memory that isn't read.
     """
 
     name: str
@@ -384,8 +386,8 @@ class Interpolation(Choice):
 
 @dataclass(frozen=True, slots=True)
 class StageVarying:
-    """An output of the vertex stage that the fragment stage reads. It occupies `words` 32-bit words from `word` on; a
-    matrix is stored row by row. `kind` is "float", "int" or "uint"."""
+    """An output of the vertex stage that the fragment stage reads. It occupies `words` 32-bit words from
+    `word` on; a matrix is stored row by row. `kind` is "float", "int" or "uint"."""
 
     name: str
     word: int
@@ -398,9 +400,10 @@ class StageVarying:
 class StageText:
     """The source text of one stage, and where each of its lines came from.
 
-    `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where no
-    Python line stands behind it. Lines without an entry have no known origin. `binary` is what the text was compiled
-    to, in a language that isn't text ("spirv"). `generated`: whether nobody wrote any of it, so drivers accept it.
+    `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where
+    no Python line stands behind it. Lines without an entry have no known origin. `binary` is what the text
+    was compiled to, in a language that isn't text ("spirv"). `generated`: whether nobody wrote any of it, so
+    drivers accept it.
     """
 
     text: str
@@ -414,10 +417,11 @@ class ProgramDescriptor:
     """A program with its stages, bindings, inputs and outputs.
 
     Attributes:
-        emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
-            "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.opencl_stages`), for compute stages also
-            "opencl1", "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for
-            Vulkan) and "spirv", its `binary`; "wgsl"; and those of `rhi.shading.register_language`.
+        emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl"
+            (4.30); "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.opencl_stages`), for compute
+            stages also "opencl1", "opencl4" and "opencl8"; for compute stages "numpy", a Python module;
+            "vulkan" (GLSL 4.50 for Vulkan) and "spirv", its `binary`; "wgsl"; and those of
+            `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
         varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.

@@ -8,17 +8,21 @@ from typing import Final
 
 _WALKS: Final = re.compile(r"Mesa 22\.3\b")
 _OPT_IN: Final = "RHI_SLOW_ANISOTROPY"
-_ZEROS: Final = "compressed textures: SwiftShader reads zeros from them; the CPU decodes them (docs/backends-wgpu.md)"
+_ZEROS: Final = (
+    "compressed textures: SwiftShader reads zeros from them; the CPU decodes them (docs/backends-wgpu.md)"
+)
 _REASON: Final = (
-    f"anisotropy: llvmpipe of Mesa 22.3 may take minutes for a pixel; {_OPT_IN}=1 allows it (docs/backends-gl.md)"
+    "anisotropy: llvmpipe of Mesa 22.3 may take minutes for a pixel; "
+    f"{_OPT_IN}=1 allows it (docs/backends-gl.md)"
 )
 
 
 def limit_anisotropy(device: str, driver: str, max_anisotropy: float) -> tuple[float, tuple[str, ...]]:
-    """Return the anisotropy that is safe to request of a driver, and the reason if it is below `max_anisotropy`.
+    """Return the anisotropy that is safe to request of a driver, and the reason if it is below
+    `max_anisotropy`.
 
-    llvmpipe walks over all texels below a pixel, of the last level if the pixel covers the texture more than once: its
-    time has no bound, and nothing in a sampler's state sets one.
+    llvmpipe walks over all texels below a pixel, of the last level if the pixel covers the texture more than
+    once: its time has no bound, and nothing in a sampler's state sets one.
     """
     walks = max_anisotropy > 1.0 and "llvmpipe" in device and _WALKS.search(driver) is not None
     return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (max_anisotropy, ())
@@ -27,9 +31,10 @@ def limit_anisotropy(device: str, driver: str, max_anisotropy: float) -> tuple[f
 def is_fourth_uniform_faulty(device: str) -> bool:
     """Whether a driver's fault breaks the fourth uniform buffer of a stage.
 
-    Mesa 22.3's lavapipe keeps the uniforms that conditions depend on in a table of 4 for each of 32 buffers, but steps
-    through it by 32. Those of a stage's fourth buffer, the fifth row, are written over the counts that follow the
-    table, and the next draw reads a buffer that isn't there. Later buffers meet nothing that is used.
+    Mesa 22.3's lavapipe keeps the uniforms that conditions depend on in a table of 4 for each of 32 buffers,
+    but steps through it by 32. Those of a stage's fourth buffer, the fifth row, are written over the counts
+    that follow the table, and the next draw reads a buffer that isn't there. Later buffers meet nothing that
+    is used.
     """
     return "llvmpipe" in device
 

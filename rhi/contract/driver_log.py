@@ -1,7 +1,7 @@
 """Conversion of a driver's messages about a program into a `ShaderError` that names Python lines.
 
-A backend parses the messages of its driver, whose lines are lines of the emitted text. The text knows the Python line
-that each of them came from.
+A backend parses the messages of its driver, whose lines are lines of the emitted text. The text knows the
+Python line that each of them came from.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def make_driver_error(
         language: name of the text's language, for the message.
 
     Returns:
-        An error with the rule `shader-driver`. Its site is the Python line of the first message whose origin is known.
+        An error with the rule `shader-driver`. Its site is the Python line of the first message whose origin
+        is known.
     """
     lines = source.text.split("\n")
     rows: list[str] = []
@@ -51,4 +52,6 @@ def make_driver_error(
             rows.append(f"  from {origin}")
             site = site or origin
     where = "linking its stages" if stage is None else f"its {stage.value} stage"
-    return ShaderError(SHADER_DRIVER, f"device.program({descriptor.name}), {where}", "\n".join(rows), site=site)
+    return ShaderError(
+        SHADER_DRIVER, f"device.program({descriptor.name}), {where}", "\n".join(rows), site=site
+    )

@@ -3,8 +3,8 @@
 - A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use.
   Everything else that depends on formats is derived from these parts. A port adds
   only its API's name of the format.
-- In a packed format all channels of a texel share one number, the first channel in its lowest bits. Arrays have one
-  number per texel, as stored; `rhi.contract.texels` packs and unpacks them.
+- In a packed format all channels of a texel share one number, the first channel in its lowest bits. Arrays
+  have one number per texel, as stored; `rhi.contract.texels` packs and unpacks them.
 - Depth formats read back as float32, however they are stored; stencil reads back as uint8.
 """
 
@@ -39,8 +39,8 @@ class Format(Choice):
     """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
     The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`. Packed formats also name the
-    bits of each channel, and their `dtype` is the dtype of a whole texel. Fixed-point depth formats name the bits
-    of a depth.
+    bits of each channel, and their `dtype` is the dtype of a whole texel. Fixed-point depth formats name the
+    bits of a depth.
 
     Attributes:
         depth_steps: the integer that represents depth 1 in a fixed-point depth format; 0 for other formats.

@@ -1,10 +1,10 @@
 """Types that CPU and device share, and their layout in memory.
 
-- A type describes a value (`VectorType(FLOAT, 3)`), a `Layout` its place in memory: std140 for uniform blocks, std430
-  for storage buffers and vertices, PACKED for data without padding. `memory_layout` gives offsets and strides
-  (OpenGL 4.3, section 7.6.2.2), `dtype_of` the equivalent NumPy dtype, padding included.
-- Matrices are stored row by row, as in NumPy, so a matrix `M` that is uploaded unchanged gives `M @ v` in a shader.
-  Rows are padded like vectors: a `mat3` is float32 (3, 4) with an unused column.
+- A type describes a value (`VectorType(FLOAT, 3)`), a `Layout` its place in memory: std140 for uniform
+  blocks, std430 for storage buffers and vertices, PACKED for data without padding. `memory_layout` gives
+  offsets and strides (OpenGL 4.3, section 7.6.2.2), `dtype_of` the equivalent NumPy dtype, padding included.
+- Matrices are stored row by row, as in NumPy, so a matrix `M` that is uploaded unchanged gives `M @ v` in a
+  shader. Rows are padded like vectors: a `mat3` is float32 (3, 4) with an unused column.
 - `compare_layouts` prints two dtypes side by side, to explain why an array can't be uploaded.
 """
 
@@ -109,8 +109,8 @@ HostType: TypeAlias = ScalarType | VectorType | MatrixType | ArrayType | StructT
 class MemoryLayout:
     """Size, alignment, stride and offsets of a type in memory, in bytes.
 
-    `stride` is the distance between the elements of an array or the rows of a matrix, 0 for other types. `offsets` has
-    one entry per field of a struct.
+    `stride` is the distance between the elements of an array or the rows of a matrix, 0 for other types.
+    `offsets` has one entry per field of a struct.
     """
 
     size: int
@@ -198,9 +198,9 @@ def shape_of(type: HostType) -> tuple[int, ...]:
 def dtype_of(type: HostType, layout: Layout) -> np.dtype[Any]:
     """Return the NumPy dtype of one value, padding included.
 
-    A struct gives a structured dtype with the struct's offsets and size. A vector, matrix or array gives a subarray;
-    its padded rows or elements have more columns than the natural shape (a `mat3` is float32 (3, 4), a std140 array
-    of n floats is float32 (n, 4)).
+    A struct gives a structured dtype with the struct's offsets and size. A vector, matrix or array gives a
+    subarray; its padded rows or elements have more columns than the natural shape (a `mat3` is float32 (3,
+    4), a std140 array of n floats is float32 (n, 4)).
     """
     placement = memory_layout(type, layout)
     match type:
@@ -270,7 +270,8 @@ class FieldLayout:
 
 
 def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> Iterator[FieldLayout]:
-    """Yield the fields of a dtype with their offsets from its start. Fields of nested structs have dotted names."""
+    """Yield the fields of a dtype with their offsets from its start. Fields of nested structs have dotted
+    names."""
     base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, dtype.shape)
     if base.names is None:
         yield FieldLayout(prefix or "(element)", start, base.name + (str(list(shape)) if shape else ""))
@@ -284,8 +285,8 @@ def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> I
 
 def accepts(expected: np.dtype[Any], actual: np.dtype[Any]) -> bool:
     """Whether memory of dtype `actual` can be read as `expected`: elements have the same size, and each
-    expected field is present with the same name, type and offset. Additional fields, such as named padding, are
-    allowed."""
+    expected field is present with the same name, type and offset. Additional fields, such as named padding,
+    are allowed."""
     if expected == actual:
         return True
     if expected.names is None or actual.names is None or expected.itemsize != actual.itemsize:
@@ -316,5 +317,6 @@ def compare_layouts(expected: np.dtype[Any], actual: np.dtype[Any]) -> str:
     table.append(("(bytes)", str(expected.itemsize), "", str(actual.itemsize), "", size))
     widths = [max(len(row[column]) for row in table) for column in range(6)]
     return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in table
     )

@@ -111,8 +111,12 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
         yield Fault(rules.TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
     if descriptor.format in limits.unsupported_formats:
-        yield Fault(rules.DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats")
-    minimum, maximum = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(kind, (1, limits.max_texture_layers))
+        yield Fault(
+            rules.DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats"
+        )
+    minimum, maximum = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
+        kind, (1, limits.max_texture_layers)
+    )
     if not minimum <= layers <= maximum:
         yield Fault(rules.TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{minimum} to {maximum}")
     if layers > limits.max_texture_layers:
@@ -124,13 +128,19 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
     if not 1 <= descriptor.levels <= maximum:
         yield Fault(rules.TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {maximum}")
     if samples not in limits.sample_counts:
-        yield Fault(rules.TEXTURE_SAMPLES, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples")
+        yield Fault(
+            rules.TEXTURE_SAMPLES,
+            f"{samples} samples",
+            f"{', '.join(map(str, limits.sample_counts))} samples",
+        )
     if samples > 1 and descriptor.format in limits.single_sampled_formats:
         given = f"{samples} samples of {descriptor.format.name}"
         yield Fault(rules.DEVICE_CAPABILITY, given, "not among capabilities.single_sampled_formats")
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
         yield Fault(
-            rules.TEXTURE_SAMPLES, f"{samples} samples, {descriptor.levels} levels, {kind.name}", "2D, one level"
+            rules.TEXTURE_SAMPLES,
+            f"{samples} samples, {descriptor.levels} levels, {kind.name}",
+            "2D, one level",
         )
     if descriptor.format.is_depth and kind is TextureKind.D3:
         yield Fault(rules.TEXTURE_FORMAT, "a 3D depth texture", "2D, 2D array or cube")
@@ -190,20 +200,30 @@ def plain_faults(texture: TextureDescriptor) -> Faults:
     """Yield a fault if a texture is compressed: such textures are only written and sampled."""
     if texture.compressed is not None:
         yield Fault(
-            rules.TEXTURE_FORMAT, texture.compressed.name, "a format without compression", "sample it in a shader"
+            rules.TEXTURE_FORMAT,
+            texture.compressed.name,
+            "a format without compression",
+            "sample it in a shader",
         )
 
 
 def single_sample_faults(texture: TextureDescriptor) -> Faults:
     """Yield a fault if a texture is multi-sampled."""
     if texture.samples != 1:
-        yield Fault(rules.TEXTURE_SAMPLES, f"{texture.samples} samples", "1", "resolve it first: texture.resolve_to(…)")
+        yield Fault(
+            rules.TEXTURE_SAMPLES,
+            f"{texture.samples} samples",
+            "1",
+            "resolve it first: texture.resolve_to(…)",
+        )
 
 
 def written_faults(texture: TextureDescriptor) -> Faults:
     """Yield why texels of a texture can't be written by the CPU or by copies."""
     if texture.format.is_depth:
-        yield Fault(rules.TEXTURE_FORMAT, texture.format.name, "a color format", "depth is written by a render pass")
+        yield Fault(
+            rules.TEXTURE_FORMAT, texture.format.name, "a color format", "depth is written by a render pass"
+        )
 
 
 def read_faults(texture: TextureDescriptor, level: int, region: Region, stencil: bool) -> Faults:
@@ -231,7 +251,9 @@ def texture_copy_faults(
     if source.format is not target.format:
         yield Fault(rules.TEXTURE_FORMAT, f"{source.format.name} to {target.format.name}", "equal formats")
     if target.samples != 1 or source.samples != 1:
-        yield Fault(rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "1", "use resolve_to")
+        yield Fault(
+            rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "1", "use resolve_to"
+        )
     yield from region_faults(target, target_level, end)
     if same and level == target_level and _overlap(region, end):
         yield Fault(rules.TEXTURE_REGION, f"{region} to {end}", "regions that don't overlap")
@@ -255,7 +277,9 @@ def row_faults(
     yield from single_sample_faults(texture)
     minimum, step = region.width * texel, max(texel, limits.copy_row_alignment)
     if row_bytes < minimum or row_bytes % step:
-        yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {minimum} or more")
+        yield Fault(
+            rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {minimum} or more"
+        )
     if row_bytes > MAX_ROW_BYTES:
         yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"at most {MAX_ROW_BYTES}")
     step = max(texel, limits.copy_offset_alignment)
@@ -269,9 +293,13 @@ def row_faults(
 def resolve_faults(source: TextureDescriptor, target: TextureDescriptor, limits: Capabilities) -> Faults:
     """Yield why a texture can't be resolved to another."""
     if source.format in limits.unresolvable_formats:
-        yield Fault(rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
+        yield Fault(
+            rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats"
+        )
     if source.samples == 1 or target.samples != 1:
-        yield Fault(rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1")
+        yield Fault(
+            rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1"
+        )
     has_average = not (source.format.is_depth or source.format.is_integer)
     if source.format is not target.format or source.size != target.size or not has_average:
         given = f"{show_texture(source)} to {show_texture(target)}"
@@ -300,18 +328,30 @@ def _overlap(a: Region, b: Region) -> bool:
 
 
 def buffer_copy_faults(
-    source_size: int, offset: int, target_size: int, target_offset: int, size: int, same: bool, limits: Capabilities
+    source_size: int,
+    offset: int,
+    target_size: int,
+    target_offset: int,
+    size: int,
+    same: bool,
+    limits: Capabilities,
 ) -> Faults:
     """Yield what is wrong with a copy between buffers, or within one (`same`)."""
     alignment = limits.copy_alignment
-    if size <= 0 or not 0 <= offset <= source_size - size:  # no loop over the two: renderers copy in each frame
+    if (
+        size <= 0 or not 0 <= offset <= source_size - size
+    ):  # no loop over the two: renderers copy in each frame
         yield Fault(rules.BUFFER_RANGE, f"{size} bytes at {offset}", f"1 or more within {source_size} bytes")
     if offset % alignment or size % alignment:
         yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {offset}", f"multiples of {alignment} bytes")
     if not 0 <= target_offset <= target_size - size:
-        yield Fault(rules.BUFFER_RANGE, f"{size} bytes at {target_offset}", f"1 or more within {target_size} bytes")
+        yield Fault(
+            rules.BUFFER_RANGE, f"{size} bytes at {target_offset}", f"1 or more within {target_size} bytes"
+        )
     if target_offset % alignment:
-        yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {target_offset}", f"multiples of {alignment} bytes")
+        yield Fault(
+            rules.BUFFER_ALIGNMENT, f"{size} bytes at {target_offset}", f"multiples of {alignment} bytes"
+        )
     if same and abs(offset - target_offset) < size:
         yield Fault(rules.BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
 
@@ -335,8 +375,8 @@ MAX_STRIDE: Final = 1 << 14
 
 
 class ElementCounts(NamedTuple):
-    """Numbers of elements that a draw can read from a vertex array's buffers; `MAX_ELEMENTS` where it reads no
-    buffer."""
+    """Numbers of elements that a draw can read from a vertex array's buffers; `MAX_ELEMENTS` where it reads
+    no buffer."""
 
     vertices: int
     instances: int
@@ -344,8 +384,8 @@ class ElementCounts(NamedTuple):
 
 
 def count_elements(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId], int]) -> ElementCounts:
-    """Count the vertices, instances and indices in the buffers of a vertex array, given the buffers' `sizes` in
-    bytes."""
+    """Count the vertices, instances and indices in the buffers of a vertex array, given the buffers' `sizes`
+    in bytes."""
     minimum = {False: MAX_ELEMENTS, True: MAX_ELEMENTS}
     for stream in descriptor.streams:
         room = sizes(stream.buffer) - stream.offset
@@ -366,26 +406,40 @@ def vertex_array_faults(descriptor: VertexArrayDescriptor, sizes: Callable[[Buff
             yield Fault(rules.MESH_DATA, f"stride {stream.stride}", f"0 to {MAX_STRIDE}")
         if not 0 <= stream.offset <= sizes(stream.buffer):
             yield Fault(
-                rules.BUFFER_RANGE, f"vertices from byte {stream.offset}", f"within {sizes(stream.buffer)} bytes"
+                rules.BUFFER_RANGE,
+                f"vertices from byte {stream.offset}",
+                f"within {sizes(stream.buffer)} bytes",
             )
         for attribute in stream.attributes:
             end = attribute.offset + attribute.format.size
             if attribute.offset < 0 or (stream.stride and end > stream.stride):
-                yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"inside an element of {stream.stride} bytes")
+                yield Fault(
+                    rules.MESH_ATTRIBUTE, f"{attribute}", f"inside an element of {stream.stride} bytes"
+                )
             if stream.offset + end > sizes(stream.buffer):
                 allowed = f"one element or more within {sizes(stream.buffer)} bytes"
                 yield Fault(rules.BUFFER_RANGE, f"{attribute} from byte {stream.offset}", allowed)
 
 
 def draw_faults(
-    elements: ElementCounts, indexed: bool, first: int, count: int, instances: int, base_vertex: int, base_instance: int
+    elements: ElementCounts,
+    indexed: bool,
+    first: int,
+    count: int,
+    instances: int,
+    base_vertex: int,
+    base_instance: int,
 ) -> Faults:
-    """Yield why a draw can't read its elements. Of an indexed draw, the indices aren't known here: devices clamp
-    them."""
+    """Yield why a draw can't read its elements. Of an indexed draw, the indices aren't known here: devices
+    clamp them."""
     numbers = (first, count, instances, base_instance)
     if min(numbers) < 0 or max(numbers) > MAX_ELEMENTS or abs(base_vertex) > MAX_ELEMENTS:
-        given = f"first {first}, count {count}, instances {instances}, bases {base_vertex} and {base_instance}"
-        yield Fault(rules.DRAW_COUNT, given, f"numbers from 0 to {MAX_ELEMENTS}, a base vertex up to {MAX_ELEMENTS}")
+        given = (
+            f"first {first}, count {count}, instances {instances}, bases {base_vertex} and {base_instance}"
+        )
+        yield Fault(
+            rules.DRAW_COUNT, given, f"numbers from 0 to {MAX_ELEMENTS}, a base vertex up to {MAX_ELEMENTS}"
+        )
     if not (count and instances):
         return
     maximum = elements.indices if indexed else elements.vertices
@@ -426,7 +480,9 @@ def indirect_dispatch_faults(offset: int, size: int) -> Faults:
 def dispatch_faults(groups: Sequence[int | None], groups_text: str, limits: Capabilities) -> Faults:
     """Yield why a dispatch can't have these groups; None is no whole number."""
     maximum = limits.max_dispatch
-    fits = len(groups) == 3 and all(n is not None and 0 <= n <= m for n, m in zip(groups, maximum, strict=True))
+    fits = len(groups) == 3 and all(
+        n is not None and 0 <= n <= m for n, m in zip(groups, maximum, strict=True)
+    )
     if not fits:
         yield Fault(rules.DISPATCH_SIZE, groups_text, f"1 to 3 whole numbers from 0 to {maximum}")
     if prod(n or 0 for n in groups) > limits.max_dispatch_groups:
@@ -435,7 +491,9 @@ def dispatch_faults(groups: Sequence[int | None], groups_text: str, limits: Capa
 
 def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a query."""
-    needed = {QueryKind.OCCLUSION: "occlusion_queries", QueryKind.COUNTER: "sample_counter"}.get(kind, "timestamps")
+    needed = {QueryKind.OCCLUSION: "occlusion_queries", QueryKind.COUNTER: "sample_counter"}.get(
+        kind, "timestamps"
+    )
     if not getattr(limits, needed):
         yield Fault(rules.DEVICE_CAPABILITY, f"a {kind.value} query", f"needs capabilities.{needed}")
 
@@ -443,7 +501,9 @@ def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
 def condition_faults(limits: Capabilities) -> Faults:
     """Yield what a device lacks for conditions."""
     if not limits.conditional_rendering:
-        yield Fault(rules.DEVICE_CAPABILITY, "conditional rendering", "needs capabilities.conditional_rendering")
+        yield Fault(
+            rules.DEVICE_CAPABILITY, "conditional rendering", "needs capabilities.conditional_rendering"
+        )
 
 
 # -- programs, states, passes --------------------------------------------------------------------------------
@@ -474,7 +534,9 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     if descriptor.early_depth and not limits.early_depth:
         yield Fault(rules.DEVICE_CAPABILITY, "early_depth = True", "needs capabilities.early_depth")
     if descriptor.vertex_writes and not limits.vertex_writes:
-        yield Fault(rules.DEVICE_CAPABILITY, "a vertex stage that writes memory", "needs capabilities.vertex_writes")
+        yield Fault(
+            rules.DEVICE_CAPABILITY, "a vertex stage that writes memory", "needs capabilities.vertex_writes"
+        )
     for binding in descriptor.bindings:
         if binding.kind is BindingKind.IMAGE:
             yield from _image_faults(binding, limits)
@@ -482,13 +544,17 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
         given = f"{len(descriptor.attributes)} attributes"
         yield Fault(rules.DEVICE_CAPABILITY, given, f"at most {limits.max_vertex_attributes}")
     if Stage.VERTEX in descriptor.stages and not limits.draws:
-        yield Fault(rules.DEVICE_CAPABILITY, show_stages(descriptor), "a compute program: needs capabilities.draws")
+        yield Fault(
+            rules.DEVICE_CAPABILITY, show_stages(descriptor), "a compute program: needs capabilities.draws"
+        )
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = group = descriptor.work_group
         total = limits.max_work_group_invocations
         fits = all(0 < n <= maximum for n, maximum in zip(group, limits.max_work_group, strict=True))
         if not limits.compute or not fits or x * y * z > total:
-            yield Fault(rules.DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all")
+            yield Fault(
+                rules.DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
+            )
         if descriptor.shared_bytes > limits.max_shared_bytes:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
             yield Fault(rules.DEVICE_CAPABILITY, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
@@ -502,7 +568,9 @@ def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
         yield Fault(rules.DEVICE_CAPABILITY, given, "not among capabilities.unstorable_formats")
     if binding.writes and binding.reads and format in limits.unloadable_formats:
         yield Fault(
-            rules.DEVICE_CAPABILITY, f"{given} that is loaded from", "not among capabilities.unloadable_formats"
+            rules.DEVICE_CAPABILITY,
+            f"{given} that is loaded from",
+            "not among capabilities.unloadable_formats",
         )
 
 
@@ -514,7 +582,9 @@ def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faul
         if any(offset % step for offset in offsets):
             given = f"vertices of {stream.stride} bytes, with fields at {', '.join(map(str, offsets[2:]))}"
             tip = "add fields that fill it up, or align the dtype: np.dtype(…, align=True)"
-            yield Fault(rules.DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip)
+            yield Fault(
+                rules.DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip
+            )
 
 
 def _differs(state: Any) -> bool:
@@ -545,7 +615,9 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a state."""
     if isinstance(state, states.PlatformState) and type(state) not in limits.platform_states:
         have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
-        yield Fault(rules.PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
+        yield Fault(
+            rules.PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}"
+        )
     needs = _REQUIRED_CAPABILITIES.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
         yield Fault(rules.STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
@@ -557,8 +629,8 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
 def target_bytes(formats: Iterable[Format]) -> int:
     """Return the bytes that the texels of color targets take on a chip which keeps them there while it draws.
 
-    Source: WebGPU, "calculating color attachment bytes per sample": texels of four normalised bytes, or packed ones,
-    count 8.
+    Source: WebGPU, "calculating color attachment bytes per sample": texels of four normalised bytes, or
+    packed ones, count 8.
     """
     total = 0
     for form in formats:
@@ -568,8 +640,11 @@ def target_bytes(formats: Iterable[Format]) -> int:
     return total
 
 
-def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities) -> Faults:
-    """Yield what is wrong with a render pass. Its attachments name existing levels and layers of `textures`."""
+def pass_faults(
+    descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities
+) -> Faults:
+    """Yield what is wrong with a render pass. Its attachments name existing levels and layers of
+    `textures`."""
     colors, depth = descriptor.colors, descriptor.depth
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
     used = [textures[target.texture] for target in targets]
@@ -579,7 +654,9 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
         taken = target_bytes(texture.format for texture in used[: len(colors)])
         if taken > limits.max_target_bytes:
             allowed = f"up to capabilities.max_target_bytes, {limits.max_target_bytes}"
-            yield Fault(rules.DEVICE_CAPABILITY, f"texels of {taken} bytes in {len(colors)} color targets", allowed)
+            yield Fault(
+                rules.DEVICE_CAPABILITY, f"texels of {taken} bytes in {len(colors)} color targets", allowed
+            )
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
         yield Fault(rules.PASS_TARGET, "the same texture twice", "each level and layer once")
     for texture in used[: len(colors)]:
@@ -595,14 +672,23 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
         yield Fault(rules.PASS_SIZE, size_list, "one size")
     samples = {texture.samples for texture in used}
     if samples != {descriptor.samples}:
-        yield Fault(rules.PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")
+        yield Fault(
+            rules.PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples"
+        )
     for color, source in zip(colors, used, strict=False):  # a depth target is the last one
         if not color.resolve:
             continue
         end = textures[color.resolve]
         if source.format in limits.unresolvable_formats:
-            yield Fault(rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
-        fits = source.samples > 1 and end.samples == 1 and end.format is source.format and end.size == descriptor.size
+            yield Fault(
+                rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats"
+            )
+        fits = (
+            source.samples > 1
+            and end.samples == 1
+            and end.format is source.format
+            and end.size == descriptor.size
+        )
         if not fits or source.format.is_integer:  # integers have no average
             allowed = "from several samples to 1, equal size and format, no integers"
             yield Fault(rules.PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)

@@ -1,8 +1,8 @@
 """Dictionaries on disk, for values that outlive the process.
 
 Each is a file in the folder `dictionaries` of the cache, which `RHI_CACHE` names: its keyed checksum
-(`rhi.contract.trust`) and JSON. It is read and written whole, so processes may share it; of those that write at once,
-the last one counts.
+(`rhi.contract.trust`) and JSON. It is read and written whole, so processes may share it; of those that write
+at once, the last one counts.
 """
 
 from __future__ import annotations

@@ -43,7 +43,12 @@ class PlainQueries:
                 backend.end_query(queries[current])
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        query_indices: NDArray[np.int64],
     ) -> None:
         """Draw on condition; see `rhi.contract.backend.PreparedQueries.draw_conditional`."""
         backend, queries = self._backend, self._queries
@@ -51,7 +56,9 @@ class PlainQueries:
         for query_index, begin, end in list_runs(query_indices):
             backend.begin_conditional(queries[query_index], False)
             try:
-                backend.draw_indirect(vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0)
+                backend.draw_indirect(
+                    vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0
+                )
             finally:
                 backend.end_conditional()
 
@@ -59,7 +66,9 @@ class PlainQueries:
         """Return the samples of each query, or None; see `rhi.contract.backend.PreparedQueries.read`."""
         read, queries = self._backend.read_query, self._queries
         results = np.empty(len(query_indices), np.int64)
-        for index, query_index in reversed(list(enumerate(query_indices.tolist()))):  # the latest results arrive last
+        for index, query_index in reversed(
+            list(enumerate(query_indices.tolist()))
+        ):  # the latest results arrive last
             samples = read(queries[query_index])
             if samples is None:
                 return None
@@ -80,4 +89,9 @@ def list_draws(draws: NDArray[Any]) -> Iterator[tuple[int, int, int, int, int]]:
 def list_runs(query_indices: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
     """Yield the query index, begin and end of each run of equal indices. There is at least one run."""
     begins = np.flatnonzero(np.diff(query_indices, prepend=-1))
-    return zip(query_indices[begins].tolist(), begins.tolist(), [*begins[1:].tolist(), len(query_indices)], strict=True)
+    return zip(
+        query_indices[begins].tolist(),
+        begins.tolist(),
+        [*begins[1:].tolist(), len(query_indices)],
+        strict=True,
+    )

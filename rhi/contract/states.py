@@ -2,10 +2,10 @@
 
 - Each state is a type of its own, so a value can't be given to the wrong state and a scope needs no names:
   `device.states(CullMode.NONE, DepthWrite.OFF, Viewport(0, 0, 64, 64))`.
-- States with a choice are enums. States with numbers are frozen, interned values: equal values are the same object.
-  So all states hash and compare by identity, at the speed of C. A scope is looked up by the hash of its states; a
-  dataclass's own hash costs 150 ns, Enum's 52. (Named tuples won't do: `Viewport(0, 0, 1, 1)` would equal
-  `Scissor(0, 0, 1, 1)`.)
+- States with a choice are enums. States with numbers are frozen, interned values: equal values are the same
+  object. So all states hash and compare by identity, at the speed of C. A scope is looked up by the hash of
+  its states; a dataclass's own hash costs 150 ns, Enum's 52. (Named tuples won't do: `Viewport(0, 0, 1, 1)`
+  would equal `Scissor(0, 0, 1, 1)`.)
 - `ColorWrite` and `BlendFunction` exist once per color target: a plain value applies to all targets,
   `ColorWrite.OFF.at(2)` to one.
 - `STATE_TYPES` fixes the order of a state vector; commonly changed states come first.
@@ -71,8 +71,8 @@ class DepthWrite(Choice):
 
 
 class DepthFunction(Choice):
-    """The depth comparison `fragment OP stored`. Depth is reversed by default (near 1, far 0), so the default is
-    GREATER."""
+    """The depth comparison `fragment OP stored`. Depth is reversed by default (near 1, far 0), so the default
+    is GREATER."""
 
     NEVER = "never"
     LESS = "less"
@@ -120,10 +120,11 @@ class AlphaToCoverage(Choice):
 
 
 class PolygonMode(Choice):
-    """The drawing of triangles: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
+    """The drawing of triangles: filled, or as their three edges (wireframe). LINE needs
+    `capabilities.wireframe`.
 
-    An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the depth offset and flat
-    varyings are those of the triangle. Some drivers test the edges of back faces by `StencilFront`.
+    An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the depth offset and
+    flat varyings are those of the triangle. Some drivers test the edges of back faces by `StencilFront`.
     """
 
     FILL = "fill"
@@ -174,7 +175,8 @@ class AlphaReference(_Value):
 
 
 class _OfTarget(_Value):
-    """Base class of states that exist per color target. `target`, the last field, selects one; None means all."""
+    """Base class of states that exist per color target. `target`, the last field, selects one; None means
+    all."""
 
     __slots__ = ()
 
@@ -228,7 +230,8 @@ class BlendFactor(Choice):
 
 
 class BlendOperation(Choice):
-    """The operation by which blending combines source and destination. MINIMUM and MAXIMUM ignore the factors."""
+    """The operation by which blending combines source and destination. MINIMUM and MAXIMUM ignore the
+    factors."""
 
     ADD = "add"
     SUBTRACT = "subtract"
@@ -241,8 +244,8 @@ class BlendOperation(Choice):
 class BlendFunction(_OfTarget):
     """Blending: `source · source factor OP destination · destination factor`. Alpha may differ from color.
 
-    Common functions are `BlendFunction.OFF`, `ALPHA`, `ADDITIVE`, `PREMULTIPLIED` and `MULTIPLY`. `target` None applies
-    to all targets. Integer targets don't blend.
+    Common functions are `BlendFunction.OFF`, `ALPHA`, `ADDITIVE`, `PREMULTIPLIED` and `MULTIPLY`. `target`
+    None applies to all targets. Integer targets don't blend.
     """
 
     source: BlendFactor = BlendFactor.ONE
@@ -332,8 +335,9 @@ class _StencilFace(_Value):
 
 
 class StencilFront(_StencilFace):
-    """Stencil test of front faces, points and lines: the comparison `reference & mask OP stored & mask`, and how the
-    stored value changes when the stencil test fails, when the depth test fails, and when both pass."""
+    """Stencil test of front faces, points and lines: the comparison `reference & mask OP stored & mask`, and
+    how the stored value changes when the stencil test fails, when the depth test fails, and when both
+    pass."""
 
     __slots__ = ()
 
@@ -355,7 +359,8 @@ class _StencilBytes(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilReference(_StencilBytes):
-    """The stencil reference of front and back faces, 0 to 255: the value to compare with, and which REPLACE writes."""
+    """The stencil reference of front and back faces, 0 to 255: the value to compare with, and which REPLACE
+    writes."""
 
     front: int = 0
     back: int = 0
@@ -379,10 +384,11 @@ class StencilWriteMask(_StencilBytes):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewport(_Value):
-    """The rectangle that clip space maps to, in texels from the target's top left corner, and its depth range.
+    """The rectangle that clip space maps to, in texels from the target's top left corner, and its depth
+    range.
 
-    `Viewport.TARGET`, the default, is the whole target of the current pass. Width and height are at most 16,384, x and
-    y within ±32,767.
+    `Viewport.TARGET`, the default, is the whole target of the current pass. Width and height are at most
+    16,384, x and y within ±32,767.
     """
 
     x: float = 0.0
@@ -429,8 +435,8 @@ Scissor.OFF = Scissor()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthBias(_Value):
-    """A constant that is added to every depth, in units of the smallest step of the depth format. A positive bias gives
-    a larger depth value, which is nearer with reversed depth."""
+    """A constant that is added to every depth, in units of the smallest step of the depth format. A positive
+    bias gives a larger depth value, which is nearer with reversed depth."""
 
     units: float = 0.0
 
@@ -440,8 +446,8 @@ class DepthBias(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonOffset(_Value):
-    """Slope-scaled depth offset: `slope` times the steepest depth slope of a polygon is added to its depth. A `clamp`
-    other than 0 limits the whole offset, bias included; it needs `capabilities.depth_bias_clamp`."""
+    """Slope-scaled depth offset: `slope` times the steepest depth slope of a polygon is added to its depth. A
+    `clamp` other than 0 limits the whole offset, bias included; it needs `capabilities.depth_bias_clamp`."""
 
     slope: float = 0.0
     clamp: float = 0.0
@@ -454,8 +460,8 @@ class PolygonOffset(_Value):
 class LineWidth(_Value):
     """The width of lines in texels, from 1 to `capabilities.max_line_width`.
 
-    It is rounded to whole texels. On targets of one sample, a line that is wider than high covers as many texels in
-    each of its columns, any other in each of its rows.
+    It is rounded to whole texels. On targets of one sample, a line that is wider than high covers as many
+    texels in each of its columns, any other in each of its rows.
     """
 
     width: float = 1.0
@@ -467,9 +473,9 @@ class LineWidth(_Value):
 class PlatformState(Choice):
     """Base class of states that only one platform has (thesis 3.3). Its first member is the default.
 
-    A backend derives an enum from it and names it in `Capabilities.platform_states`. Scopes accept its members on
-    devices that name it, and refuse it elsewhere (`platform-state`). The state vector has one entry for all of them:
-    the members that differ from their defaults, sorted by name.
+    A backend derives an enum from it and names it in `Capabilities.platform_states`. Scopes accept its
+    members on devices that name it, and refuse it elsewhere (`platform-state`). The state vector has one
+    entry for all of them: the members that differ from their defaults, sorted by name.
     """
 
     @property
@@ -550,8 +556,9 @@ PER_TARGET: Final = (ColorWrite, BlendFunction)
 
 
 class StateChange(NamedTuple):
-    """A new value of one state type. For `ColorWrite` and `BlendFunction`, `value` is a tuple of 8, one per target; for
-    `PlatformState` a tuple of all that differ from their defaults; for the other types it is the state itself."""
+    """A new value of one state type. For `ColorWrite` and `BlendFunction`, `value` is a tuple of 8, one per
+    target; for `PlatformState` a tuple of all that differ from their defaults; for the other types it is the
+    state itself."""
 
     type: type
     value: object

@@ -1,11 +1,11 @@
 """Encoding and decoding of texels, and the box filter of mip levels.
 
-- Conversions follow the graphics APIs: clamp, scale, round to nearest. NaN becomes 0 if the format can't store it.
-  They are computed in float64 and rounded once.
+- Conversions follow the graphics APIs: clamp, scale, round to nearest. NaN becomes 0 if the format can't
+  store it. They are computed in float64 and rounded once.
 - sRGB formats store gamma-encoded colors and linear alpha (IEC 61966-2-1, the exact piecewise curve).
 - Depth is stored as float32, rounded to values that the format can represent.
-- Floats of 11 and 10 bits have no sign: 5 bits of exponent as float16, 6 and 5 of fraction. Negative numbers become 0,
-  finite ones that are too large the largest (OpenGL 4.5, 2.3.4.3).
+- Floats of 11 and 10 bits have no sign: 5 bits of exponent as float16, 6 and 5 of fraction. Negative numbers
+  become 0, finite ones that are too large the largest (OpenGL 4.5, 2.3.4.3).
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
 
 
 def unpack(format: Format, texels: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return the numbers of each channel, (…, channels), of packed texels (…, 1): uint16, or float16, which represents
-    all floats of 11 and 10 bits. Texels of other formats are returned as they are."""
+    """Return the numbers of each channel, (…, channels), of packed texels (…, 1): uint16, or float16, which
+    represents all floats of 11 and 10 bits. Texels of other formats are returned as they are."""
     if not format.is_packed:
         return texels
     words = np.asarray(texels)[..., 0].astype(np.uint32)
@@ -81,8 +81,8 @@ def unpack(format: Format, texels: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def pack(format: Format, numbers: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return packed texels (…, 1) of the numbers (…, channels) that `unpack` returns. Bits that a channel doesn't have
-    are dropped. Texels of other formats are returned as they are."""
+    """Return packed texels (…, 1) of the numbers (…, channels) that `unpack` returns. Bits that a channel
+    doesn't have are dropped. Texels of other formats are returned as they are."""
     if not format.is_packed:
         return numbers
     numbers = np.asarray(numbers)
@@ -121,8 +121,8 @@ def _largest_channels(format: Format) -> NDArray[np.float64]:
 def halve(format: Format, level: NDArray[np.generic], layers: int) -> NDArray[np.generic]:
     """Return the next mip level of a (layers, height, width, components) level, with `layers` layers.
 
-    Each texel is the mean of the area that it covers: 2 texels along an even axis, 3 with fractional weights along an
-    odd one. So no row or column is lost, and the mean of the level is preserved.
+    Each texel is the mean of the area that it covers: 2 texels along an even axis, 3 with fractional weights
+    along an odd one. So no row or column is lost, and the mean of the level is preserved.
     """
     depth, height, width, components = level.shape
     shape = (layers, max(1, height // 2), max(1, width // 2), components)

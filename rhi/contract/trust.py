@@ -1,10 +1,10 @@
 """Trust in cached files: whether a folder is the user's own, and checksums that only the user can make.
 
-Compiled kernels are machine code, and texts of shaders are Python: whoever can write them, or have others' taken for
-them, runs code as the user. So a folder that belongs to somebody else, or that others may write, isn't used; and the
-checksums of its files are made with a key that only the user can read. It lies beside the default folder, in the user's
-cache, so that a folder from elsewhere doesn't bring its own. A program that ships its kernels says its key in
-`RHI_CACHE_KEY`, when they are made and when they are used.
+Compiled kernels are machine code, and texts of shaders are Python: whoever can write them, or have others'
+taken for them, runs code as the user. So a folder that belongs to somebody else, or that others may write,
+isn't used; and the checksums of its files are made with a key that only the user can read. It lies beside the
+default folder, in the user's cache, so that a folder from elsewhere doesn't bring its own. A program that
+ships its kernels says its key in `RHI_CACHE_KEY`, when they are made and when they are used.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def user_cache() -> Path:
 
 
 def cache_folder(name: str) -> Path:
-    """Return the folder of this name in the one that `RHI_CACHE` names, or in the user's cache. It may not exist."""
+    """Return the folder of this name in the one that `RHI_CACHE` names, or in the user's cache. It may not
+    exist."""
     return Path(os.environ.get(FOLDER, "") or user_cache()).absolute() / name
 
 

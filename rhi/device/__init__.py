@@ -1,1 +1,2 @@
-"""The platform-independent front end: the device, its resources and its commands, with all checks and policies."""
+"""The platform-independent front end: the device, its resources and its commands, with all checks and
+policies."""

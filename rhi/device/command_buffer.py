@@ -1,18 +1,20 @@
 """Command buffers: commands that are recorded once and executed later, any number of times (thesis 3.7.2).
 
-- A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so several
-  can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
-- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). So state
-  scopes have no effect across its border, in either direction.
-- Nothing depends on states before its first draw. There the hardware is brought from whatever it has to that draw's
-  states, in place of the recorded change from the defaults, and at the end the device's cache adopts the states it
-  ends with. So a buffer that ends with the states of its first draw changes none when it is submitted again.
-- Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to the
-  encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as long as the
-  command buffer.
+- A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so
+  several can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the
+  device.
+- It starts from default states and ends balanced: no scope, pass, label or query is left open
+  (`record-open`). So state scopes have no effect across its border, in either direction.
+- Nothing depends on states before its first draw. There the hardware is brought from whatever it has to that
+  draw's states, in place of the recorded change from the defaults, and at the end the device's cache adopts
+  the states it ends with. So a buffer that ends with the states of its first draw changes none when it is
+  submitted again.
+- Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to
+  the encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as
+  long as the command buffer.
 - During recording, `rhi.device.recording` takes the place of the device.
-- It is notified of each of its resources that is destroyed (`Timeline.watch`). Then a submission is refused, with the
-  lines that used and destroyed the resource.
+- It is notified of each of its resources that is destroyed (`Timeline.watch`). Then a submission is refused,
+  with the lines that used and destroyed the resource.
 - At the first execution, its commands become a list of calls with their arguments, with draws and bindings as
   the backend prepares them. Later executions only iterate over that list.
 """
@@ -63,10 +65,11 @@ _DRAW_OPS: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
 
 
 class CommandBuffer(Encoder):
-    """Recorded commands; created by `device.record()`, recorded in its `with` block, executed by `device.submit`.
+    """Recorded commands; created by `device.record()`, recorded in its `with` block, executed by
+    `device.submit`.
 
-    It has the commands of a device, except those that wait or synchronise (reads, locks, signals, `present`). Its
-    memory is released with the last reference to it.
+    It has the commands of a device, except those that wait or synchronise (reads, locks, signals, `present`).
+    Its memory is released with the last reference to it.
     """
 
     NAME = "commands"
@@ -80,7 +83,9 @@ class CommandBuffer(Encoder):
         self._state = _EMPTY
         self._programs: dict[Program[...], RecordedProgram] = {}
         self._calls: list[PreparedCall] | None = None
-        self._first_change: int | None = None  # index of the first command that sets states, if no draw comes before it
+        self._first_change: int | None = (
+            None  # index of the first command that sets states, if no draw comes before it
+        )
         self._draws_with_defaults = False  # whether the first draw comes before any change of states
         self._destroyed_uses: dict[Id, str] = {}
         self._draws = 0
@@ -136,7 +141,9 @@ class CommandBuffer(Encoder):
         if kind is not None:
             return
         if left:
-            core.refuse(rules.RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
+            core.refuse(
+                rules.RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open"
+            )
         if self.label:
             self._writer.pop_label()
         statistics = core.statistics()
@@ -197,7 +204,8 @@ class CommandBuffer(Encoder):
         return counted
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """Create a condition: `with commands.conditional(query):` skips draws on the GPU if the query counted nothing.
+        """Create a condition: `with commands.conditional(query):` skips draws on the GPU if the query counted
+        nothing.
 
         The query must have ended before, earlier in this buffer or before the submission (`query-state`).
         """
@@ -296,7 +304,9 @@ class CommandBuffer(Encoder):
         """Note the line that destroyed a resource of this buffer; called by `Timeline`."""
         if resource in self._recorder.uses and resource not in self._destroyed_uses:
             frame = find_user_frame()
-            self._destroyed_uses[resource] = str(call_site_at(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            self._destroyed_uses[resource] = (
+                str(call_site_at(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            )
 
     def execute(self) -> None:
         """Execute the recorded commands; called by `Device.submit`, which has checked them."""
@@ -456,7 +466,9 @@ class RecordedQuery(QueryScope):
         if core.render_pass is None:
             core.refuse(rules.DRAW_OUTSIDE_PASS, call, "no open pass")
         if query.id in core.queries:
-            core.refuse(rules.QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
+            core.refuse(
+                rules.QUERY_STATE, call, "the same query twice in a command buffer", "each query once"
+            )
         for resource in query.ids:
             core.note_use(resource, query)
         core.scopes.push(self)

@@ -1,10 +1,11 @@
 """The device: the platform-independent half of the interface (the thesis's modified PIMPL, 3.6.3).
 
-- `Device` creates resources, opens passes and scopes, draws, and synchronises. It is the only module with policy:
-  when resources are destroyed, how many frames the CPU may be ahead, how large rings are.
-- A device belongs to one thread, and on some platforms to the context that is current there (`Core.check_ready`).
-- The other half is a `Backend`; commands are calls of its methods. All checks are made here, before a call reaches
-  the backend.
+- `Device` creates resources, opens passes and scopes, draws, and synchronises. It is the only module with
+  policy: when resources are destroyed, how many frames the CPU may be ahead, how large rings are.
+- A device belongs to one thread, and on some platforms to the context that is current there
+  (`Core.check_ready`).
+- The other half is a `Backend`; commands are calls of its methods. All checks are made here, before a call
+  reaches the backend.
 """
 
 from __future__ import annotations
@@ -134,9 +135,9 @@ class Device(Encoder):
         """Release the device and all of its resources; a second call does nothing.
 
         Raises:
-            ValidationError: `scope-open` inside a scope, `lock-open` if a lock was never released; the device is
-                closed nevertheless. Neither is raised if `quiet`, nor while an exception is being handled, which it
-                would hide. `device-thread` on another thread; the device stays open.
+            ValidationError: `scope-open` inside a scope, `lock-open` if a lock was never released; the device
+                is closed nevertheless. Neither is raised if `quiet`, nor while an exception is being handled,
+                which it would hide. `device-thread` on another thread; the device stays open.
         """
         core = self._core
         quiet = ArgumentChecker("device.close", core.refuse).flag("quiet", quiet)
@@ -158,29 +159,34 @@ class Device(Encoder):
             core.refuse(rules.SCOPE_OPEN, "device.close", f"a call inside {surrounding}", "no open scope")
         if core.locked:
             names = ", ".join(repr(owner) for owner in core.locked)
-            core.refuse(rules.LOCK_OPEN, "device.close", f"open locks of {names}", "none", "lock in a `with` block")
+            core.refuse(
+                rules.LOCK_OPEN, "device.close", f"open locks of {names}", "none", "lock in a `with` block"
+            )
 
     def make_current(self) -> None:
         """Make the device ready for calls on this thread, after other code may have used the platform.
 
-        - On OpenGL: makes the device's context current and sets all of its states anew, whatever other code did to
-          them. Between passes the device finds out by itself that another context is current; inside a pass, call
-          this after such code. See docs/threads.md.
+        - On OpenGL: makes the device's context current and sets all of its states anew, whatever other code
+          did to them. Between passes the device finds out by itself that another context is current; inside a
+          pass, call this after such code. See docs/threads.md.
         - A device that no thread owns (`release_current`) belongs to the calling thread from now on.
 
         Raises:
             ValidationError: `device-thread` if the device belongs to another thread.
-            DeviceError: `device-context` if the platform refuses, as OpenGL does while a context of GLX is current.
+            DeviceError: `device-context` if the platform refuses, as OpenGL does while a context of GLX is
+                current.
         """
         self._core.check_open()
         self._core.make_current()
 
     def release_current(self) -> None:
-        """Detach the device from its thread, so that another thread can call `make_current`. Until then every call of
-        the device is refused. On OpenGL no context is current on this thread afterwards, unless it was another's.
+        """Detach the device from its thread, so that another thread can call `make_current`. Until then every
+        call of the device is refused. On OpenGL no context is current on this thread afterwards, unless it
+        was another's.
 
         Raises:
-            ValidationError: `device-thread` on another thread than the device's, `pass-open` inside a render pass.
+            ValidationError: `device-thread` on another thread than the device's, `pass-open` inside a render
+                pass.
         """
         core = self._core
         core.check_open()
@@ -240,14 +246,19 @@ class Device(Encoder):
             ValidationError: `device-capability` if the backend is not a `kind`.
         """
         if not isinstance(kind, type):
-            ArgumentChecker("device.backend_as", self._core.refuse).fail("kind", kind, "the class of a backend")
+            ArgumentChecker("device.backend_as", self._core.refuse).fail(
+                "kind", kind, "the class of a backend"
+            )
         backend: object = self._backend
         while not isinstance(backend, kind) and hasattr(backend, "backend"):
             backend = backend.backend
         if isinstance(backend, kind):
             return backend
         self._core.refuse(
-            rules.DEVICE_CAPABILITY, f"device.backend_as({kind.__name__})", type(backend).__name__, kind.__name__
+            rules.DEVICE_CAPABILITY,
+            f"device.backend_as({kind.__name__})",
+            type(backend).__name__,
+            kind.__name__,
         )
 
     def __repr__(self) -> str:
@@ -274,7 +285,9 @@ class Device(Encoder):
                 kinds: Any = (np.dtype, type, str, list, tuple, dict)
                 requested = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
             except (TypeError, ValueError) as error:
-                self._core.refuse(rules.BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})")
+                self._core.refuse(
+                    rules.BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})"
+                )
         count = to_integer(source)
         if count is not None:
             return Buffer(self._core, count, requested or np.dtype(np.uint8), usage, label)
@@ -293,10 +306,11 @@ class Device(Encoder):
 
     @_creates
     def uniform(self, value: Any, *, label: str = "") -> UniformBuffer[Any]:
-        """Create a buffer of constants, bound as `Uniform[T]`: a struct, or a single number, vector or matrix.
+        """Create a buffer of constants, bound as `Uniform[T]`: a struct, or a single number, vector or
+        matrix.
 
-        The value says what it is bound as: `uniform(0.5)` as `Uniform[float]`, `uniform(1)` as `Uniform[int]`, an array
-        of 4×4 floats as `Uniform[mat4]`, one of 3 floats as `Uniform[vec3]`.
+        The value says what it is bound as: `uniform(0.5)` as `Uniform[float]`, `uniform(1)` as
+        `Uniform[int]`, an array of 4×4 floats as `Uniform[mat4]`, one of 3 floats as `Uniform[vec3]`.
         """
         return UniformBuffer(self._core, value, label)
 
@@ -306,12 +320,16 @@ class Device(Encoder):
         return UniformArray(self._core, struct, count, label)
 
     @_creates
-    def storage(self, element: type[T], source: int | ArrayLike | Buffer, *, label: str = "") -> StorageBuffer[T]:
-        """Create an array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, a copy of an array, or a
-        view of a buffer. An array of vectors of three components may be (n, 3): memory has a fourth, which is 0.
+    def storage(
+        self, element: type[T], source: int | ArrayLike | Buffer, *, label: str = ""
+    ) -> StorageBuffer[T]:
+        """Create an array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, a copy of an
+        array, or a view of a buffer. An array of vectors of three components may be (n, 3): memory has a
+        fourth, which is 0.
 
         Raises:
-            ValidationError: `layout-mismatch` if the array's dtype is not a struct's std430 dtype, or if numbers don't
+            ValidationError: `layout-mismatch` if the array's dtype is not a struct's std430 dtype, or if
+                numbers don't
                 fit: whole ones are never rounded, floats never become whole.
         """
         core = self._core
@@ -348,16 +366,17 @@ class Device(Encoder):
         """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means
-        all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered. Images of
-        Pillow are arrays, too.
+        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels`
+        None means all mip levels down to 1×1; they are generated from an array's texels if the format can be
+        filtered. Images of Pillow are arrays, too.
 
-        The format None follows from an array's dtype and channels: uint8 becomes `R8`, `RG8` or `RGBA8`, uint16 `R16`
-        to `RGBA16`, float16 and float32 `R16F` to `RGBA32F`, uint32 and int32 `R32UI` to `RGBA32I`. Colors that are lit
-        need `RGBA8_SRGB`, by name.
+        The format None follows from an array's dtype and channels: uint8 becomes `R8`, `RG8` or `RGBA8`,
+        uint16 `R16` to `RGBA16`, float16 and float32 `R16F` to `RGBA32F`, uint32 and int32 `R32UI` to
+        `RGBA32I`. Colors that are lit need `RGBA8_SRGB`, by name.
 
-        An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4 texels. A
-        device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to 8 times the memory.
+        An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4
+        texels. A device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to
+        8 times the memory.
         """
         check = ArgumentChecker("device.texture", self._core.refuse)
         if not isinstance(source, (tuple, list, np.ndarray)) and hasattr(source, "__array_interface__"):
@@ -417,7 +436,8 @@ class Device(Encoder):
         (`rhi.create_device("gl", context=…)`).
 
         Args:
-            native: OpenGL's name of the texture, or an object with the name in `glo`, such as moderngl's textures.
+            native: OpenGL's name of the texture, or an object with the name in `glo`, such as moderngl's
+                textures.
 
         Raises:
             ValidationError: `device-capability` if this device stands alone, `device-argument` if `native` is
@@ -485,13 +505,16 @@ class Device(Encoder):
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
     def program(self, shader: Any) -> Program[...]:
-        """Create the program of a shader class or of a native program's descriptor; equal arguments share one.
+        """Create the program of a shader class or of a native program's descriptor; equal arguments share
+        one.
 
         Raises:
             ShaderError: the shader does not type-check, or the driver refuses it.
         """
         self._core.check_open()
-        if not isinstance(shader, ProgramDescriptor) and not (isinstance(shader, type) and issubclass(shader, Shader)):
+        if not isinstance(shader, ProgramDescriptor) and not (
+            isinstance(shader, type) and issubclass(shader, Shader)
+        ):
             ArgumentChecker("device.program", self._core.refuse).fail(
                 "shader", shader, "a class derived from Shader, or a ProgramDescriptor"
             )
@@ -541,8 +564,8 @@ class Device(Encoder):
         targets: Sequence[Texture | Format] = (),
         states: Sequence[State] = (),
     ) -> Preparation:
-        """Begin to compile the platform's code for draws and dispatches, so that no frame waits for it or runs
-        slower.
+        """Begin to compile the platform's code for draws and dispatches, so that no frame waits for it or
+        runs slower.
 
         Args:
             program: the program, or a list of `DrawPlan`s, which replace all arguments.
@@ -564,32 +587,34 @@ class Device(Encoder):
 
     @property
     def is_building(self) -> bool:
-        """Whether the platform is compiling code in the background. Until then draws and dispatches are slower,
-        and measured times aren't representative."""
+        """Whether the platform is compiling code in the background. Until then draws and dispatches are
+        slower, and measured times aren't representative."""
         return bool(getattr(self._core.backend, "is_building", False))
 
     def record(self, *, label: str = "") -> CommandBuffer:
-        """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes them.
+        """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes
+        them.
 
-        It records passes, states, draws, dispatches and so on with the methods of a device, on any thread, one thread
-        per buffer. `label` is put on all of its commands.
+        It records passes, states, draws, dispatches and so on with the methods of a device, on any thread,
+        one thread per buffer. `label` is put on all of its commands.
         """
         self._core.check_open()
         ArgumentChecker("device.record", self._core.refuse).text("label", label)
         return CommandBuffer(self._core, label)
 
     def submit(self, *buffers: CommandBuffer) -> None:
-        """Execute command buffers, in order, on the device's own thread; they may be submitted any number of times.
+        """Execute command buffers, in order, on the device's own thread; they may be submitted any number of
+        times.
 
-        Buffers and textures are read as they are at that time. The device's state scopes don't apply to the commands
-        inside, nor the other way round.
+        Buffers and textures are read as they are at that time. The device's state scopes don't apply to the
+        commands inside, nor the other way round.
 
         It may lie inside events and conditions, which then apply to the commands, but not inside a pass.
 
         Raises:
-            ValidationError: `record-state` for an incomplete command buffer, `resource-destroyed` for one that uses a
-                destroyed resource, `lock-open`, `query-state`, `pass-open` inside a render pass, `condition-nested`
-                for a condition inside another; nothing was executed then.
+            ValidationError: `record-state` for an incomplete command buffer, `resource-destroyed` for one
+                that uses a destroyed resource, `lock-open`, `query-state`, `pass-open` inside a render pass,
+                `condition-nested` for a condition inside another; nothing was executed then.
         """
         core = self._core
         core.check_ready()
@@ -636,9 +661,12 @@ class Device(Encoder):
 
     @_creates
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
-        """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…, queries)`."""
+        """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…,
+        queries)`."""
         check = ArgumentChecker("device.query_set", self._core.refuse)
-        return QuerySet(self._core, check.integer("size", size, 0, MAX_QUERIES), check.flag("emulated", emulated))
+        return QuerySet(
+            self._core, check.integer("size", size, 0, MAX_QUERIES), check.flag("emulated", emulated)
+        )
 
     @property
     def timing(self) -> bool:
@@ -650,7 +678,9 @@ class Device(Encoder):
         self._core.check_thread("device.timing")
         on = ArgumentChecker("device.timing", self._core.refuse).flag("on", on)
         if on and not self._core.capabilities.timestamps:
-            self._core.refuse(rules.DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
+            self._core.refuse(
+                rules.DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps"
+            )
         self._timers.enabled = on
 
     @property
@@ -664,13 +694,14 @@ class Device(Encoder):
     def present(self, image: Texture | None = None) -> None:
         """End the frame and show `image`.
 
-        Blocks only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame
-        is reused once the GPU has executed the frame. A device that was created beside the context of other code shows
-        the image in its window or framebuffer, and that context is current afterwards (docs/windows.md).
+        Blocks only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame is
+        reused once the GPU has executed the frame. A device that was created beside the context of other code
+        shows the image in its window or framebuffer, and that context is current afterwards
+        (docs/windows.md).
 
         Raises:
-            ValidationError: `pass-open` inside a render pass, `scope-open` inside any other scope, whose end would
-                belong to another frame.
+            ValidationError: `pass-open` inside a render pass, `scope-open` inside any other scope, whose end
+                would belong to another frame.
         """
         core = self._core
         core.check_ready()
@@ -695,17 +726,20 @@ class Device(Encoder):
             self._log_precision(waited)
 
     def _log_precision(self, seconds: float) -> None:
-        """Warn once, after some slow frames, which shaders would need fewer instructions with `Precision.FAST`.
-        Only drawing the frame with both precisions shows how much faster they would be."""
+        """Warn once, after some slow frames, which shaders would need fewer instructions with
+        `Precision.FAST`. Only drawing the frame with both precisions shows how much faster they would be."""
         self._frames_until_precision_log -= 1
         shaders = [shader for shader, _ in self._programs.items() if isinstance(shader, type)]
         exact = {
-            shader.__qualname__: names for shader in shaders if (names := self._programs.list_exact_functions(shader))
+            shader.__qualname__: names
+            for shader in shaders
+            if (names := self._programs.list_exact_functions(shader))
         }
         if exact and not self._frames_until_precision_log:
             function_names = "; ".join(f"{name} ({', '.join(names)})" for name, names in exact.items())
             LOGGER.warning(
-                "the CPU waited %.2f s for the device in a frame. Shaders that compute with Precision.EXACT what FAST "
+                "the CPU waited %.2f s for the device in a frame. Shaders that compute with Precision.EXACT "
+                "what FAST "
                 "computes with fewer instructions: %s. RHI_PRECISION=fast shows what that saves",
                 seconds,
                 function_names,

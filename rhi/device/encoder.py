@@ -1,7 +1,7 @@
 """The commands that devices and command buffers share: passes, states, draws, dispatches, labels, conditions.
 
-A `Device` executes them, a `CommandBuffer` records them for later. Both are encoders, so rendering code accepts
-either. All checks are made here, before a call reaches a backend.
+A `Device` executes them, a `CommandBuffer` records them for later. Both are encoders, so rendering code
+accepts either. All checks are made here, before a call reaches a backend.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _ONES: Final = (1, 1, 1)
 class IndirectDraws:
     """Draws whose arguments the GPU reads from a buffer when it executes them.
 
-    Each record is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`); the first lies at `offset`, the next
-    ones `stride` bytes apart. With `count`, the number of draws is the uint32 at `count_offset` of that buffer, at
-    most `draws`.
+    Each record is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`); the first lies at `offset`, the
+    next ones `stride` bytes apart. With `count`, the number of draws is the uint32 at `count_offset` of that
+    buffer, at most `draws`.
     """
 
     buffer: Buffer | StorageBuffer[Any]
@@ -91,14 +91,16 @@ class Encoder:
         Args:
             color: textures, or `texture.at(level, layer)`, all of the same size and number of samples.
             depth: a depth texture, likewise.
-            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps the contents).
+            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps the
+                contents).
             clear_depth: 0 is far and 1 near under reversed depth; None keeps the contents.
             resolve: single-sampled textures that receive the averaged samples at the end.
         """
         return RenderPass(self._core, color, depth, clear, clear_depth, clear_stencil, resolve, label)
 
     def states(self, *states: State) -> StateScope:
-        """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its end."""
+        """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its
+        end."""
         scope = self._scope_type()  # as `StateCache.scope`, without its call
         scope.cache = self._states
         scope.states = states
@@ -106,11 +108,13 @@ class Encoder:
         return scope
 
     def event(self, label: str) -> EventScope:
-        """Create an event: `with device.event("shadows"):` labels and, with timing on, times the commands inside."""
+        """Create an event: `with device.event("shadows"):` labels and, with timing on, times the commands
+        inside."""
         return EventScope(self._core, self._timers, label)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """Create a condition: in `with device.conditional(query):` the GPU skips draws if the query counted nothing.
+        """Create a condition: in `with device.conditional(query):` the GPU skips draws if the query counted
+        nothing.
 
         Only one condition can be open at a time. `inverted` skips draws if the query counted something.
         """
@@ -164,10 +168,10 @@ class Encoder:
         Each rectangle takes the place of the `Scissor` that is set around the call.
 
         Args:
-            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
-                `draw_index()` is 0.
-            clips: (n, 4) integers: x, y, width and height in texels, from the target's top left corner. Draws in an
-                empty rectangle are left out.
+            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`;
+                their `draw_index()` is 0.
+            clips: (n, 4) integers: x, y, width and height in texels, from the target's top left corner. Draws
+                in an empty rectangle are left out.
 
         Raises:
             ValidationError: the errors of `draw` and `draw_many`; nothing is drawn or bound then.
@@ -196,15 +200,15 @@ class Encoder:
         """Draw parts of `mesh`, each in an occlusion query, in one call.
 
         Args:
-            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
-                `draw_index()` is 0.
+            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`;
+                their `draw_index()` is 0.
             queries: the query set that counts the draws; all of its earlier results are discarded.
-            query_indices: (n,) integers, the query of the set that counts each draw; by default query i counts draw i.
-                A query may count several consecutive draws.
+            query_indices: (n,) integers, the query of the set that counts each draw; by default query i
+                counts draw i. A query may count several consecutive draws.
 
         Raises:
-            ValidationError: `query-indices`, `query-nested` inside another query, and the errors of `draw` and
-                `draw_many`; nothing is drawn, bound or discarded then.
+            ValidationError: `query-indices`, `query-nested` inside another query, and the errors of `draw`
+                and `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
         own, array = self._check_draws(program, mesh, draws, call)
@@ -234,16 +238,16 @@ class Encoder:
         The GPU decides, without a round trip to the CPU, as in `conditional`.
 
         Args:
-            draws: (n,) as for `draw_many`. Shaders tell them apart by `instance_index()`; their `draw_index()` counts
-                from 0 within consecutive draws of one query.
+            draws: (n,) as for `draw_many`. Shaders tell them apart by `instance_index()`; their
+                `draw_index()` counts from 0 within consecutive draws of one query.
             queries: a query set that `draw_counted` has used.
-            query_indices: (n,) integers, the query that decides about each draw; by default query i decides about draw
-                i. On most devices each run of draws with the same query is one conditional draw.
+            query_indices: (n,) integers, the query that decides about each draw; by default query i decides
+                about draw i. On most devices each run of draws with the same query is one conditional draw.
 
         Raises:
-            ValidationError: `query-indices`, also for a query that the latest `draw_counted` didn't use; `query-state`
-                if there was none; `device-capability` for an emulated set; `condition-nested` inside another condition;
-                and the errors of `draw_many`; nothing is drawn or bound then.
+            ValidationError: `query-indices`, also for a query that the latest `draw_counted` didn't use;
+                `query-state` if there was none; `device-capability` for an emulated set; `condition-nested`
+                inside another condition; and the errors of `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_conditional"
         own, array = self._check_draws(program, mesh, draws, call)
@@ -253,11 +257,15 @@ class Encoder:
         core.check_usable(queries, call)
         core.require(call, limits.condition_faults(core.capabilities))
         if queries.emulated:
-            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
+            core.refuse(
+                rules.DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)"
+            )
         if core.condition_open:
             core.refuse(rules.CONDITION_NESTED, call, "a condition inside another")
         self._refuse_quads(mesh, call)
-        each = queries.check_conditions(query_indices, len(array), self._get_counted_queries(queries, call), call)
+        each = queries.check_conditions(
+            query_indices, len(array), self._get_counted_queries(queries, call), call
+        )
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
@@ -404,7 +412,8 @@ class Encoder:
         """Return the program as this encoder uses it.
 
         Raises:
-            ValidationError: `device-argument` if it is not a program, `resource-foreign` if it is of another device.
+            ValidationError: `device-argument` if it is not a program, `resource-foreign` if it is of another
+                device.
         """
         if not isinstance(program, Program):
             self._core.refuse(rules.DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")

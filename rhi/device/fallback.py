@@ -6,8 +6,8 @@
 - Python's own loader runs a module's file. If that fails, changed shader modules get the texts that
   `Reloader.checkpoint` saved (`Reloader.roll_back`), because the module may miss a name of one of them. Then
   the module runs with its own saved text, if there is one.
-- The shading language knows which text is in effect (`text_of`). A `Reloader` that watches the module sees that
-  its file has another text, and loads it or reports its error.
+- The shading language knows which text is in effect (`text_of`). A `Reloader` that watches the module sees
+  that its file has another text, and loads it or reports its error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Immediate mode: geometry that is specified vertex by vertex and drawn once (thesis 4.3).
 
-`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at the end of its `with` block,
-with one upload to transient memory and one draw (Listing 4.9, but without counts in advance).
+`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at the end of its `with`
+block, with one upload to transient memory and one draw (Listing 4.9, but without counts in advance).
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ S = TypeVar("S", bound="Struct")
 
 
 class Immediate(Generic[S]):
-    """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block; `quads.vertex(position=…)` fills it."""
+    """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block; `quads.vertex(position=…)`
+    fills it."""
 
     __slots__ = (
         "_arrays",
@@ -76,7 +77,8 @@ class Immediate(Generic[S]):
         self._vertices.append(row)
 
     def vertices(self, arrays: VertexArrays) -> None:
-        """Add many vertices: a structured array with the program's vertex fields, or a dict of arrays by their names.
+        """Add many vertices: a structured array with the program's vertex fields, or a dict of arrays by
+        their names.
 
         Raises:
             ValidationError: `immediate-vertex`, as for `Device.mesh`.
@@ -87,12 +89,14 @@ class Immediate(Generic[S]):
         self._arrays += [self._collect(), packed]
 
     def instances(self, arrays: VertexArrays) -> None:
-        """Draw the vertices once for each element of these arrays, which hold some of the program's vertex fields.
+        """Draw the vertices once for each element of these arrays, which hold some of the program's vertex
+        fields.
 
         It comes before the first vertex; the vertices have the other fields.
 
         Raises:
-            ValidationError: `immediate-vertex` for arrays without such a field, after a vertex, or a second time.
+            ValidationError: `immediate-vertex` for arrays without such a field, after a vertex, or a second
+                time.
         """
         core, call = self._program.core, "Immediate.instances"
         self._check_open(call)
@@ -113,7 +117,9 @@ class Immediate(Generic[S]):
         core = self._program.core
         core.check_command()
         if self._open:
-            core.refuse(SCOPE_ORDER, "device.immediate", "a block that is open already", "one begin for each end")
+            core.refuse(
+                SCOPE_ORDER, "device.immediate", "a block that is open already", "one begin for each end"
+            )
         self._open = True
         return self
 
@@ -145,7 +151,8 @@ class Immediate(Generic[S]):
         core.draws += 1
 
     def _collect(self) -> NDArray[Any]:
-        """Pack the single vertices that were added since the latest array. They stay if one of them is refused."""
+        """Pack the single vertices that were added since the latest array. They stay if one of them is
+        refused."""
         core, call = self._program.core, "Immediate.vertex"
         check = ArgumentChecker(call, core.refuse, IMMEDIATE_VERTEX)
         array = np.empty(len(self._vertices), self._dtype)
@@ -154,7 +161,9 @@ class Immediate(Generic[S]):
         for number, name in enumerate(self._dtype.names or ()):
             column = array[name]
             values = check.array(name, [row[number] for row in self._vertices])
-            if values.shape != column.shape or values.dtype.kind not in ("iu" if column.dtype.kind in "iu" else "iuf"):
+            if values.shape != column.shape or values.dtype.kind not in (
+                "iu" if column.dtype.kind in "iu" else "iuf"
+            ):
                 core.refuse(IMMEDIATE_VERTEX, call, f"{name}: {values[-1]!r}", str(self._dtype[name]))
             if column.dtype.kind in "iu" and not _fits(values, column.dtype):
                 core.refuse(IMMEDIATE_VERTEX, call, f"{name}: {values!r}", str(self._dtype[name]))

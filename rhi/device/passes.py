@@ -1,7 +1,7 @@
 """Render passes: their targets, clears, and resolves.
 
-A pass is a `with` block. Its targets are checked when it is created. It begins on entry and always ends on exit,
-also after an exception.
+A pass is a `with` block. Its targets are checked when it is created. It begins on entry and always ends on
+exit, also after an exception.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class RenderPass(Scope):
         check = ArgumentChecker("device.render_pass", core.refuse)
         check.text("label", label)
         if clear_depth is not None:
-            clear_depth = ArgumentChecker(check.call, core.refuse, rules.PASS_CLEAR).number("clear_depth", clear_depth)
+            clear_depth = ArgumentChecker(check.call, core.refuse, rules.PASS_CLEAR).number(
+                "clear_depth", clear_depth
+            )
         if clear_stencil is not None:
             clear_stencil = ArgumentChecker(check.call, core.refuse, rules.PASS_CLEAR).integer(
                 "clear_stencil", clear_stencil
@@ -77,7 +79,9 @@ class RenderPass(Scope):
         if depth_target is None:
             for name, value in (("clear_depth", clear_depth), ("clear_stencil", clear_stencil)):
                 if value is not None:
-                    core.refuse(rules.PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target")
+                    core.refuse(
+                        rules.PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target"
+                    )
         self._kinds = tuple(shader_kind(t.texture.format) for t in colors)
         self._descriptor = PassDescriptor(
             first.size,
@@ -147,7 +151,9 @@ class RenderPass(Scope):
         """Pop the scope, the innermost one, and end the pass."""
         core = self._core
         scopes = core.scopes
-        index = scopes._index - 1  # from here on nothing may be interrupted before `end_pass`, so it calls nothing
+        index = (
+            scopes._index - 1
+        )  # from here on nothing may be interrupted before `end_pass`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
         core.render_pass = None
@@ -191,5 +197,7 @@ def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
     several = any(part is None or isinstance(part, (list, tuple, np.ndarray)) for part in parts)
     each = parts if several else [parts] * count
     if len(each) != count:
-        core.refuse(rules.PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
+        core.refuse(
+            rules.PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target"
+        )
     return [None if part is None else check.color("clear", part) for part in each]

@@ -1,8 +1,8 @@
 """Preparation of draws and dispatches before the first frame that needs them: `device.prepare`.
 
-- A platform may build code for each combination of program, vertex layout, formats and states. `Backend`s that can do
-  so ahead of the first draw offer `SupportsPreparedKernels`; elsewhere programs and vertex arrays are created and that
-  is all.
+- A platform may build code for each combination of program, vertex layout, formats and states. `Backend`s
+  that can do so ahead of the first draw offer `SupportsPreparedKernels`; elsewhere programs and vertex arrays
+  are created and that is all.
 - All plans are checked before anything begins.
 """
 
@@ -94,7 +94,8 @@ def prepare(core: Core, plans: Sequence[DrawPlan]) -> Preparation:
 
 
 def _check_plan(core: Core, plan: DrawPlan) -> tuple[list[Format], Format | None, int, StateVector]:
-    """Refuse a plan that no draw can follow; return the formats of its targets, their samples, and the states."""
+    """Refuse a plan that no draw can follow; return the formats of its targets, their samples, and the
+    states."""
     check = ArgumentChecker(_CALL, core.refuse)
     check.instance("program", plan, DrawPlan, "a program, or a list of rhi.DrawPlan")
     check.instance("program", plan.program, Program, "a Program from device.program(…)")

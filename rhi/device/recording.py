@@ -1,7 +1,7 @@
 """The core and the programs of a command buffer, which take the place of the device's during recording.
 
-- A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It notes which
-  of them are used, and on which line.
+- A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It notes
+  which of them are used, and on which line.
 - A `RecordedProgram` is a program of the device with draw functions of its own (`draw_code`).
 - Nothing here calls the device's backend, so recording may run on any thread: the one that enters its block.
 """
@@ -44,12 +44,13 @@ class RecordingCore(Core):
         recording: whether commands can be recorded now.
         uses: the resources in use, by id.
         stream: the recorded commands.
-        vertex_arrays: vertex arrays that meshes lack for a program, to be created before the first submission.
+        vertex_arrays: vertex arrays that meshes lack for a program, to be created before the first
+            submission.
         meshes: the meshes that the buffer draws; their vertex arrays live as long as they do.
         own_arrays: vertex arrays whose vertices lie in the arena.
         conditions: queries that must have ended before the buffer is submitted.
-        queries: for each query and query set that the buffer uses, by id, the function that receives the fence of a
-            submission.
+        queries: for each query and query set that the buffer uses, by id, the function that receives the
+            fence of a submission.
         counted_queries: for each query set that the buffer uses, by id, the queries that it counts in.
     """
 
@@ -90,7 +91,9 @@ class RecordingCore(Core):
         if self.device.closed:
             self.refuse(DEVICE_CLOSED, "device", "a closed device")
         if not self.recording:
-            self.refuse(RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it")
+            self.refuse(
+                RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it"
+            )
 
     check_command = check_open
 
@@ -154,7 +157,9 @@ class RecordedProgram(Program[...]):
         assert isinstance(core, RecordingCore)
         vertex_array = mesh.vertex_arrays.get(self.origin) or mesh.vertex_arrays.get(self)
         if not isinstance(mesh, Mesh):
-            return vertex_array or mesh.create_vertex_array(self.origin, self.id, self.name, self.descriptor.attributes)
+            return vertex_array or mesh.create_vertex_array(
+                self.origin, self.id, self.name, self.descriptor.attributes
+            )
         data = mesh.data
         if vertex_array is None:
             key = (self.origin, data)

@@ -1,12 +1,13 @@
 """The registry of backends, and the creation of devices.
 
-- A backend is an entry point of the group `rhi.backends`: a name and a function
-  `create(*, validation: bool, …) -> Backend`. A port registers itself by an entry point of its own package;
-  nothing here depends on it. Further keyword parameters of the function are options that only this backend has;
-  `create_device` passes them on.
+- A backend is an entry point of the group `rhi.backends`: a name and a function `create(*, validation: bool,
+  …) -> Backend`. A port registers itself by an entry point of its own package; nothing here depends on it.
+  Further keyword parameters of the function are options that only this backend has; `create_device` passes
+  them on.
 - A backend without an entry point is named by its function, `package.module:function`.
-- This is the only module that may treat backends differently: it decides the order in which they are tried, that
-  the null device records, and that only its devices may be created in a process that was forked after another device.
+- This is the only module that may treat backends differently: it decides the order in which they are tried,
+  that the null device records, and that only its devices may be created in a process that was forked after
+  another device.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ _forked: Final[set[str]] = set()  # backends whose drivers its parent had loaded
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    from importlib.metadata import entry_points  # a lazy import: it takes a seventh of the package's import time
+    from importlib.metadata import (
+        entry_points,
+    )  # a lazy import: it takes a seventh of the package's import time
 
     return {point.name: point for point in entry_points(group=GROUP)}
 
@@ -79,13 +82,14 @@ def create_device(
     Args:
         name: a backend's name, or `module:function` for one that is not installed; None uses `RHI_BACKEND`
             from the environment, or else the first backend that works.
-        validation: also turn the driver's own error messages into exceptions, and check thread and context at each
-            draw (slower).
-        record: keep every command with the line it came from (`device.stream`); None: only on the null device.
+        validation: also turn the driver's own error messages into exceptions, and check thread and context at
+            each draw (slower).
+        record: keep every command with the line it came from (`device.stream`); None: only on the null
+            device.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
-        precision: the precision of shaders that don't state one, where a backend has a choice (OpenCL); None uses
-            `RHI_PRECISION` from the environment, `fast` or `exact`, or else EXACT.
+        precision: the precision of shaders that don't state one, where a backend has a choice (OpenCL); None
+            uses `RHI_PRECISION` from the environment, `fast` or `exact`, or else EXACT.
         options: options of the named backend, which are the keyword parameters of its `create_backend`.
 
     Raises:
@@ -149,8 +153,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def _stop_daemons() -> None:
-    """Keep daemon threads out of drivers while the interpreter ends, since a driver's C++ code would abort the
-    process. Their next calls don't return. Calls in progress are waited for, at most `_LONGEST` seconds.
+    """Keep daemon threads out of drivers while the interpreter ends, since a driver's C++ code would abort
+    the process. Their next calls don't return. Calls in progress are waited for, at most `_LONGEST` seconds.
     """
     global _is_ending
     _is_ending = True
@@ -166,7 +170,8 @@ def _stop_daemons() -> None:
     while (passes or _creating - {here}) and calm < 2 and time.monotonic() < until:
         frames = sys._current_frames()
         is_busy = any(
-            _is_inside(frames.get(thread)) or (core.render_pass is not None and not _is_stopped(frames.get(thread)))
+            _is_inside(frames.get(thread))
+            or (core.render_pass is not None and not _is_stopped(frames.get(thread)))
             for thread, core in passes.items()
         ) or any(not _is_stopped(frames.get(thread)) for thread in _creating - {here})
         calm = 0 if is_busy else calm + 1

@@ -7,12 +7,13 @@
             draw_frame()
 
 - A thread watches the files (watchfiles). Everything else happens in `update`, on the thread that draws.
-- A module of shaders is executed beside the old one and put into the classes that exist (`rhi.shading.language.edits`).
-  Programs that it concerns are compiled; those whose texts have changed are created anew, all of them, before the first
-  one is exchanged. A `Program` stays the same object: its id changes, and what meshes keep for it is dropped.
+- A module of shaders is executed beside the old one and put into the classes that exist
+  (`rhi.shading.language.edits`). Programs that it concerns are compiled; those whose texts have changed are
+  created anew, all of them, before the first one is exchanged. A `Program` stays the same object: its id
+  changes, and what meshes keep for it is dropped.
 - Any failure restores everything, and the error is reported. The last good program goes on.
-- An edit that compiles may still fail to draw, such as a new binding that the program doesn't pass. `roll_back`
-  undoes the latest update.
+- An edit that compiles may still fail to draw, such as a new binding that the program doesn't pass.
+  `roll_back` undoes the latest update.
 - Files whose edits depend on each other are exchanged together, if none can be alone.
 - Command buffers that have recorded an exchanged program can't be submitted again, as if it were destroyed.
 - `checkpoint` saves the texts of shaders that have drawn a frame in the cache. `roll_back` also goes back to
@@ -43,11 +44,13 @@ from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
 
 LOGGER: Final = logging.getLogger("rhi.reload")
 _SETTLE: Final = 20
-"""Milliseconds without a further change after which changes are taken: editors write a file in several steps."""
+"""Milliseconds without a further change after which changes are taken: editors write a file in several
+steps."""
 
 
 class Reloader:
-    """Exchanges shaders and files of a running program when they are saved. Use it in a `with` block, or call `close`.
+    """Exchanges shaders and files of a running program when they are saved. Use it in a `with` block, or call
+    `close`.
 
     Attributes:
         devices: the devices whose programs are exchanged.
@@ -66,9 +69,10 @@ class Reloader:
 
         Args:
             devices: devices of the calling thread.
-            on_error: called by `update` with each error. A `ShaderError` has the line in `site`, its text says all of
-                it. None: errors go to the logger `rhi.reload`.
-            on_save: called when a file was saved, by the thread that watches: to wake a loop that waits for events.
+            on_error: called by `update` with each error. A `ShaderError` has the line in `site`, its text
+                says all of it. None: errors go to the logger `rhi.reload`.
+            on_save: called when a file was saved, by the thread that watches: to wake a loop that waits for
+                events.
         """
         self.devices = devices
         self.reloaded = self.exchanged = 0
@@ -81,7 +85,9 @@ class Reloader:
         self._has_untried_edits = False
         self._checkpointed: tuple[int, set[type]] = (0, set())
         self._folders: frozenset[Path] = frozenset()
-        self._imported_names: set[str] | None = None  # the names of imported modules, if all of these are watched
+        self._imported_names: set[str] | None = (
+            None  # the names of imported modules, if all of these are watched
+        )
         self._imported = 0
         self._lock = threading.Lock()
         self._changed: dict[Path, None] = {}
@@ -99,14 +105,15 @@ class Reloader:
         reload: Callable[[Path], object] | None = None,
         missing_ok: bool = False,
     ) -> None:
-        """Watch modules of shaders, and files for which `reload(path)` is called, by `update`, when they were saved.
+        """Watch modules of shaders, and files for which `reload(path)` is called, by `update`, when they were
+        saved.
 
-        An error that `reload` raises is reported like those of shaders. With `missing_ok`, a file may be missing as
-        long as its folder is there; it is reloaded when it appears.
+        An error that `reload` raises is reported like those of shaders. With `missing_ok`, a file may be
+        missing as long as its folder is there; it is reloaded when it appears.
 
         Raises:
-            ValidationError: `reload-watch`: watchfiles is missing, or something isn't a file. Then nothing of it is
-                watched.
+            ValidationError: `reload-watch`: watchfiles is missing, or something isn't a file. Then nothing of
+                it is watched.
         """
         call = "Reloader.watch"
         reloads, modules = dict(self._reloads), dict(self._modules)
@@ -117,10 +124,14 @@ class Reloader:
             if isinstance(each, ModuleType):
                 reloads[path], modules[path] = partial(self._reload_saved, each), each
             elif reload is None:
-                refuse(DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function")
+                refuse(
+                    DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function"
+                )
             else:
                 reloads[path] = reload
-        self._start(call, frozenset(path.parent for path in reloads))  # editors replace files: folders are watched
+        self._start(
+            call, frozenset(path.parent for path in reloads)
+        )  # editors replace files: folders are watched
         fresh = modules.items() - self._modules.items()
         self._reloads, self._modules = reloads, modules
         if fresh:
@@ -151,7 +162,8 @@ class Reloader:
         self.watch(*(module for module in modules if Path(file_of(module)).is_file()))
 
     def update(self) -> bool:
-        """Exchange what was saved since the last call; return whether anything is new. Call it between two frames.
+        """Exchange what was saved since the last call; return whether anything is new. Call it between two
+        frames.
 
         New is an exchanged module or file, and after `watch` a module that differs from the text of the last
         frame (`checkpoint`), maybe of an earlier process.
@@ -201,8 +213,8 @@ class Reloader:
         """Restore the earlier texts of modules; return whether there were any, and they compile.
 
         It restores the modules that the latest `update` exchanged, and all shader modules that have changed
-        since they last drew a frame (`checkpoint`), watched or not. Call it with the `error` of a program that
-        compiles, but can't draw the next frame or can't start; the error is reported as theirs.
+        since they last drew a frame (`checkpoint`), watched or not. Call it with the `error` of a program
+        that compiles, but can't draw the next frame or can't start; the error is reported as theirs.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
@@ -228,7 +240,9 @@ class Reloader:
     def _exchange(self, texts: Mapping[ModuleType, str]) -> int:
         """Give modules new texts, all or none; return how many programs were exchanged."""
         tables = self._tables()
-        numbers = {name: number for number, name in enumerate(sys.modules)}  # a module comes after those it imports
+        numbers = {
+            name: number for number, name in enumerate(sys.modules)
+        }  # a module comes after those it imports
         edits: list[Edit] = []
         replacements: dict[Any, Any] = {}
         built: list[tuple[ProgramTable, object, Program[...], Id, ProgramDescriptor]] = []
@@ -254,7 +268,11 @@ class Reloader:
             raise
         changed = {shader for _, shader, *_ in built}
         restore_compiled(
-            {shader: each for shader, each in replacements.items() if shader in _programmed_shaders(tables) - changed}
+            {
+                shader: each
+                for shader, each in replacements.items()
+                if shader in _programmed_shaders(tables) - changed
+            }
         )
         with DeferredInterrupts():
             for table, shader, program, number, descriptor in built:

@@ -92,7 +92,9 @@ class TransientMemory:
     @property
     def capacity(self) -> int:
         """Total size in bytes."""
-        memories = {id(each): each for each in (self.uniforms.memory, self._vertices, self._indices, self.arguments)}
+        memories = {
+            id(each): each for each in (self.uniforms.memory, self._vertices, self._indices, self.arguments)
+        }
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
     @overload
@@ -118,7 +120,8 @@ class TransientMemory:
         return self.uniforms.push(data, kind)
 
     def storage(self, element: type[T], source: int | ArrayLike) -> StorageRange[T]:
-        """Upload an array that the draws and dispatches of this frame read as `Storage[T]`; see `Device.storage`.
+        """Upload an array that the draws and dispatches of this frame read as `Storage[T]`; see
+        `Device.storage`.
 
         Shaders can't write it: it can't be bound as `StorageRW[T]`.
 
@@ -132,7 +135,9 @@ class TransientMemory:
         data = as_storage(check, core, element, source, dtype, core.capabilities.max_storage_bytes)
         core.upload_bytes += data.nbytes
         memory = self.uniforms.memory
-        offset = memory.write(data.reshape(-1).view(np.uint8).data, data.nbytes, core.capabilities.storage_alignment)
+        offset = memory.write(
+            data.reshape(-1).view(np.uint8).data, data.nbytes, core.capabilities.storage_alignment
+        )
         count = data.nbytes // dtype.itemsize
         return StorageRange(memory.buffer, offset, data.nbytes, element, count, self._mesh_owner)
 
@@ -145,16 +150,18 @@ class TransientMemory:
         *,
         instances: VertexArrays | None = None,
     ) -> TransientMesh:
-        """Upload a mesh for one program, valid in this frame; arrays are checked and read as those of `Device.mesh`.
+        """Upload a mesh for one program, valid in this frame; arrays are checked and read as those of
+        `Device.mesh`.
 
         Args:
-            vertices: a structured array, a dict of arrays by attribute name, or a number of vertices without any.
+            vertices: a structured array, a dict of arrays by attribute name, or a number of vertices without
+                any.
             indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
             instances: as for `vertices`, with one element per instance.
 
         Raises:
-            ValidationError: `immediate-vertex` if the arrays don't provide the inputs of the program's vertex stage,
-                or contain NaN; `mesh-index`.
+            ValidationError: `immediate-vertex` if the arrays don't provide the inputs of the program's vertex
+                stage, or contain NaN; `mesh-index`.
         """
         call = "transient.mesh"
         core = self._core
@@ -199,8 +206,9 @@ class TransientMemory:
         for array, per_instance in given:
             stride = array.dtype.itemsize
             offset = self._upload(self._vertices, array, stride)
-            # Vertices are counted from the start of the ring, so that all meshes of a layout share a vertex array.
-            # Instances can't be: shaders count them from 0. So their vertex array begins at their own offset.
+            # Vertices are counted from the start of the ring, so that all meshes of a layout share a vertex
+            # array. Instances can't be: shaders count them from 0. So their vertex array begins at their own
+            # offset.
             if not per_instance:
                 start = offset // stride
             sources.append(
@@ -237,14 +245,20 @@ class TransientMemory:
         return memory.write(np.ascontiguousarray(array).view(np.uint8).data, array.nbytes, alignment)
 
     def _get_vertex_array(
-        self, program: Program[...], sources: tuple[StreamSource, ...], index_buffer: Id, index_format: IndexFormat
+        self,
+        program: Program[...],
+        sources: tuple[StreamSource, ...],
+        index_buffer: Id,
+        index_format: IndexFormat,
     ) -> Id:
         """Return the vertex array for a program that reads these sources, creating it if there is none."""
         core, key = self._core, (program.id, sources, index_buffer, index_format)
         vertex_array = self._vertex_arrays.get(key)
         if vertex_array is None:
             core.check_ready()
-            streams = describe_streams(core, sources, program.descriptor.attributes, IMMEDIATE_VERTEX, "transient.mesh")
+            streams = describe_streams(
+                core, sources, program.descriptor.attributes, IMMEDIATE_VERTEX, "transient.mesh"
+            )
             descriptor = VertexArrayDescriptor(program.id, streams, index_buffer, index_format)
             with DeferredInterrupts():
                 vertex_array = core.new_id()
@@ -260,10 +274,11 @@ class TransientMemory:
             self._core.timeline.retire(self._vertex_arrays.pop(key))
 
     def mark(self, fence: int) -> None:
-        """End the frame: destroy the vertex arrays that no later frame uses, as `Ring.mark` frees the rings' memory.
+        """End the frame: destroy the vertex arrays that no later frame uses, as `Ring.mark` frees the rings'
+        memory.
 
-        These are the vertex arrays of outgrown buffers and of instances. If there are very many, most belong to
-        destroyed programs, and all are destroyed.
+        These are the vertex arrays of outgrown buffers and of instances. If there are very many, most belong
+        to destroyed programs, and all are destroyed.
         """
         crowded = len(self._layouts) > MAX_LAYOUTS
         if crowded:
@@ -312,9 +327,13 @@ class TransientMesh(Drawable):
         self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
     ) -> TransientMesh:
         data = self.data
-        return TransientMesh(data, primitive, data.first + first, count, data.base_vertex + base_vertex, base_instance)
+        return TransientMesh(
+            data, primitive, data.first + first, count, data.base_vertex + base_vertex, base_instance
+        )
 
-    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> NoReturn:
         """Refuse the draw: the transient mesh was created for another program."""
         self.core.refuse(
             MESH_ATTRIBUTE,
@@ -331,7 +350,9 @@ def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
     for attribute in attributes:
         components, scalar = attribute_shape(attribute)
         fields.append(
-            (attribute.name, codes[scalar], (components,)) if components > 1 else (attribute.name, codes[scalar])
+            (attribute.name, codes[scalar], (components,))
+            if components > 1
+            else (attribute.name, codes[scalar])
         )
     return np.dtype(fields)
 
@@ -339,13 +360,15 @@ def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
 def pack_vertices(
     core: Core, attributes: tuple[Attribute, ...], dtype: np.dtype[Any], source: VertexArrays, call: str
 ) -> NDArray[Any]:
-    """Return arrays as a copy of tightly packed vertices with these attributes, converted as a draw would read them.
+    """Return arrays as a copy of tightly packed vertices with these attributes, converted as a draw would
+    read them.
 
     Args:
         dtype: the attributes' `vertex_dtype`.
 
     Raises:
-        ValidationError: `immediate-vertex` if a field is missing or has a type that the vertex stage can't read.
+        ValidationError: `immediate-vertex` if a field is missing or has a type that the vertex stage can't
+            read.
     """
     given = as_structured(core, source, IMMEDIATE_VERTEX, call, minimum=0)
     if given.dtype == dtype:

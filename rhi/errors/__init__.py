@@ -1,7 +1,8 @@
 """Errors: they name the broken rule, the call, the line of the user's program, and a tip.
 
-- Every error names one `Rule`: a stable id, a sentence, a tip. `rhi.errors.rules` is the table of the interface's
-  rules, `rhi.shading.language.rules` that of the shading language. Defining a rule adds it to `RULES`.
+- Every error names one `Rule`: a stable id, a sentence, a tip. `rhi.errors.rules` is the table of the
+  interface's rules, `rhi.shading.language.rules` that of the shading language. Defining a rule adds it to
+  `RULES`.
 - An error names the line of the user's program that made the call (`rhi.errors.call_sites`).
 """
 
@@ -93,7 +94,8 @@ class ShaderError(RhiError, TypeError):
     """A shader that doesn't type-check, or that the driver refuses.
 
     Attributes:
-        others: the other errors of the same shader, in the order in which they were found; its text shows them too.
+        others: the other errors of the same shader, in the order in which they were found; its text shows
+            them too.
     """
 
     others: tuple[ShaderError, ...] = ()

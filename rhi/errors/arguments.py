@@ -2,10 +2,11 @@
 
 - Calls that create, bind, copy or lock check their arguments before any effect. Draws call nothing of this:
   they compare arguments by identity with those that were checked before.
-- A whole number is what Python accepts as an index: an `int` or one of NumPy's integers, also as an array without
-  dimensions. A number may also be one of Python's or NumPy's floats, and is finite. A bool is neither, and a number is
-  not a flag.
-- Checked values are returned as Python's own types, so that backends, recorded commands and traces meet no others.
+- A whole number is what Python accepts as an index: an `int` or one of NumPy's integers, also as an array
+  without dimensions. A number may also be one of Python's or NumPy's floats, and is finite. A bool is
+  neither, and a number is not a flag.
+- Checked values are returned as Python's own types, so that backends, recorded commands and traces meet no
+  others.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ class ArgumentChecker:
 
     __slots__ = ("_refuse", "call", "rule")
 
-    def __init__(self, call: str, refuse: Callable[..., NoReturn] = refuse, rule: Rule = DEVICE_ARGUMENT) -> None:
+    def __init__(
+        self, call: str, refuse: Callable[..., NoReturn] = refuse, rule: Rule = DEVICE_ARGUMENT
+    ) -> None:
         """
         Args:
             refuse: raises the error. A device passes its `Core.refuse`, which also records the error; the
@@ -58,7 +61,11 @@ class ArgumentChecker:
     def integer(self, name: str, value: Any, minimum: int | None = None, maximum: int | None = None) -> int:
         """Return a whole number from `minimum` to `maximum` as an int."""
         number = to_integer(value)
-        if number is None or (minimum is not None and number < minimum) or (maximum is not None and number > maximum):
+        if (
+            number is None
+            or (minimum is not None and number < minimum)
+            or (maximum is not None and number > maximum)
+        ):
             tip = "whole numbers come from `//`, int(…) or round(…)" if _is_real(value) else ""
             self.fail(name, value, "a whole number" + _bounds(minimum, maximum), tip)
         return number
@@ -69,7 +76,9 @@ class ArgumentChecker:
         """Return a whole number as an int, or None."""
         return None if value is None else self.integer(name, value, minimum, maximum)
 
-    def number(self, name: str, value: Any, minimum: float | None = None, maximum: float | None = None) -> float:
+    def number(
+        self, name: str, value: Any, minimum: float | None = None, maximum: float | None = None
+    ) -> float:
         """Return a finite number from `minimum` to `maximum` as a float; a whole number stays an int."""
         number = _as_number(value)
         if (
@@ -83,7 +92,9 @@ class ArgumentChecker:
 
     def color(self, name: str, value: Any) -> tuple[float, float, float, float]:
         """Return four finite numbers as a tuple. Whole numbers stay ints, for targets of integers."""
-        parts = tuple(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else ()
+        parts = (
+            tuple(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else ()
+        )
         numbers = tuple(map(_as_number, parts))
         if len(numbers) != 4 or not all(n is not None and -_LARGEST <= n <= _LARGEST for n in numbers):
             self.fail(name, value, "4 finite numbers: red, green, blue, alpha")
@@ -149,7 +160,9 @@ class FieldChecker(ArgumentChecker):
     def integers_or_none(self, *names: str, minimum: int | None = None, maximum: int | None = None) -> None:
         """Make these fields whole numbers, except those that are None."""
         self.integers(
-            *(name for name in names if getattr(self._value, name) is not None), minimum=minimum, maximum=maximum
+            *(name for name in names if getattr(self._value, name) is not None),
+            minimum=minimum,
+            maximum=maximum,
         )
 
     def numbers(self, *names: str, minimum: float | None = None, maximum: float | None = None) -> None:

@@ -1,9 +1,10 @@
 """Call sites: the line of the user's program that led to a call, past the frames of the library.
 
-- A frame is the library's own if its module has the mark `__rhi_internal__` among its globals. To look up a name there
-  is the cheapest way past a frame (40 ns); the recorder does so for each command.
-- `mark_library` sets the mark in the modules of `rhi`, `rhi_screen` and `renderer`, once for each. `contextlib` has it
-  too, since users enter scopes through it. A backend in another package sets it in its own modules.
+- A frame is the library's own if its module has the mark `__rhi_internal__` among its globals. To look up a
+  name there is the cheapest way past a frame (40 ns); the recorder does so for each command.
+- `mark_library` sets the mark in the modules of `rhi`, `rhi_screen` and `renderer`, once for each.
+  `contextlib` has it too, since users enter scopes through it. A backend in another package sets it in its
+  own modules.
 - This module imports nothing else of `rhi`.
 """
 
@@ -29,7 +30,9 @@ _START: Final = "<frozen runpy>"
 
 MARKED: Final = [0]
 """The number of imported modules when the library's were marked last."""
-vars(contextlib)[MARK] = True  # its frames stand between the user's line and a scope that an exit stack enters
+vars(contextlib)[MARK] = (
+    True  # its frames stand between the user's line and a scope that an exit stack enters
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,5 +81,6 @@ def find_call_site() -> CallSite | None:
 
 
 def make_call_site(code: CodeType, line: int) -> CallSite | None:
-    """Return the call site at a line of a code object; None if `python -m` started the library itself there."""
+    """Return the call site at a line of a code object; None if `python -m` started the library itself
+    there."""
     return None if code.co_filename == _START else CallSite(code.co_filename, line, code.co_qualname)

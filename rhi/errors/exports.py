@@ -13,5 +13,7 @@ def list_public(namespace: Mapping[str, object]) -> list[str]:
     (`from m import A as A`), by which they are exported, too.
     """
     return sorted(
-        name for name, value in namespace.items() if not name.startswith("_") and not isinstance(value, ModuleType)
+        name
+        for name, value in namespace.items()
+        if not name.startswith("_") and not isinstance(value, ModuleType)
     )

@@ -1,7 +1,7 @@
 """Namesakes: files in the user's folder that hide one of our packages.
 
-`python -m` looks into the working folder first, and runs a file of that name there. That may be intended, so it
-causes a warning, no error. The commands `rhi` and `rhi-renderer` don't look there.
+`python -m` looks into the working folder first, and runs a file of that name there. That may be intended, so
+it causes a warning, no error. The commands `rhi` and `rhi-renderer` don't look there.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ _OURS: Final = Path(__file__).parents[2]
 
 
 def find_namesake(name: str) -> Path | None:
-    """Return the file that `python -m NAME` has run in place of our package of that name, None if there is none."""
+    """Return the file that `python -m NAME` has run in place of our package of that name, None if there is
+    none."""
     spec = getattr(sys.modules.get("__main__"), "__spec__", None)
     if spec is None or spec.origin is None or spec.name.partition(".")[0] != name:
         return None
@@ -28,6 +29,7 @@ def warn_of_namesake(name: str, command: str) -> None:
     path = find_namesake(name)
     if path is not None:
         text = (
-            f"python -m {name} runs {path}, which hides the package {name}: {command}, or python -P -m {name}, runs it"
+            f"python -m {name} runs {path}, which hides the package {name}: "
+            f"{command}, or python -P -m {name}, runs it"
         )
         warnings.warn(text, stacklevel=2)

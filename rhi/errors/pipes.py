@@ -17,8 +17,8 @@ BROKEN_PIPE_STATUS: Final = 141
 
 
 def run_until_pipe_closes(main: Callable[[], int]) -> int:
-    """Run a command and return its exit status; `BROKEN_PIPE_STATUS`, without a word, if the reader of stdout or stderr
-    goes away.
+    """Run a command and return its exit status; `BROKEN_PIPE_STATUS`, without a word, if the reader of stdout
+    or stderr goes away.
 
     `main` must let a `BrokenPipeError` through.
     """
@@ -40,8 +40,8 @@ def run_until_pipe_closes(main: Callable[[], int]) -> int:
 
 
 def _is_broken_pipe(stream: TextIO) -> bool:
-    """Whether the reader of a stream has gone away. Another write wouldn't tell, since Python may have dropped
-    the buffer."""
+    """Whether the reader of a stream has gone away. Another write wouldn't tell, since Python may have
+    dropped the buffer."""
     if not hasattr(select, "poll"):
         return True  # Windows doesn't tell
     poll = select.poll()

@@ -1,7 +1,7 @@
 """The rules of the interface, sorted by what they protect.
 
-A rule is an id (stable; tests compare it), a sentence, and a tip. The modules that validate a call refer to its rule by
-the constant's name.
+A rule is an id (stable; tests compare it), a sentence, and a tip. The modules that validate a call refer to
+its rule by the constant's name.
 """
 
 from __future__ import annotations
@@ -13,14 +13,20 @@ from rhi.errors import Rule
 # -- containers ------------------------------------------------------------------------------------------
 
 CONTAINER_CAPACITY: Final = Rule("container-capacity", "a container needs a capacity of at least one element")
-CONTAINER_FULL: Final = Rule("container-full", "the container is full", "make it larger, or remove an element first")
+CONTAINER_FULL: Final = Rule(
+    "container-full", "the container is full", "make it larger, or remove an element first"
+)
 CONTAINER_EMPTY: Final = Rule("container-empty", "the container is empty", "check len() first")
 
 # -- states ----------------------------------------------------------------------------------------------
 
 STATE_VALUE: Final = Rule("state-value", "the value of a state is out of range")
-STATE_TYPE: Final = Rule("state-type", "not a render state", "states are values such as CullMode.NONE or Viewport(…)")
-STATE_DUPLICATE: Final = Rule("state-duplicate", "a scope sets the same state twice", "nest two scopes to set it twice")
+STATE_TYPE: Final = Rule(
+    "state-type", "not a render state", "states are values such as CullMode.NONE or Viewport(…)"
+)
+STATE_DUPLICATE: Final = Rule(
+    "state-duplicate", "a scope sets the same state twice", "nest two scopes to set it twice"
+)
 STATE_CAPABILITY: Final = Rule(
     "state-capability", "the device doesn't support this state", "check device.capabilities first"
 )
@@ -33,7 +39,9 @@ PLATFORM_STATE: Final = Rule(
 # -- device ----------------------------------------------------------------------------------------------
 
 DEVICE_UNKNOWN: Final = Rule("device-unknown", "no backend has this name", "python -m rhi lists the backends")
-DEVICE_DRIVER: Final = Rule("device-driver", "the driver can't be used", "python -m rhi reports what is missing")
+DEVICE_DRIVER: Final = Rule(
+    "device-driver", "the driver can't be used", "python -m rhi reports what is missing"
+)
 DEVICE_MEMORY: Final = Rule(
     "device-out-of-memory", "the device is out of memory", "destroy resources that are no longer used"
 )
@@ -79,14 +87,18 @@ DEVICE_ARGUMENT: Final = Rule("device-argument", "an argument has the wrong type
 
 # -- resources -------------------------------------------------------------------------------------------
 
-RESOURCE_DESTROYED: Final = Rule("resource-destroyed", "the resource was destroyed", "destroy it after its last use")
+RESOURCE_DESTROYED: Final = Rule(
+    "resource-destroyed", "the resource was destroyed", "destroy it after its last use"
+)
 RESOURCE_FOREIGN: Final = Rule(
     "resource-foreign", "the resource belongs to another device", "create it with the device that uses it"
 )
 BUFFER_SIZE: Final = Rule("buffer-size", "a buffer's size is not allowed")
 BUFFER_RANGE: Final = Rule("buffer-range", "the range lies outside the buffer")
 BUFFER_DTYPE: Final = Rule("buffer-dtype", "the array's dtype is not the buffer's")
-BUFFER_OVERLAP: Final = Rule("buffer-overlap", "source and target of a copy overlap", "copy through a third buffer")
+BUFFER_OVERLAP: Final = Rule(
+    "buffer-overlap", "source and target of a copy overlap", "copy through a third buffer"
+)
 BUFFER_ALIGNMENT: Final = Rule("buffer-alignment", "the offset or size is not aligned")
 TEXTURE_SIZE: Final = Rule("texture-size", "a texture's size is not allowed")
 TEXTURE_FORMAT: Final = Rule("texture-format", "the texture's format does not allow this")
@@ -99,18 +111,28 @@ LAYOUT_MISMATCH: Final = Rule(
     "the array's dtype is not the shader's layout",
     "create the array with the struct's own dtype",
 )
-LOCK_TWICE: Final = Rule("lock-twice", "the resource is already locked", "leave the first lock's `with` block")
-LOCK_OPEN: Final = Rule("lock-open", "a locked resource can't be used by the device", "leave the lock's `with` block")
-LOCK_CLOSED: Final = Rule("lock-closed", "the lock is not open", "use the array inside the lock's `with` block only")
+LOCK_TWICE: Final = Rule(
+    "lock-twice", "the resource is already locked", "leave the first lock's `with` block"
+)
+LOCK_OPEN: Final = Rule(
+    "lock-open", "a locked resource can't be used by the device", "leave the lock's `with` block"
+)
+LOCK_CLOSED: Final = Rule(
+    "lock-closed", "the lock is not open", "use the array inside the lock's `with` block only"
+)
 
 # -- meshes and programs ---------------------------------------------------------------------------------
 
 MESH_DATA: Final = Rule("mesh-data", "the arrays don't form a mesh")
 MESH_INDEX: Final = Rule("mesh-index", "the indices don't fit the vertices")
 MESH_RANGE: Final = Rule("mesh-range", "the view or draw lies outside the mesh")
-MESH_ATTRIBUTE: Final = Rule("mesh-attribute", "the mesh doesn't provide the inputs of the program's vertex stage")
+MESH_ATTRIBUTE: Final = Rule(
+    "mesh-attribute", "the mesh doesn't provide the inputs of the program's vertex stage"
+)
 PROGRAM_STAGE: Final = Rule("program-stage", "the program lacks the stage that this call executes")
-PROGRAM_OUTPUT: Final = Rule("program-output", "the outputs of the fragment stage don't match the targets of the pass")
+PROGRAM_OUTPUT: Final = Rule(
+    "program-output", "the outputs of the fragment stage don't match the targets of the pass"
+)
 BINDING_MISSING: Final = Rule("binding-missing", "a binding of the program is missing")
 BINDING_UNKNOWN: Final = Rule("binding-unknown", "the program has no such binding")
 BINDING_TYPE: Final = Rule("binding-type", "the binding has the wrong type")
@@ -118,8 +140,12 @@ BINDING_SIZE: Final = Rule("binding-size", "the bound range is too small or not 
 
 # -- passes and work -------------------------------------------------------------------------------------
 
-PASS_NESTED: Final = Rule("pass-nested", "a render pass is already open", "leave the first pass's `with` block")
-PASS_OPEN: Final = Rule("pass-open", "this can't be done inside a render pass", "leave the pass's `with` block first")
+PASS_NESTED: Final = Rule(
+    "pass-nested", "a render pass is already open", "leave the first pass's `with` block"
+)
+PASS_OPEN: Final = Rule(
+    "pass-open", "this can't be done inside a render pass", "leave the pass's `with` block first"
+)
 PASS_EMPTY: Final = Rule("pass-empty", "a render pass needs a target")
 PASS_TARGET: Final = Rule("pass-target", "the texture can't be used as this target")
 PASS_SIZE: Final = Rule("pass-size", "the targets of a pass differ in size")
@@ -135,7 +161,9 @@ DRAW_COUNT: Final = Rule("draw-count", "this number of instances is not allowed"
 DRAW_ARRAY: Final = Rule("draw-array", "not an array of draws", "use mesh.draws(...), or the dtype rhi.DRAW")
 DISPATCH_SIZE: Final = Rule("dispatch-size", "the number of work-groups is not allowed")
 INDIRECT_RANGE: Final = Rule("indirect-range", "the indirect arguments lie outside their buffer")
-IMMEDIATE_VERTEX: Final = Rule("immediate-vertex", "the vertex doesn't match the inputs of the program's vertex stage")
+IMMEDIATE_VERTEX: Final = Rule(
+    "immediate-vertex", "the vertex doesn't match the inputs of the program's vertex stage"
+)
 TRANSIENT_SIZE: Final = Rule(
     "transient-size",
     "transient memory is too small for this",

@@ -4,9 +4,10 @@
 
 - Matrices are row-major, for column vectors: `matrix @ vector`, as in shaders. A stack of them is (…, 4, 4).
 - The world is right-handed with +Y up, a view looks along -Z. Angles are in radians.
-- Clip depth is reversed unless `Depth.STANDARD` is asked for: 1 at the near plane, 0 at the far one or at infinity.
-- Round to float32 last: a uniform does that. Objects far from the world's origin stay exact with the camera as
-  origin (`relative_to`, `Camera.relative_view_projection`).
+- Clip depth is reversed unless `Depth.STANDARD` is asked for: 1 at the near plane, 0 at the far one or at
+  infinity.
+- Round to float32 last: a uniform does that. Objects far from the world's origin stay exact with the camera
+  as origin (`relative_to`, `Camera.relative_view_projection`).
 """
 
 from rhi.errors.exports import list_public as _list_public

@@ -31,8 +31,12 @@ class FrustumPlane(IntEnum):
 
 
 _FACES: Final = {
-    Depth.REVERSED: np.array([(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, -1, 1), (0, 0, 1, 0)]),
-    Depth.STANDARD: np.array([(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, 1, 0), (0, 0, -1, 1)]),
+    Depth.REVERSED: np.array(
+        [(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, -1, 1), (0, 0, 1, 0)]
+    ),
+    Depth.STANDARD: np.array(
+        [(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, 1, 0), (0, 0, -1, 1)]
+    ),
 }
 """Weights of the rows of a clip matrix whose sums are the planes of the frustum."""
 
@@ -83,7 +87,9 @@ class Camera:
         for name, value in (("position", eye), ("target", aim), ("up", above)):
             fine = value.shape == (3,) and bool(np.isfinite(value).all())
             check_camera(f"look_at({name}=...)", value, fine, "three finite numbers")
-        check_camera("look_at(target=...)", target, bool((eye != aim).any()), "a point other than the position")
+        check_camera(
+            "look_at(target=...)", target, bool((eye != aim).any()), "a point other than the position"
+        )
         check_camera("look_at(up=...)", up, bool(above.any()), "not all 0")
         back = _normalised(eye - aim)
         right = np.cross(_normalised(above), back)
@@ -116,13 +122,16 @@ class Camera:
 
     @cached_property
     def relative_view_projection(self) -> NDArray[np.float32]:
-        """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip space."""
+        """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip
+        space."""
         return freeze((self.projection.matrix @ self._rotation_matrix()).astype(np.float32))
 
     @cached_property
     def frustum(self) -> Frustum:
         """The visible volume in world space."""
-        planes = Frustum.from_matrix(self.projection.matrix @ self._rotation_matrix(), self.projection.depth).planes
+        planes = Frustum.from_matrix(
+            self.projection.matrix @ self._rotation_matrix(), self.projection.depth
+        ).planes
         planes[:, 3] -= planes[:, :3] @ self.position  # after normalising: no loss far from the origin
         return Frustum(freeze(planes))
 
@@ -143,7 +152,8 @@ class Camera:
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> Floats:
-    """Return the (4, 4) view matrix of an eye (3,) that looks at `target` (3,); looking along `up` is allowed.
+    """Return the (4, 4) view matrix of an eye (3,) that looks at `target` (3,); looking along `up` is
+    allowed.
 
     Raises:
         ValidationError: `camera-bad-value` if the eye is the target, or for numbers that aren't finite.
@@ -169,8 +179,8 @@ def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0
 
 
 def yaw_pitch_rotation(yaw: float, pitch: float) -> Floats:
-    """Return the rotation (3, 3) of a camera without roll, turned to the left by `yaw` around +Y, then upwards by
-    `pitch`, in radians: rows are right, up, back."""
+    """Return the rotation (3, 3) of a camera without roll, turned to the left by `yaw` around +Y, then
+    upwards by `pitch`, in radians: rows are right, up, back."""
     s, c, t, d = sin(yaw), cos(yaw), sin(pitch), cos(pitch)
     return np.array([(c, 0.0, -s), (s * t, d, c * t), (s * d, -t, c * d)])
 

@@ -1,8 +1,9 @@
 """Projections from view space to clip space: classes and matrices, in float64.
 
-View space looks along -Z with +Y up. Clip depth runs from 0 to 1, reversed by default: 1 at the near plane and 0 at the
-far one, as the default depth function (GREATER) and a `clear_depth` of 0 expect. Standard depth, near 0 and far
-1, exists for comparison: it is less accurate. Matrices are row-major, for column vectors: `matrix @ vector`.
+View space looks along -Z with +Y up. Clip depth runs from 0 to 1, reversed by default: 1 at the near plane
+and 0 at the far one, as the default depth function (GREATER) and a `clear_depth` of 0 expect. Standard depth,
+near 0 and far 1, exists for comparison: it is less accurate. Matrices are row-major, for column vectors:
+`matrix @ vector`.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class Projection(Protocol):
 
 @dataclass(frozen=True)
 class Perspective:
-    """A perspective projection: vertical field of view in radians, distances in metres; `far` may be infinite."""
+    """A perspective projection: vertical field of view in radians, distances in metres; `far` may be
+    infinite."""
 
     fov: float = np.pi / 3
     aspect: float = 16 / 9
@@ -62,7 +64,9 @@ class Perspective:
         check_camera("Perspective(fov=...)", self.fov, 0.0 < self.fov < np.pi, "between 0 and pi", tip)
         check_camera("Perspective(aspect=...)", self.aspect, 0.0 < self.aspect < np.inf, "above 0, finite")
         check_camera("Perspective(near=...)", self.near, 0.0 < self.near < np.inf, "above 0, finite")
-        check_camera("Perspective(far=...)", self.far, self.near < self.far, f"above near={self.near}; may be inf")
+        check_camera(
+            "Perspective(far=...)", self.far, self.near < self.far, f"above near={self.near}; may be inf"
+        )
 
     @cached_property
     def matrix(self) -> Floats:
@@ -74,9 +78,13 @@ class Perspective:
         m[1, 1] = focal
         m[3, 2] = -1.0
         if self.depth is Depth.REVERSED:
-            m[2, 2], m[2, 3] = (0.0, near) if np.isinf(far) else (near / (far - near), near * far / (far - near))
+            m[2, 2], m[2, 3] = (
+                (0.0, near) if np.isinf(far) else (near / (far - near), near * far / (far - near))
+            )
         else:
-            m[2, 2], m[2, 3] = (-1.0, -near) if np.isinf(far) else (far / (near - far), near * far / (near - far))
+            m[2, 2], m[2, 3] = (
+                (-1.0, -near) if np.isinf(far) else (far / (near - far), near * far / (near - far))
+            )
         return freeze(m)
 
     def with_aspect(self, aspect: float) -> Perspective:
@@ -160,7 +168,9 @@ def orthographic(
     return _project_box(left, right, bottom, top, near, far, depth)
 
 
-def _project_box(left: float, right: float, bottom: float, top: float, near: float, far: float, depth: Depth) -> Floats:
+def _project_box(
+    left: float, right: float, bottom: float, top: float, near: float, far: float, depth: Depth
+) -> Floats:
     m = np.zeros((4, 4))
     m[0, 0] = 2.0 / (right - left)
     m[1, 1] = 2.0 / (top - bottom)

@@ -1,7 +1,7 @@
 """Affine transforms as stacks of matrices, so that whole arrays are built, multiplied and applied at once.
 
-Matrices are (..., 4, 4) float64 for column vectors: `matrix @ vector`. Every function takes and returns stacks, so
-that no caller loops over objects.
+Matrices are (..., 4, 4) float64 for column vectors: `matrix @ vector`. Every function takes and returns
+stacks, so that no caller loops over objects.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def scaling(factors: ArrayLike) -> Floats:
 
 
 def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
-    """Return matrices (..., 4, 4) that rotate by `angle` (...) radians about the unit `axis` (3,), right-handed."""
+    """Return matrices (..., 4, 4) that rotate by `angle` (...) radians about the unit `axis` (3,),
+    right-handed."""
     x, y, z = np.asarray(axis, np.float64)
     turned = np.asarray(angle, np.float64)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -81,8 +82,8 @@ def transform_bounds(matrices: Floats, lower: Floats, upper: Floats) -> tuple[Fl
 
 
 def normal_matrices(matrices: NDArray[Any]) -> Floats:
-    """Return the matrices (..., 3, 3) for normals under the transforms (..., 4, 4): cofactors, which also suit
-    singular ones.
+    """Return the matrices (..., 3, 3) for normals under the transforms (..., 4, 4): cofactors, which also
+    suit singular ones.
 
     The cofactor matrix is the inverse transpose times the determinant, whose sign is removed so that
     mirrored objects keep outward normals. Results are not normalised.

@@ -1,9 +1,11 @@
 """The compiler of shader classes: from a class to the `ProgramDescriptor` that backends create programs from.
 
-- `compile_shader` parses and checks a class once. The texts of its stages are written when a backend requests them.
-- A compute stage is lowered to lane code for devices that run lane code. Only lane code knows the uniformity of values,
-  which decides about barriers and races. Where the typed tree doesn't show that a stage keeps those rules
-  (`rhi.shading.parser.group_rules`), it is therefore lowered at once, so that every device refuses the same shaders.
+- `compile_shader` parses and checks a class once. The texts of its stages are written when a backend requests
+  them.
+- A compute stage is lowered to lane code for devices that run lane code. Only lane code knows the uniformity
+  of values, which decides about barriers and races. Where the typed tree doesn't show that a stage keeps
+  those rules (`rhi.shading.parser.group_rules`), it is therefore lowered at once, so that every device
+  refuses the same shaders.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ from rhi.shading.parser.signatures import Callee, find_method
 from rhi.shading.parser.stage import parse_stage
 from rhi.shading.parser.unused import collect_unused_bindings, warn_of_unused
 
-_compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
+_compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = (
+    weakref.WeakKeyDictionary()
+)
 
 CompiledShaders = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]
 """Shader classes with the descriptors and code that they compile to."""
@@ -98,11 +102,13 @@ def forget_compiled(edit: Edit) -> CompiledShaders:
     """Discard and return the compiled shaders that a module's edit may concern; they are compiled again on
     demand.
 
-    These are the classes of the module and those derived from them, those that call its functions or use structs that
-    it changed, and those of modules that have imported it.
+    These are the classes of the module and those derived from them, those that call its functions or use
+    structs that it changed, and those of modules that have imported it.
     """
     concerned = {
-        each: code for each, code in _compiled.items() if _is_concerned(each, code[1], edit.module, edit.structs)
+        each: code
+        for each, code in _compiled.items()
+        if _is_concerned(each, code[1], edit.module, edit.structs)
     }
     for shader in concerned:
         del _compiled[shader]
@@ -115,13 +121,16 @@ def restore_compiled(compiled: CompiledShaders) -> None:
 
 
 def depends_on_module(shader: type[Shader], module: ModuleType) -> bool:
-    """Return whether a compiled shader has classes, functions or structs of a module, or a base has imported it."""
+    """Return whether a compiled shader has classes, functions or structs of a module, or a base has imported
+    it."""
     own = [value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__]
     structs = {value.shading_type for value in own if isinstance(value, type) and issubclass(value, Struct)}
     return shader in _compiled and _is_concerned(shader, _compiled[shader][1], module, structs)
 
 
-def _is_concerned(shader: type[Shader], code: ShaderCode, module: ModuleType, structs: set[StructType]) -> bool:
+def _is_concerned(
+    shader: type[Shader], code: ShaderCode, module: ModuleType, structs: set[StructType]
+) -> bool:
     for base in shader.__mro__:
         names = vars(sys.modules.get(base.__module__, module))
         if base.__module__ == module.__name__ or any(value is module for value in names.values()):
@@ -168,7 +177,9 @@ def compiled_code(shader: type[Shader]) -> ShaderCode:
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     entries, errors, stages = _entries(shader), ShaderErrors(), {}
-    interface = Interface(shader.__qualname__.replace("<locals>.", ""), work_group_size(shader), shader.early_depth)
+    interface = Interface(
+        shader.__qualname__.replace("<locals>.", ""), work_group_size(shader), shader.early_depth
+    )
     with errors.collect():
         interface = _complete(interface, entries)
     for stage, entry in entries.items():
@@ -186,14 +197,20 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     fragment = stages.get(Stage.FRAGMENT)
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
-        source.refuse(rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two")
+        source.refuse(
+            rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two"
+        )
     compute = stages.get(Stage.COMPUTE)
     checked = shader.checked and not any(stage.entry.native for stage in stages.values())
     if compute is not None:
         checked = checked and tree.has_python_bodies(compute)
     varyings = varyings_read(fragment, interface.varyings, interface.point_size)
     code = ShaderCode(stages, interface, varyings, shader.precision, checked, unused)
-    if compute is not None and tree.has_python_bodies(compute) and may_break_group_rules(compute, interface.work_group):
+    if (
+        compute is not None
+        and tree.has_python_bodies(compute)
+        and may_break_group_rules(compute, interface.work_group)
+    ):
         code.lower_compute(max(WIDTHS))
     descriptor = ProgramDescriptor(
         name=interface.name,
@@ -231,7 +248,8 @@ def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
     `rhi.shading.opencl.opencl_writer` writes it.
 
     Raises:
-        ShaderError: the shader has no compute stage, uses a feature that lane code doesn't support, or breaks a rule.
+        ShaderError: the shader has no compute stage, uses a feature that lane code doesn't support, or breaks
+            a rule.
     """
     descriptor = compile_shader(shader)
     if Stage.COMPUTE not in descriptor.stages or width not in WIDTHS:
@@ -269,7 +287,11 @@ def _complete(interface: Interface, entries: dict[Stage, Callee]) -> Interface:
     attributes = vertex_inputs(vertex)
     position, varyings = varyings_of(vertex)
     interface = replace(
-        interface, attributes=attributes, varyings=varyings, position=position, point_size=point_size_of(vertex)
+        interface,
+        attributes=attributes,
+        varyings=varyings,
+        position=position,
+        point_size=point_size_of(vertex),
     )
     if fragment is None:
         return interface
@@ -295,7 +317,9 @@ def _bindings(
             continue
         if declaration.storage_class is not StorageClass.SHARED:
             kind = _KINDS[declaration.storage_class]
-            yield _binding(declaration, kind, slots[kind], declaration.name in stored, declaration.name in loaded)
+            yield _binding(
+                declaration, kind, slots[kind], declaration.name in stored, declaration.name in loaded
+            )
             slots[kind] += 1
 
 

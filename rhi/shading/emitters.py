@@ -1,8 +1,9 @@
-"""The languages that shaders are written in: a table from a language's name to the function that writes a stage in it.
+"""The languages that shaders are written in: a table from a language's name to the function that writes a
+stage in it.
 
-A language is one function `(ShaderCode, Stage) -> StageText` and its row, made by `register_language`, here or in the
-package of a port. It writes from the typed tree of the stage (`ShaderCode.stages`), as GLSL does, or from lane code
-(`ShaderCode.lower_compute`), as OpenCL C and NumPy do.
+A language is one function `(ShaderCode, Stage) -> StageText` and its row, made by `register_language`, here
+or in the package of a port. It writes from the typed tree of the stage (`ShaderCode.stages`), as GLSL does,
+or from lane code (`ShaderCode.lower_compute`), as OpenCL C and NumPy do.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ class ShaderCode:
 
     Attributes:
         stages: the typed tree of each stage.
-        interface: what the trees don't hold: inputs, outputs, varyings, the bindings and their slots, the work-group.
+        interface: what the trees don't hold: inputs, outputs, varyings, the bindings and their slots, the
+            work-group.
         bindings: the bindings, in order.
         varyings: the varyings that the fragment stage reads.
         precision: how exact built-ins must be.
@@ -47,9 +49,14 @@ class ShaderCode:
     """
 
     def __init__(
-        self, stages: Mapping[Stage, tree.StageTree], interface: Interface, varyings: tuple[StageVarying, ...],
-        precision: Precision, checked: bool, unused: tuple[ShaderError, ...] = (),
-    ) -> None:  # fmt: skip
+        self,
+        stages: Mapping[Stage, tree.StageTree],
+        interface: Interface,
+        varyings: tuple[StageVarying, ...],
+        precision: Precision,
+        checked: bool,
+        unused: tuple[ShaderError, ...] = (),
+    ) -> None:
         self.stages = stages
         self.interface = interface
         self.bindings = tuple(interface.bindings.values())
@@ -72,7 +79,9 @@ class ShaderCode:
             device_language = _LANGUAGES.get(language)
             if device_language is None or stage not in device_language.stages:
                 names = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
-                raise ShaderError(rules.NATIVE, f"{self.interface.name}: emit({language!r}, {stage})", language, names)
+                raise ShaderError(
+                    rules.NATIVE, f"{self.interface.name}: emit({language!r}, {stage})", language, names
+                )
             try:
                 text = self._texts[language, stage] = device_language.write(self, stage)
             except RecursionError:
@@ -170,7 +179,7 @@ def make_depth_error(name: str) -> ShaderError:
     )
 
 
-# -- the languages --------------------------------------------------------------------------------------------
+# -- the languages -------------------------------------------------------------------------------------------
 
 
 def _write_glsl(code: ShaderCode, stage: Stage) -> StageText:
@@ -200,7 +209,8 @@ def _write_wgsl(code: ShaderCode, stage: Stage) -> StageText:
 
 
 def _write_opencl(width: int) -> Write:
-    """Return the function that writes OpenCL C for `width` lanes: a kernel, or the function of a draw's stage."""
+    """Return the function that writes OpenCL C for `width` lanes: a kernel, or the function of a draw's
+    stage."""
 
     def write(code: ShaderCode, stage: Stage) -> StageText:
         return _write_kernel(code, width) if stage is Stage.COMPUTE else _write_function(code, stage)

@@ -3,10 +3,10 @@
     expect(device.stream).draws(program="Shadow").within("sun").exactly(1)
 
 - `expect` filters a stream by conditions and then checks how many commands are left (`expectation`).
-- `count_work` compares the work that a block of code requested with the work that was issued after state caching
-  (`work`).
-- `EffectPattern` declares what belongs to an effect; `assert_free` asserts that a stream has nothing of it, and
-  `assert_same` that two streams are the same (`footprints`).
+- `count_work` compares the work that a block of code requested with the work that was issued after state
+  caching (`work`).
+- `EffectPattern` declares what belongs to an effect; `assert_free` asserts that a stream has nothing of it,
+  and `assert_same` that two streams are the same (`footprints`).
 - `binding_data` returns the numbers in a uniform or storage binding at a command (`binding_data`).
 - `explain_invisible_draw` lists possible reasons why a draw isn't visible (`nothing`).
 - `portability` checks a frame against the capabilities of other devices.
@@ -33,4 +33,4 @@ __all__ = [
     "expect",
     "explain_invisible_draw",
     "frames",
-]  # fmt: skip
+]

@@ -1,7 +1,8 @@
 """The contents of uniform and storage bindings at a command, derived from the commands before it.
 
-Bytes are tracked through creations (which zero them), writes, copies and clears. Bytes that a program wrote, and bytes
-of buffers that are older than the stream, are unknown: reading them raises an error, they are never guessed.
+Bytes are tracked through creations (which zero them), writes, copies and clears. Bytes that a program wrote,
+and bytes of buffers that are older than the stream, are unknown: reading them raises an error, they are never
+guessed.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ class BufferTracker:
 
 
 def binding_data(command: Command, name: str) -> Any:
-    """Return the numbers that the program of a draw or dispatch reads from its uniform or storage binding `name`.
+    """Return the numbers that the program of a draw or dispatch reads from its uniform or storage binding
+    `name`.
 
     Returns:
         One value of the struct's std140 dtype for a uniform, an array (n,) of its std430 dtype for storage.
@@ -133,7 +135,8 @@ def binding_data(command: Command, name: str) -> Any:
 
 
 def describe_differences(values: Any, expected: Mapping[str, object], tolerance: float) -> str:
-    """Describe the parts of a value that differ from the wanted ones by more than `tolerance`; "" if none does.
+    """Describe the parts of a value that differ from the wanted ones by more than `tolerance`; "" if none
+    does.
 
     A path of fields and indices names a part: "color", "lights.0.color".
     """
@@ -146,7 +149,9 @@ def describe_differences(values: Any, expected: Mapping[str, object], tolerance:
             continue
         expected_array = np.asarray(value, np.float64)
         actual = actual[tuple(slice(0, n) for n in expected_array.shape)]  # without padding
-        fits = actual.shape == expected_array.shape and bool((np.abs(actual - expected_array) <= tolerance).all())
+        fits = actual.shape == expected_array.shape and bool(
+            (np.abs(actual - expected_array) <= tolerance).all()
+        )
         if not fits:
             wrong.append(f"{path} is {np.array2string(actual, separator=', ', threshold=16)}")
     return ", ".join(wrong)

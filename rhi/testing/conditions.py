@@ -1,5 +1,5 @@
-"""Conditions on a command. Each describes itself and how a command misses it, so that a failed expectation can show
-the commands that come nearest.
+"""Conditions on a command. Each describes itself and how a command misses it, so that a failed expectation
+can show the commands that come nearest.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class IsOp:
 
 @dataclass(frozen=True)
 class Within:
-    """The condition that the command lies in these labels, nested in this order; other labels may lie between."""
+    """The condition that the command lies in these labels, nested in this order; other labels may lie
+    between."""
 
     labels: tuple[str, ...]
 
@@ -118,7 +119,8 @@ class HasStates:
 
     @staticmethod
     def _current(current: Mapping[type, object], state: object) -> Iterable[object]:
-        """Return the current values to compare with `state`: one, or one for each target that it applies to."""
+        """Return the current values to compare with `state`: one, or one for each target that it applies
+        to."""
         if isinstance(state, PlatformState):
             own: Any = current.get(PlatformState)
             return (next((each for each in own if type(each) is type(state)), state.default()),)
@@ -153,8 +155,8 @@ class HasBindings:
     def _fits(command: Command, bound: tuple[int, ...], expected: Any) -> bool:
         """Whether a binding refers to the wanted resource.
 
-        A label or an id names a resource. A range or view must be exactly the bound one; a whole buffer or texture
-        matches any part of it.
+        A label or an id names a resource. A range or view must be exactly the bound one; a whole buffer or
+        texture matches any part of it.
         """
         resource = bound[0]
         if isinstance(expected, str):
@@ -215,7 +217,8 @@ class Where:
 
 
 def is_near(actual: object, expected: object, tolerance: float) -> bool:
-    """Whether two states are equal, their numbers within `tolerance`; the target of a per-target state is ignored."""
+    """Whether two states are equal, their numbers within `tolerance`; the target of a per-target state is
+    ignored."""
     if type(actual) is not type(expected):
         return False
     if isinstance(expected, enum.Enum) or not dataclasses.is_dataclass(expected):

@@ -1,12 +1,14 @@
 """Effect patterns: the commands that one leaves in a stream, and assertions that a stream has none of it.
 
-- A `EffectPattern` declares an effect by what only the effect has: programs, words of their text, bindings, resources,
-  events, states, kinds of commands. A command belongs to the effect if it has any of these, or uses what has. So a draw
-  belongs to it as well if its program reads a binding of the effect, or if it draws to a texture of the effect.
-- `assert_free` asserts that a stream has no command of an effect. A pattern with a misspelt name is in no stream, so
-  the assertion can be given a `control`: a stream with the effect, in which each part of the pattern must be found.
-- `assert_same` asserts that two streams are the same, command by command and byte by byte: the stronger form, which
-  needs no pattern, but a stream of a frame that never had the effect.
+- A `EffectPattern` declares an effect by what only the effect has: programs, words of their text, bindings,
+  resources, events, states, kinds of commands. A command belongs to the effect if it has any of these, or
+  uses what has. So a draw belongs to it as well if its program reads a binding of the effect, or if it draws
+  to a texture of the effect.
+- `assert_free` asserts that a stream has no command of an effect. A pattern with a misspelt name is in no
+  stream, so the assertion can be given a `control`: a stream with the effect, in which each part of the
+  pattern must be found.
+- `assert_same` asserts that two streams are the same, command by command and byte by byte: the stronger form,
+  which needs no pattern, but a stream of a frame that never had the effect.
 """
 
 from __future__ import annotations
@@ -59,8 +61,8 @@ class EffectPattern:
     Attributes:
         effect: the effect's name, for messages.
         programs: programs of the effect alone, by their shaders or the names of these.
-        words: names of functions and types that the text of a program has if the effect is in it; with a dot before, of
-            fields that it reads (".emission").
+        words: names of functions and types that the text of a program has if the effect is in it; with a dot
+            before, of fields that it reads (".emission").
         bindings: names of programs' bindings.
         resources: labels of the buffers and textures of the effect.
         events: labels of events, with all that is inside.
@@ -87,8 +89,8 @@ class EffectPattern:
         return "" if self.explain(command) else f"it has nothing of {self.effect}"
 
     def explain(self, command: Command) -> tuple[str, ...]:
-        """Return what a command has of the effect, each part as a message says it; nothing if it doesn't belong to the
-        effect."""
+        """Return what a command has of the effect, each part as a message says it; nothing if it doesn't
+        belong to the effect."""
         return tuple(dict.fromkeys(reason for _, reason in self.match_parts(command)))
 
     @property
@@ -148,7 +150,8 @@ class EffectPattern:
                     yield ("binding", name), f"binding {binding.name} of {program.name}"
 
     def _match_resources(self, command: Command) -> Iterator[tuple[Part, str]]:
-        """Yield the resources of the effect that a command makes, writes, binds, reads by a binding or draws to."""
+        """Yield the resources of the effect that a command makes, writes, binds, reads by a binding or draws
+        to."""
         if not self.resources:
             return
         op, values = command.op, command.values
@@ -169,12 +172,12 @@ class EffectPattern:
 def assert_free(
     effect: EffectPattern, commands: Commands | Device, *, control: Commands | Device | None = None
 ) -> None:
-    """Assert that a stream, or a part of it, has no command of an effect. A failure names what the effect costs, with
-    the lines that issued it.
+    """Assert that a stream, or a part of it, has no command of an effect. A failure names what the effect
+    costs, with the lines that issued it.
 
     Args:
-        control: a stream with the effect. Each part of the pattern must be in it, so that a name that isn't that of
-            anything is found.
+        control: a stream with the effect. Each part of the pattern must be in it, so that a name that isn't
+            that of anything is found.
     """
     __tracebackhide__ = True
     if not effect.parts:
@@ -192,10 +195,12 @@ def assert_free(
             fail(f"the pattern of {effect.effect} declares what its control hasn't:", *missing)
 
 
-def assert_same(commands: Commands | Device, expected: Commands | Device, *, description: str = "the streams") -> None:
-    """Assert that two streams, or parts of streams, are the same, whatever the lines that issued them: operations,
-    numbers, bytes and the text of programs. Ids may differ if they stand for equal resources, and so may places in
-    streamed buffers.
+def assert_same(
+    commands: Commands | Device, expected: Commands | Device, *, description: str = "the streams"
+) -> None:
+    """Assert that two streams, or parts of streams, are the same, whatever the lines that issued them:
+    operations, numbers, bytes and the text of programs. Ids may differ if they stand for equal resources, and
+    so may places in streamed buffers.
 
     Args:
         description: what is compared, for messages.
@@ -215,7 +220,9 @@ def assert_same(commands: Commands | Device, expected: Commands | Device, *, des
         )
 
 
-def _fail_with_cost(effect: EffectPattern, selected: Commands, reasons: Mapping[int, tuple[str, ...]]) -> None:
+def _fail_with_cost(
+    effect: EffectPattern, selected: Commands, reasons: Mapping[int, tuple[str, ...]]
+) -> None:
     __tracebackhide__ = True
     matches = selected.filter(where=lambda command: command.index in reasons)
     groups: dict[str, list[Command]] = {}

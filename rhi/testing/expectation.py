@@ -1,9 +1,10 @@
 """`expect(stream)`: assertions on the commands that meet some conditions.
 
-- An `Expectation` is a set of conditions on commands. Methods that add a condition return a new expectation, so a
-  common beginning can be kept and used twice; `exactly`, `at_least`, `at_most`, `before` and `costs` assert.
-- A failure is an AssertionError that lists the matching commands and those that miss the fewest conditions, each with
-  how it misses them and the line that issued it.
+- An `Expectation` is a set of conditions on commands. Methods that add a condition return a new expectation,
+  so a common beginning can be kept and used twice; `exactly`, `at_least`, `at_most`, `before` and `costs`
+  assert.
+- A failure is an AssertionError that lists the matching commands and those that miss the fewest conditions,
+  each with how it misses them and the line that issued it.
 """
 
 from __future__ import annotations
@@ -35,12 +36,14 @@ from rhi.testing.work import Costs, cost_of, total_costs
 
 
 def expect(commands: Commands | Device) -> Expectation:
-    """Begin an expectation on a stream, a part of it such as `frames(stream)[i]`, or the stream of a device."""
+    """Begin an expectation on a stream, a part of it such as `frames(stream)[i]`, or the stream of a
+    device."""
     return Expectation(commands.stream if isinstance(commands, Device) else commands, ())
 
 
 def frames(commands: Commands | Device) -> list[Commands]:
-    """Split commands into frames, each ending with its `present`; commands after the last `present` are left out."""
+    """Split commands into frames, each ending with its `present`; commands after the last `present` are left
+    out."""
     whole = commands.stream if isinstance(commands, Device) else commands
     result, start = [], 0
     for end, command in enumerate(whole, 1):
@@ -85,7 +88,8 @@ class Expectation:
         return narrowed._and(HasArguments(arguments)) if arguments else narrowed
 
     def within(self, *labels: str) -> Expectation:
-        """Select commands inside these labels, nested in this order; other labels may lie between and around them."""
+        """Select commands inside these labels, nested in this order; other labels may lie between and around
+        them."""
         return self._and(Within(labels))
 
     def with_states(self, *states: State, tolerance: float = 0.0) -> Expectation:
@@ -96,8 +100,8 @@ class Expectation:
         """Select commands while these resources are bound.
 
         Args:
-            resources: by the names of the program's bindings an object as passed to `device.draw`, a buffer or texture
-                any part of which matches, a label, or an id.
+            resources: by the names of the program's bindings an object as passed to `device.draw`, a buffer
+                or texture any part of which matches, a label, or an id.
         """
         return self._and(HasBindings(resources))
 
@@ -107,8 +111,8 @@ class Expectation:
         """Select commands while a uniform or storage binding of the program contains these numbers.
 
         Args:
-            expected: a value of the struct, or numbers by name: `{"color": (1, 0, 0, 1)}`; in arrays and nested structs
-                by path, `{"lights.0.color": …}`.
+            expected: a value of the struct, or numbers by name: `{"color": (1, 0, 0, 1)}`; in arrays and
+                nested structs by path, `{"lights.0.color": …}`.
             tolerance: the maximum difference of each number.
 
         Unknown contents (written on the device, or before the stream) don't match; the message says so.
@@ -138,9 +142,13 @@ class Expectation:
         """Return the commands that meet all conditions."""
         commands = self._commands
         for condition in self._conditions:
-            commands = commands.filter(condition.ops) if isinstance(condition, IsOp) else commands.filter(
-                where=lambda command, condition=condition: not condition.miss(command)  # type: ignore[misc]
-            )  # fmt: skip
+            commands = (
+                commands.filter(condition.ops)
+                if isinstance(condition, IsOp)
+                else commands.filter(
+                    where=lambda command, condition=condition: not condition.miss(command)  # type: ignore[misc]
+                )
+            )
         return commands
 
     def exactly(self, number: int) -> Commands:
@@ -177,7 +185,8 @@ class Expectation:
     ) -> Costs:
         """Assert that the costs of the matching commands are within a budget, and return the costs.
 
-        For a frame, `expect(frames(stream)[1]).costs(…)`; for a label, `expect(stream).within("sun").costs(…)`.
+        For a frame, `expect(frames(stream)[1]).costs(…)`; for a label,
+        `expect(stream).within("sun").costs(…)`.
         """
         budget = {
             "draws": max_draws,
@@ -228,7 +237,9 @@ class Expectation:
         nearest = heapq.nsmallest(MAX_SHOWN, candidates, key=lambda candidate: candidate[:2])
         if not kinds or not nearest:
             return ""
-        lines = [f"{show_command(command)}\n          {'; '.join(misses)}" for _, _, command, misses in nearest]
+        lines = [
+            f"{show_command(command)}\n          {'; '.join(misses)}" for _, _, command, misses in nearest
+        ]
         return "nearest:\n" + "\n".join(lines)
 
 

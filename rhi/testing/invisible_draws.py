@@ -1,7 +1,7 @@
 """`explain_invisible_draw(draw)`: possible causes for a recorded draw not being visible.
 
-- Only the recorded commands are examined; no shader runs. So a cause is either *certain*, if the draw can't have
-  had any effect (an empty scissor), or *possible* and worth checking (back faces are culled).
+- Only the recorded commands are examined; no shader runs. So a cause is either *certain*, if the draw can't
+  have had any effect (an empty scissor), or *possible* and worth checking (back faces are culled).
 - Certain causes come first.
 """
 
@@ -81,7 +81,14 @@ def explain_invisible_draw(draw: Command) -> list[Cause]:
         ValidationError: `command-cleared` if the stream has been cleared since the draw.
     """
     assert draw.op in DRAWS, f"a {draw.op.method} is not a draw"
-    causes = [*_call(draw), *_coverage(draw), *_tests(draw), *_writes(draw), *_memory(draw), *_afterwards(draw)]
+    causes = [
+        *_call(draw),
+        *_coverage(draw),
+        *_tests(draw),
+        *_writes(draw),
+        *_memory(draw),
+        *_afterwards(draw),
+    ]
     return sorted(causes, key=lambda cause: not cause.certain)
 
 
@@ -103,7 +110,8 @@ def _call(draw: Command) -> Iterator[Cause]:
         minimum = _MIN_VERTICES[draw["primitive"]]
         if draw["count"] < minimum:
             yield _certain(
-                "count", f"count={draw['count']} is too few for {draw['primitive'].name}, which need {minimum}"
+                "count",
+                f"count={draw['count']} is too few for {draw['primitive'].name}, which need {minimum}",
             )
         if draw["instances"] == 0:
             yield _certain("instances", "instances=0 draws nothing")
@@ -147,15 +155,18 @@ def _tests(draw: Command) -> Iterator[Cause]:
         if function is DepthFunction.NEVER:
             yield _certain("DepthFunction", "DepthFunction.NEVER rejects all fragments")
         elif depth.clear is not None and (function, depth.clear) in (
-            (DepthFunction.GREATER, 1.0), (DepthFunction.LESS, 0.0),
-        ):  # fmt: skip
+            (DepthFunction.GREATER, 1.0),
+            (DepthFunction.LESS, 0.0),
+        ):
             yield _certain(
                 "DepthFunction",
                 f"depth was cleared to {depth.clear:g}, and {function!s} rejects all fragments there "
                 "(reversed depth is cleared to 0 and tested with GREATER)",
             )
         elif function is DepthFunction.EQUAL and not _has_earlier_draws(draw):
-            yield _possible("DepthFunction", "it tests for EQUAL depth, but it is the first draw of this pass")
+            yield _possible(
+                "DepthFunction", "it tests for EQUAL depth, but it is the first draw of this pass"
+            )
         elif function is not DepthFunction.ALWAYS:
             yield _possible("DepthFunction", f"it may be hidden by earlier draws ({function!s})")
     if states[StencilTest] is StencilTest.ON and depth is not None:
@@ -188,9 +199,13 @@ def _writes(draw: Command) -> Iterator[Cause]:
         if program.writes_memory:
             return  # its result may be in memory
         if Stage.FRAGMENT not in program.stages and count:
-            yield _certain("fragment stage", f"program {program.name!r} has no fragment stage, so no color is written")
+            yield _certain(
+                "fragment stage", f"program {program.name!r} has no fragment stage, so no color is written"
+            )
             count = 0
-    open_targets = [i for i in range(count) if masks[i].red or masks[i].green or masks[i].blue or masks[i].alpha]
+    open_targets = [
+        i for i in range(count) if masks[i].red or masks[i].green or masks[i].blue or masks[i].alpha
+    ]
     keeping = [i for i in open_targets if _preserves_destination(blends[i])]
     writes_depth = (
         target.depth is not None and states[DepthWrite] is DepthWrite.ON and states[DepthTest] is DepthTest.ON
@@ -237,7 +252,8 @@ def _memory(draw: Command) -> Iterator[Cause]:
     for stream in getattr(vertex_array, "streams", ()):
         if stream.buffer in unwritten:
             yield _possible(
-                "vertices", f"the vertices in {describe_resource(draw, stream.buffer)} were never written: zeros"
+                "vertices",
+                f"the vertices in {describe_resource(draw, stream.buffer)} were never written: zeros",
             )
     arguments = draw["buffer"] if draw.op is Op.DRAW_INDIRECT else 0
     descriptor = draw.resource(arguments)
@@ -258,7 +274,8 @@ def _afterwards(draw: Command) -> Iterator[Cause]:
                 if color.clear is not None and (color.texture, color.level, color.layer) in targets:
                     yield _certain(
                         "clear",
-                        f"{describe_resource(draw, color.texture)} is cleared again by a later pass, at {command.site}",
+                        f"{describe_resource(draw, color.texture)} is cleared again by a later pass, at "
+                        f"{command.site}",
                     )
                     return
         values = command.arguments
@@ -307,5 +324,8 @@ def _overlap(a: Any, b: Any) -> bool:
 
 def _preserves_destination(blend: BlendFunction) -> bool:
     keeps = blend.source is BlendFactor.ZERO and blend.destination is BlendFactor.ONE
-    alpha = blend.source_alpha in (None, BlendFactor.ZERO) and blend.destination_alpha in (None, BlendFactor.ONE)
+    alpha = blend.source_alpha in (None, BlendFactor.ZERO) and blend.destination_alpha in (
+        None,
+        BlendFactor.ONE,
+    )
     return keeps and alpha and blend.operation is BlendOperation.ADD

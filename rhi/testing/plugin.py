@@ -1,8 +1,8 @@
 """The pytest plugin: fixtures for tests of code that uses `rhi`, and the option `--rhi-backend`.
 
 - `null_device`: a null device. `command_stream`: the commands of that device.
-- `rhi_device`: a recording device on each backend that `--rhi-backend` names (default: `RHI_BACKEND`, else null), so
-  that the same test runs without a GPU and, where there is one, with it.
+- `rhi_device`: a recording device on each backend that `--rhi-backend` names (default: `RHI_BACKEND`, else
+  null), so that the same test runs without a GPU and, where there is one, with it.
 """
 
 from __future__ import annotations

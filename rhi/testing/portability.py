@@ -1,12 +1,12 @@
 """Checks one frame against the capabilities of many devices, none of which has to be present.
 
 - A frame is a function of a device. It runs on null devices with the profiles of other devices
-  (`rhi.backends.null.null_capabilities`), on each profile until nothing refuses it any more: the refused call is
-  noted, the capability that it lacks is granted, and the frame runs again.
-- `device.capabilities` reports the plain profile in every run, whatever was granted. So a frame that reads it and
-  adapts is checked by what it would do on that device.
-- A capability is granted to the whole device. So each capability is reported once, at the first call that lacks it;
-  later calls that lack the same capability show when that call has been changed.
+  (`rhi.backends.null.null_capabilities`), on each profile until nothing refuses it any more: the refused call
+  is noted, the capability that it lacks is granted, and the frame runs again.
+- `device.capabilities` reports the plain profile in every run, whatever was granted. So a frame that reads it
+  and adapts is checked by what it would do on that device.
+- A capability is granted to the whole device. So each capability is reported once, at the first call that
+  lacks it; later calls that lack the same capability show when that call has been changed.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Portability:
     """The result of `check_portability`; it prints as a table.
 
     Attributes:
-        obstacles: for each profile the refused calls, in the order in which the frame reaches them. A capability
-            appears at most once, at the first call that lacks it.
+        obstacles: for each profile the refused calls, in the order in which the frame reaches them. A
+            capability appears at most once, at the first call that lacks it.
     """
 
     obstacles: Mapping[str, tuple[Obstacle, ...]]
@@ -73,14 +73,16 @@ def check_portability(
     The frame is called several times, each time with a new device. It may depend on nothing but the device.
 
     Raises:
-        RhiError: the frame breaks a rule on a device that can do everything, or a profile refuses a call for a
-            reason that no single capability removes.
+        RhiError: the frame breaks a rule on a device that can do everything, or a profile refuses a call for
+            a reason that no single capability removes.
     """
     everything = get_profile("everything")
     error = _run(frame, reported=everything, enforced=everything)
     if error is not None:
         raise error
-    return Portability({name: _collect_obstacles(frame, get_profile(profile)) for name, profile in profiles.items()})
+    return Portability(
+        {name: _collect_obstacles(frame, get_profile(profile)) for name, profile in profiles.items()}
+    )
 
 
 def _collect_obstacles(frame: Callable[[Device], object], profile: Capabilities) -> tuple[Obstacle, ...]:
@@ -104,10 +106,11 @@ def _missing_capability(
     """
     everything = get_profile("everything")
     lacking = [
-        field.name for field in fields(Capabilities)
+        field.name
+        for field in fields(Capabilities)
         if field.name not in ("backend", "device", "driver")
         and getattr(enforced, field.name) != getattr(everything, field.name)
-    ]  # fmt: skip
+    ]
 
     def grant(names: list[str]) -> Capabilities:
         return replace(enforced, **{name: getattr(everything, name) for name in names})
@@ -138,7 +141,9 @@ class _ProfiledDevice(Device):
         return self._reported
 
 
-def _run(frame: Callable[[Device], object], reported: Capabilities, enforced: Capabilities) -> RhiError | None:
+def _run(
+    frame: Callable[[Device], object], reported: Capabilities, enforced: Capabilities
+) -> RhiError | None:
     """Run the frame and return the error that it ends in."""
     device = _ProfiledDevice(reported, enforced)
     try:

@@ -1,7 +1,8 @@
 """The costs of commands, and the work that code requested compared with the work that the device issued.
 
-`device.states` and `device.draw` request states, programs and bindings; the device sends only those that differ from
-the current ones. `count_work` counts both over a block of code, so that a test can assert on the caching itself.
+`device.states` and `device.draw` request states, programs and bindings; the device sends only those that
+differ from the current ones. `count_work` counts both over a block of code, so that a test can assert on the
+caching itself.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ BINDS: Final = frozenset({Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """The costs of some commands. A draw is one call, indirect or not; creations count all resources, including those
-    that the device creates for itself (samplers, vertex arrays, rings)."""
+    """The costs of some commands. A draw is one call, indirect or not; creations count all resources,
+    including those that the device creates for itself (samplers, vertex arrays, rings)."""
 
     draws: int = 0
     dispatches: int = 0
@@ -81,7 +82,8 @@ class Work:
 
 @contextmanager
 def count_work(device: Device) -> Iterator[Work]:
-    """Count the work that a block requests and the work that the device issues: `with count_work(device) as work:`.
+    """Count the work that a block requests and the work that the device issues: `with count_work(device) as
+    work:`.
 
     Raises:
         ValidationError: `device-not-recording` if the device doesn't record.

@@ -3,9 +3,10 @@
     save(device, "frame.zip")                                    # recorded on the null device, for example
     image = replay(load("frame.zip"), on=gl_device).image
 
-- A trace is the recorder's stream since the creation of the device (`file`; docs/traces.md describes the format).
-- `replay` executes it on any device, `diff` compares two traces label by label, `reduce` shrinks one that shows a
-  fault.
+- A trace is the recorder's stream since the creation of the device (`file`; docs/traces.md describes the
+  format).
+- `replay` executes it on any device, `diff` compares two traces label by label, `reduce` shrinks one that
+  shows a fault.
 """
 
 from rhi.errors.exports import list_public as _list_public

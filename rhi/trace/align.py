@@ -1,9 +1,9 @@
 """Alignment of two sequences by equal elements.
 
-The equal elements at both ends are matched first. A short rest is aligned by `difflib`. A long one is split at
-elements that are unique on both sides (patience diff); without such elements it is compared index by index. So 10,000
-commands take 0.06 s, while `difflib` alone needs 5 s for 2,500 commands of a repetitive frame, and its time grows
-with the square.
+The equal elements at both ends are matched first. A short rest is aligned by `difflib`. A long one is split
+at elements that are unique on both sides (patience diff); without such elements it is compared index by
+index. So 10,000 commands take 0.06 s, while `difflib` alone needs 5 s for 2,500 commands of a repetitive
+frame, and its time grows with the square.
 """
 
 from __future__ import annotations

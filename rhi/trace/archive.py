@@ -1,7 +1,7 @@
 """The zip archive of a trace: members with fixed names, read without trusting their author.
 
-Nothing is unpacked to disk. Names, compression methods, sizes and array headers are validated before memory of that
-size is allocated: `trace-file`, `trace-member`, `trace-size`, `trace-array`.
+Nothing is unpacked to disk. Names, compression methods, sizes and array headers are validated before memory
+of that size is allocated: `trace-file`, `trace-member`, `trace-size`, `trace-array`.
 """
 
 from __future__ import annotations
@@ -99,11 +99,15 @@ class ArchiveReader:
     def _check_member(self, info: zipfile.ZipInfo) -> None:
         name = info.filename
         if not _MEMBERS.fullmatch(name):
-            self.refuse(TRACE_MEMBER, name, "trace.json, commands.jsonl, arrays/N.npy, programs/N.STAGE.LANGUAGE")
+            self.refuse(
+                TRACE_MEMBER, name, "trace.json, commands.jsonl, arrays/N.npy, programs/N.STAGE.LANGUAGE"
+            )
         if name in self._infos:
             self.refuse(TRACE_MEMBER, f"{name} twice", "each once")
         if info.compress_type not in _METHODS:
-            self.refuse(TRACE_FILE, f"{name}, compressed by method {info.compress_type}", "stored or deflated")
+            self.refuse(
+                TRACE_FILE, f"{name}, compressed by method {info.compress_type}", "stored or deflated"
+            )
 
     def refuse(self, rule: Rule, value: object, allowed: object = "") -> NoReturn:
         """Refuse the file for breaking a rule."""
@@ -119,7 +123,14 @@ class ArchiveReader:
         """Return the bytes of a member, after checking its size and checksum."""
         try:
             return self._zip.read(self._infos[name])
-        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            EOFError,
+            OSError,
+            NotImplementedError,
+            RuntimeError,
+        ) as error:
             self.refuse(TRACE_FILE, f"{name}: {error or type(error).__name__}", "a whole file")
 
     def read_text(self, name: str) -> str:
@@ -141,13 +152,27 @@ class ArchiveReader:
                 (2, 0): np.lib.format.read_array_header_2_0,
             }[version]
             shape, fortran, dtype = read_header(file)
-        except (ValueError, KeyError, SyntaxError, TypeError, RecursionError, MemoryError, TokenError) as error:
-            self.refuse(TRACE_ARRAY, f"{name}: {str(error).splitlines()[:1] or type(error).__name__}", "a .npy of 1.0")
+        except (
+            ValueError,
+            KeyError,
+            SyntaxError,
+            TypeError,
+            RecursionError,
+            MemoryError,
+            TokenError,
+        ) as error:
+            self.refuse(
+                TRACE_ARRAY, f"{name}: {str(error).splitlines()[:1] or type(error).__name__}", "a .npy of 1.0"
+            )
         if dtype.kind not in "uif" or fortran or any(size < 0 for size in shape):
             self.refuse(TRACE_ARRAY, f"{name}: {dtype}, shape {shape}", "plain numbers in C order")
         data = file.read()
         if math.prod(shape) * dtype.itemsize != len(data):
-            self.refuse(TRACE_ARRAY, f"{name}: shape {shape} of {dtype}, {len(data)} bytes", "as many bytes as it says")
+            self.refuse(
+                TRACE_ARRAY,
+                f"{name}: shape {shape} of {dtype}, {len(data)} bytes",
+                "as many bytes as it says",
+            )
         return np.frombuffer(data, dtype).reshape(shape)
 
     def __enter__(self) -> Self:

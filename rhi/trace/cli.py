@@ -1,7 +1,7 @@
 """`python -m rhi trace show|replay|diff|reduce`.
 
-Results go to stdout, all other text to stderr. Any fault of the input gives one line, `error: …`, and exit code 2.
-`diff` exits with 1 if the traces differ.
+Results go to stdout, all other text to stderr. Any fault of the input gives one line, `error: …`, and exit
+code 2. `diff` exits with 1 if the traces differ.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ def _make_parser() -> argparse.ArgumentParser:
     replay_parser = commands.add_parser("replay", help="issue a trace's commands on a backend")
     replay_parser.set_defaults(run=_replay)
     replay_parser.add_argument("file", type=Path, metavar="F.zip")
-    replay_parser.add_argument("--backend", metavar="NAME", help="default: RHI_BACKEND, or the first that works")
+    replay_parser.add_argument(
+        "--backend", metavar="NAME", help="default: RHI_BACKEND, or the first that works"
+    )
     replay_parser.add_argument("--output", type=Path, metavar="F.png", help="write the last presented image")
     _add_trust(replay_parser)
     diff_parser = commands.add_parser("diff", help="print what the second trace does differently")
@@ -77,7 +79,9 @@ def _make_parser() -> argparse.ArgumentParser:
     reduce_parser.set_defaults(run=_reduce)
     reduce_parser.add_argument("file", type=Path, metavar="F.zip")
     reduce_parser.add_argument(
-        "predicate", metavar="FILE.py:FUNCTION", help="or MODULE:FUNCTION: of a trace, whether the fault is there"
+        "predicate",
+        metavar="FILE.py:FUNCTION",
+        help="or MODULE:FUNCTION: of a trace, whether the fault is there",
     )
     reduce_parser.add_argument("--output", type=Path, metavar="F.zip", help="write the small trace")
     reduce_parser.add_argument("--test", type=Path, metavar="test_F.py", help="write it as a pytest file")
@@ -118,7 +122,10 @@ def _replay(options: argparse.Namespace) -> int:
             options.output.write_bytes(encode_png(result.image))
             print(options.output)
             if not device.capabilities.shading:
-                print(f"the {device.backend_name} device draws nothing: the image is as cleared", file=sys.stderr)
+                print(
+                    f"the {device.backend_name} device draws nothing: the image is as cleared",
+                    file=sys.stderr,
+                )
     return 0
 
 
@@ -166,7 +173,8 @@ def _fail(message: str) -> int:
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
-    """Return (height, width, channels) texels as a PNG: 8 bits, gray or RGB, without alpha (PNG, ISO/IEC 15948)."""
+    """Return (height, width, channels) texels as a PNG: 8 bits, gray or RGB, without alpha (PNG, ISO/IEC
+    15948)."""
     if image.dtype.kind == "f":
         values = (np.clip(np.nan_to_num(image), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     elif image.dtype.itemsize > 1:
@@ -180,5 +188,6 @@ def encode_png(image: NDArray[Any]) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, 8, 2 if channels == 3 else 0, 0, 0, 0)
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
     )

@@ -1,13 +1,13 @@
 """Conversion of command arguments to JSON and back.
 
-- The contract is the schema: the types are those of the signatures of `Backend` and of the descriptors' fields.
-  Arguments are written without type tags and read back as the declared type only. So a file can't create anything but
-  plain values, enums and descriptors. Nothing is imported, and no function called, because a file names it: states of
-  one platform are found in a table.
-- The sources of a program are text that a driver compiles and runs. Those of a file are only handed out if the file
-  is trusted (`Sources`).
-- An enum is written as its member's name, a descriptor as an object of its fields, a tuple as an array. A missing field
-  gets its default, so descriptors can gain fields without a new version of the format.
+- The contract is the schema: the types are those of the signatures of `Backend` and of the descriptors'
+  fields. Arguments are written without type tags and read back as the declared type only. So a file can't
+  create anything but plain values, enums and descriptors. Nothing is imported, and no function called,
+  because a file names it: states of one platform are found in a table.
+- The sources of a program are text that a driver compiles and runs. Those of a file are only handed out if
+  the file is trusted (`Sources`).
+- An enum is written as its member's name, a descriptor as an object of its fields, a tuple as an array. A
+  missing field gets its default, so descriptors can gain fields without a new version of the format.
 """
 
 from __future__ import annotations
@@ -36,8 +36,12 @@ LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
 
 _PLATFORM_MODULES: Final = {"gl": "rhi.backends.gl.platform_states"}
 """The modules that are imported for the states of a platform: ours only, whatever a file says."""
-_ATTRIBUTE_TYPES: Final[dict[str, object]] = {str(type): type for type in (FLOAT, INT, UINT, *VECTORS.values())}
-_TEXTURE_TYPE: Final = re.compile(r"(?:Depth|Int|Uint)?(?:Texture|Image)(2D|2DArray|3D|Cube)(Samples)?(?:\[(\w+)\])?")
+_ATTRIBUTE_TYPES: Final[dict[str, object]] = {
+    str(type): type for type in (FLOAT, INT, UINT, *VECTORS.values())
+}
+_TEXTURE_TYPE: Final = re.compile(
+    r"(?:Depth|Int|Uint)?(?:Texture|Image)(2D|2DArray|3D|Cube)(Samples)?(?:\[(\w+)\])?"
+)
 _STATES: Final = {state_type.__name__: state_type for state_type in STATE_TYPES}
 
 
@@ -125,7 +129,9 @@ def decode(expected_type: Any, json_value: Any, where: str) -> Any:
     else:
         fits = isinstance(json_value, expected_type)
     if not fits:
-        raise MismatchError(f"{where}: {_show(json_value)} is no {getattr(expected_type, '__name__', expected_type)}")
+        raise MismatchError(
+            f"{where}: {_show(json_value)} is no {getattr(expected_type, '__name__', expected_type)}"
+        )
     return json_value
 
 
@@ -171,8 +177,8 @@ def _decode_attribute(json_value: Any, where: str) -> Attribute:
 
 
 def read_image_type(text: str) -> tuple[TextureKind, bool, Format | None] | None:
-    """Return the kind of a texture or image that a binding's type names, whether it has several samples, and the format
-    of an image, None if it isn't written; None if the text isn't the name of such a type."""
+    """Return the kind of a texture or image that a binding's type names, whether it has several samples, and
+    the format of an image, None if it isn't written; None if the text isn't the name of such a type."""
     match = _TEXTURE_TYPE.fullmatch(text)
     if match is None:
         return None
@@ -181,7 +187,11 @@ def read_image_type(text: str) -> tuple[TextureKind, bool, Format | None] | None
 
 
 def _decode_change(json_value: Any, where: str) -> StateChange:
-    if not isinstance(json_value, dict) or json_value.keys() != {"type", "value"} or json_value["type"] not in _STATES:
+    if (
+        not isinstance(json_value, dict)
+        or json_value.keys() != {"type", "value"}
+        or json_value["type"] not in _STATES
+    ):
         raise MismatchError(f"{where}: {_show(json_value)} is no change of a state")
     state_type = _STATES[json_value["type"]]
     if state_type is PlatformState:
@@ -195,7 +205,8 @@ def _decode_change(json_value: Any, where: str) -> StateChange:
 
 
 def _lookup_platform_state(name: str, where: str) -> PlatformState:
-    """Return a platform's state by its full name. Those of other packages are known once these are imported."""
+    """Return a platform's state by its full name. Those of other packages are known once these are
+    imported."""
     platform, _, _ = name.partition(".")
     if platform in _PLATFORM_MODULES:
         import_module(_PLATFORM_MODULES[platform])
@@ -211,9 +222,10 @@ def _decode_program(json_value: Any, where: str) -> ProgramDescriptor:
         raise MismatchError(f"{where}: {_show(json_value)} is no program")
     hints = {name: hint for name, hint in field_types(ProgramDescriptor).items() if name != "emit"}
     required = {
-        field.name for field in dataclasses.fields(ProgramDescriptor)
+        field.name
+        for field in dataclasses.fields(ProgramDescriptor)
         if field.name in hints and field.default is dataclasses.MISSING
-    }  # fmt: skip
+    }
     if not required <= json_value.keys() <= hints.keys():
         raise MismatchError(f"{where}: a program has {', '.join(hints)}")
     values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in json_value.items()}
@@ -230,8 +242,8 @@ class Sources:
 
     Attributes:
         texts: the sources by language and stage.
-        trusted: whether whoever loaded the file trusts its author: a driver compiles the sources and runs them as
-            they are.
+        trusted: whether whoever loaded the file trusts its author: a driver compiles the sources and runs
+            them as they are.
     """
 
     def __init__(self, name: str, trusted: bool = False) -> None:
@@ -243,8 +255,8 @@ class Sources:
         """Return the source of a stage; see `ProgramDescriptor.emit`.
 
         Raises:
-            ShaderError: `trace-source` if the trace has no source in this language, `trace-trust` if the file isn't
-                trusted.
+            ShaderError: `trace-source` if the trace has no source in this language, `trace-trust` if the file
+                isn't trusted.
         """
         call = f"program {self.name!r}, {stage.value} stage"
         text = self.texts.get((language, stage))
@@ -274,5 +286,12 @@ def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
 
 
 __all__ = [
-    "LANGUAGES", "MismatchError", "Sources", "argument_types", "decode", "encode", "read_image_type", "sources_of",
-]  # fmt: skip
+    "LANGUAGES",
+    "MismatchError",
+    "Sources",
+    "argument_types",
+    "decode",
+    "encode",
+    "read_image_type",
+    "sources_of",
+]

@@ -1,13 +1,14 @@
 """`diff`: the differences between two traces, aligned by labels.
 
-- Labels form a tree. The children of a label are aligned with those of the corresponding label, so a command that is
-  missing in one pass doesn't shift the comparison of the next.
-- Ids are compared by the resource that they name (its type, its label or descriptor, and which of several equal
-  ones, in the order in which they are first mentioned). So an additional texture at the start doesn't change every
-  later command. A program is compared by its name and sources.
-- Parts of streams, such as frames, are compared in the same way: what existed before them has a name as well, and
-  fences are counted from the first that the part signals.
-- Places in streamed buffers, whose ring goes on from frame to frame, are numbered as they are first mentioned.
+- Labels form a tree. The children of a label are aligned with those of the corresponding label, so a command
+  that is missing in one pass doesn't shift the comparison of the next.
+- Ids are compared by the resource that they name (its type, its label or descriptor, and which of several
+  equal ones, in the order in which they are first mentioned). So an additional texture at the start doesn't
+  change every later command. A program is compared by its name and sources.
+- Parts of streams, such as frames, are compared in the same way: what existed before them has a name as well,
+  and fences are counted from the first that the part signals.
+- Places in streamed buffers, whose ring goes on from frame to frame, are numbered as they are first
+  mentioned.
 - Two commands of the same op at the same place are one change, described by the arguments that differ.
 - Refused calls are compared like commands, by rule and call.
 """
@@ -71,7 +72,8 @@ class Difference:
 
 
 class Differences(Sequence[Difference]):
-    """The differences of two streams in order; an empty one is false. Its text lists them under their labels."""
+    """The differences of two streams in order; an empty one is false. Its text lists them under their
+    labels."""
 
     def __init__(self, items: list[Difference]) -> None:
         self._items = items
@@ -124,7 +126,8 @@ def _select(source: TraceSource) -> Commands:
 class _ProgramKeys:
     """The keys by which programs are compared: the same one for the same fields and sources.
 
-    Writing the sources takes longer than all else, so it is done only for programs that don't differ in another way.
+    Writing the sources takes longer than all else, so it is done only for programs that don't differ in
+    another way.
     """
 
     def __init__(self) -> None:
@@ -136,7 +139,9 @@ class _ProgramKeys:
         if key is None:
             fields = repr(encode(program))
             alike = self._alike.setdefault(fields, [])
-            number = next((i for i, other in enumerate(alike) if sources_of(other) == sources_of(program)), len(alike))
+            number = next(
+                (i for i, other in enumerate(alike) if sources_of(other) == sources_of(program)), len(alike)
+            )
             alike.append(program)
             key = self._keys[program] = fields, number
         return key
@@ -144,7 +149,8 @@ class _ProgramKeys:
 
 @dataclass(slots=True)
 class _Node:
-    """A label with its children (commands, refused calls and labels) and the key by which each is compared."""
+    """A label with its children (commands, refused calls and labels) and the key by which each is
+    compared."""
 
     index: int
     keys: list[Hashable] = field(default_factory=list)
@@ -226,7 +232,8 @@ class _Side:
         return self.names.get(resource, f"id {resource}") if resource else "none"
 
     def identify(self, resource: Id) -> Hashable:
-        """Return what an id stands for: a resource's kind, its descriptor, and which of several equal ones."""
+        """Return what an id stands for: a resource's kind, its descriptor, and which of several equal
+        ones."""
         if not resource:
             return 0
         if resource not in self._identities:
@@ -238,9 +245,13 @@ class _Side:
         return self._identities[resource] if streamed is None else ("streamed", streamed)
 
     def _get_ring_label(self, buffer: Id) -> str | None:
-        """Return the label of a streamed buffer, None of any other. A ring goes on in the next when one is full."""
+        """Return the label of a streamed buffer, None of any other. A ring goes on in the next when one is
+        full."""
         descriptor = self._descriptors.get(buffer)
-        if isinstance(descriptor, descriptors.BufferDescriptor) and descriptor.usage is descriptors.BufferUsage.STREAM:
+        if (
+            isinstance(descriptor, descriptors.BufferDescriptor)
+            and descriptor.usage is descriptors.BufferUsage.STREAM
+        ):
             return descriptor.label
         return None
 
@@ -260,10 +271,15 @@ class _Side:
             return tuple(map(self.normalize, value))
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             fields = dataclasses.fields(value)
-            return (type(value), *(
-                self.identify(getattr(value, f.name)) if f.type in ID_KINDS else self.normalize(getattr(value, f.name))
-                for f in fields
-            ))  # fmt: skip
+            return (
+                type(value),
+                *(
+                    self.identify(getattr(value, f.name))
+                    if f.type in ID_KINDS
+                    else self.normalize(getattr(value, f.name))
+                    for f in fields
+                ),
+            )
         hashable: Hashable = value
         return hashable
 
@@ -284,10 +300,15 @@ def _compare(
 
 
 def _report_differences(
-    left: _Side, right: _Side, removed: list[int | Refusal | _Node], added: list[int | Refusal | _Node],
-    labels: tuple[str, ...], differences: list[Difference],
-) -> None:  # fmt: skip
-    """Append the differences between two matches: changes where the kinds are equal, else removals, then additions."""
+    left: _Side,
+    right: _Side,
+    removed: list[int | Refusal | _Node],
+    added: list[int | Refusal | _Node],
+    labels: tuple[str, ...],
+    differences: list[Difference],
+) -> None:
+    """Append the differences between two matches: changes where the kinds are equal, else removals, then
+    additions."""
     a = [_thing(left.stream, item) for item in removed]
     b = [_thing(right.stream, item) for item in added]
     x = y = 0
@@ -330,7 +351,9 @@ def _changes(left: _Side, right: _Side, a: Thing, b: Thing) -> list[str]:
                 changes.append(f"{name}: {_compare_bytes(old, new)}")
         elif left.normalize(old) != right.normalize(new):
             texts = describe(old), describe(new)
-            changes.append(f"{name}: {texts[0]} → {texts[1]}" if texts[0] != texts[1] else f"{name}: its contents")
+            changes.append(
+                f"{name}: {texts[0]} → {texts[1]}" if texts[0] != texts[1] else f"{name}: its contents"
+            )
     if a.failure != b.failure:
         failures = [command.failure.error if command.failure is not None else "none" for command in (a, b)]
         changes.append(f"failure: {failures[0]} → {failures[1]}")

@@ -1,8 +1,9 @@
 """`save` and `load`: a command stream as a file; docs/traces.md describes the format.
 
-- A loaded trace has an ordinary stream. Loaded commands have everything that recorded ones have, call sites included.
-- Loading validates everything, because backends don't: `codec` the types, `archive` names and sizes, `validation`
-  that each command is valid where it stands.
+- A loaded trace has an ordinary stream. Loaded commands have everything that recorded ones have, call sites
+  included.
+- Loading validates everything, because backends don't: `codec` the types, `archive` names and sizes,
+  `validation` that each command is valid where it stands.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class Trace:
         return self.stream.refusals
 
     def select(self, indices: list[int], *, refusals: bool = True) -> Trace:
-        """Return a trace of some of the commands, in order. It includes the refused calls between them, unless
-        excluded."""
+        """Return a trace of some of the commands, in order. It includes the refused calls between them,
+        unless excluded."""
         selected = CommandStream()
         if refusals:
             for refusal in self.refusals:
@@ -88,7 +89,11 @@ def as_trace(source: Trace | Device | CommandStream) -> Trace:
         return source
     stream = source.stream if isinstance(source, Device) else source
     if not stream.is_complete:
-        refuse(rules.TRACE_INCOMPLETE, "rhi.trace", f"a stream of {len(stream)} commands that was cleared or paused")
+        refuse(
+            rules.TRACE_INCOMPLETE,
+            "rhi.trace",
+            f"a stream of {len(stream)} commands that was cleared or paused",
+        )
     return Trace(stream, source.backend_name if isinstance(source, Device) else "")
 
 
@@ -103,7 +108,9 @@ def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> N
     """
     trace = as_trace(source)
     with ArchiveWriter(Path(path)) as writer:
-        numbers: dict[bytes, int] = {}  # arrays by digest, so that data that is written each frame is stored once
+        numbers: dict[
+            bytes, int
+        ] = {}  # arrays by digest, so that data that is written each frame is stored once
         sites: dict[tuple[str, int, str], int] = {}
         lines: list[str] = []
         refusals = deque(trace.refusals)
@@ -115,20 +122,28 @@ def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> N
                 for (language, stage), text in sources_of(arguments["descriptor"]).items():
                     writer.write(source_name(arguments["program"], stage.value, language), text)
             plain = {
-                name: _write_array(writer, numbers, command, value) if isinstance(value, bytes) else encode(value)
+                name: _write_array(writer, numbers, command, value)
+                if isinstance(value, bytes)
+                else encode(value)
                 for name, value in arguments.items()
             }
             lines.append(_to_json(_describe(command, plain, sites)))
         lines.extend(_to_json(_describe_refusal(refusal, sites)) for refusal in refusals)
         writer.write(COMMANDS, "".join(f"{line}\n" for line in lines))
         header = {
-            "format": FORMAT, "version": VERSION, "backend": trace.backend, "commands": len(trace),
-            "refusals": len(trace.refusals), "sites": [list(site) for site in sites],
-        }  # fmt: skip
+            "format": FORMAT,
+            "version": VERSION,
+            "backend": trace.backend,
+            "commands": len(trace),
+            "refusals": len(trace.refusals),
+            "sites": [list(site) for site in sites],
+        }
         writer.write(HEADER, json.dumps(header))
 
 
-def _describe(command: Command, arguments: dict[str, Any], sites: dict[tuple[str, int, str], int]) -> dict[str, Any]:
+def _describe(
+    command: Command, arguments: dict[str, Any], sites: dict[tuple[str, int, str], int]
+) -> dict[str, Any]:
     line: dict[str, Any] = {"op": command.op.method, "arguments": arguments}
     _add_site(line, command.site, sites)
     if command.failure is not None:
@@ -138,9 +153,12 @@ def _describe(command: Command, arguments: dict[str, Any], sites: dict[tuple[str
 
 def _describe_refusal(refusal: Refusal, sites: dict[tuple[str, int, str], int]) -> dict[str, Any]:
     line: dict[str, Any] = {
-        "refused": refusal.error, "call": refusal.call, "given": refusal.given, "allowed": refusal.allowed,
+        "refused": refusal.error,
+        "call": refusal.call,
+        "given": refusal.given,
+        "allowed": refusal.allowed,
         "labels": list(refusal.labels),
-    }  # fmt: skip
+    }
     _add_site(line, refusal.site, sites)
     return line
 
@@ -184,9 +202,9 @@ def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES, trusted: bool
 
     Args:
         max_bytes: the limit of its unpacked size.
-        trusted: let devices compile and run its shaders. Those are text in the language of a driver, which can read
-            and write this process's memory on OpenCL; so only for files of authors whom you know. Everything else is
-            checked all the same.
+        trusted: let devices compile and run its shaders. Those are text in the language of a driver, which
+            can read and write this process's memory on OpenCL; so only for files of authors whom you know.
+            Everything else is checked all the same.
 
     Raises:
         ValidationError: the file is damaged, too large, or not a trace (rules `trace-…`).
@@ -217,7 +235,9 @@ class _Loader:
         counts = {"commands": len(self.stream), "refusals": len(self.stream.refusals)}
         for name, count in counts.items():
             if count != header[name]:
-                self.reader.refuse(rules.TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says")
+                self.reader.refuse(
+                    rules.TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says"
+                )
         return Trace(self.stream, header["backend"], self.file, self.trusted)
 
     def _read_header(self) -> dict[str, Any]:
@@ -261,7 +281,9 @@ class _Loader:
             types["labels"] = tuple[str, ...]
             if line.keys() != types.keys():
                 raise MismatchError(f"a refused call of {', '.join(line)}")
-            error, call, given, allowed, labels = (decode(type, line[name], name) for name, type in types.items())
+            error, call, given, allowed, labels = (
+                decode(type, line[name], name) for name, type in types.items()
+            )
         except MismatchError as mismatch:
             self.reader.refuse(rules.TRACE_COMMAND, f"{where}: {mismatch}", "what rhi.trace.save writes")
         site = call_site_at(code, 0)
@@ -279,7 +301,9 @@ class _Loader:
             if op is None or not isinstance(line.get("arguments"), dict):
                 raise MismatchError(f"op {line.get('op')!r}")
             if line.keys() - {"op", "arguments", "site", "failure"}:
-                raise MismatchError(f"unknown: {', '.join(line.keys() - {'op', 'arguments', 'site', 'failure'})}")
+                raise MismatchError(
+                    f"unknown: {', '.join(line.keys() - {'op', 'arguments', 'site', 'failure'})}"
+                )
             code = None
             if "site" in line:
                 code = self._read_site(line["site"])
@@ -289,12 +313,15 @@ class _Loader:
             if arguments.keys() != types.keys():
                 raise MismatchError(f"{op.method}({', '.join(arguments)}) instead of ({', '.join(types)})")
             values: list[Any] = [
-                self._read_array(where, arguments[name]) if type is BytesLike
+                self._read_array(where, arguments[name])
+                if type is BytesLike
                 else decode(type, arguments[name], f"{op.method}.{name}")
                 for name, type in types.items()
-            ]  # fmt: skip
+            ]
         except (MismatchError, TypeError) as error:
-            self.reader.refuse(rules.TRACE_COMMAND, f"{where}: {error}", "a method of rhi.Backend and its arguments")
+            self.reader.refuse(
+                rules.TRACE_COMMAND, f"{where}: {error}", "a method of rhi.Backend and its arguments"
+            )
         if op is Op.CREATE_PROGRAM:
             self._read_sources(values[0], values[1])
         values = self._check(where, op, values, failure)
@@ -331,8 +358,11 @@ class _Loader:
                     and array.shape == _texel_shape(texture, values[2])
                 )
             if not plain:
-                self.reader.refuse(rules.TRACE_ARRAY, f"{where}: {array.dtype} of shape {array.shape}",
-                                   "uint8 in one dimension, or the texels that the region has")  # fmt: skip
+                self.reader.refuse(
+                    rules.TRACE_ARRAY,
+                    f"{where}: {array.dtype} of shape {array.shape}",
+                    "uint8 in one dimension, or the texels that the region has",
+                )
             values = [*values[:-1], array.tobytes()]
         self.validator.check(op, values, failure is not None, where, self.reader)
         return values

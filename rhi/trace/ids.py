@@ -1,4 +1,5 @@
-"""The resource ids in a command, and what they stand for, found by the contract's annotations (`Id`, `BufferId`, …)."""
+"""The resource ids in a command, and what they stand for, found by the contract's annotations (`Id`,
+`BufferId`, …)."""
 
 from __future__ import annotations
 
@@ -62,8 +63,8 @@ def map_ids(value: Any, translate: Callable[[Id], Id]) -> Any:
 
 
 def kinds_of(op: Op, values: Sequence[Any]) -> Iterator[tuple[Id, type]]:
-    """Yield the resource ids in a command, each with what it stands for. An id that stands for none (0) is left out
-    where the contract allows it."""
+    """Yield the resource ids in a command, each with what it stands for. An id that stands for none (0) is
+    left out where the contract allows it."""
     for key, kind, optional in _ARGUMENTS[op]:
         value = values[key]
         if kind is None:

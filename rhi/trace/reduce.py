@@ -1,8 +1,8 @@
 """`reduce`: find a small trace that still shows a fault, by delta debugging (Zeller, Hildebrandt 2002).
 
 - Commands are removed, first half of them and finally single ones, as long as the predicate stays true.
-- After each removal the rest is made valid before it is tried: with a resource go all commands that use it, a label,
-  pass or query loses both of its ends, and draws need their pass and program.
+- After each removal the rest is made valid before it is tried: with a resource go all commands that use it, a
+  label, pass or query loses both of its ends, and draws need their pass and program.
 - Refused calls are removed first, unless the fault can't be seen without them.
 - `write_test` writes the result as a pytest file that depends on this package only.
 """
@@ -33,10 +33,11 @@ _OPENS: Final = {end: begin for begin, end in END_OPS.items()}
 
 
 def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = ATTEMPTS) -> Trace:
-    """Return the smallest part of a trace for which `predicate` is true, as far as it is found in `attempts` tries.
+    """Return the smallest part of a trace for which `predicate` is true, as far as it is found in `attempts`
+    tries.
 
-    `predicate(trace)` returns whether the fault is present. It inspects the commands, or replays them on a device of
-    its own. If it raises an error of this package, the fault counts as absent.
+    `predicate(trace)` returns whether the fault is present. It inspects the commands, or replays them on a
+    device of its own. If it raises an error of this package, the fault counts as absent.
 
     Raises:
         ValidationError: `trace-predicate` if the predicate is false for the whole trace.
@@ -53,7 +54,12 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
     parts = _Parts(trace.stream)
     remaining = list(range(len(trace)))
     if not holds(remaining):
-        refuse(TRACE_PREDICATE, "rhi.trace.reduce", f"a trace of {len(trace)} commands", "one that shows the fault")
+        refuse(
+            TRACE_PREDICATE,
+            "rhi.trace.reduce",
+            f"a trace of {len(trace)} commands",
+            "one that shows the fault",
+        )
     if trace.refusals:
         refusals = False
         refusals = not holds(remaining)
@@ -154,7 +160,8 @@ def write_test(trace: Trace, path: str | PathLike[str], predicate: Callable[[Tra
     listing = str(trace.stream).replace("\\", "\\\\").replace('"""', "'''")
     packed = "\n".join(f'    "{text[start : start + 100]}"' for start in range(0, len(text), 100))
     lines = [
-        f'"""A trace of {len(trace)} commands that shows the fault that `{name}` looks for.\n\n{listing}\n"""',
+        f'"""A trace of {len(trace)} commands that shows the fault that `{name}` looks '
+        f'for.\n\n{listing}\n"""',
         "\n".join(["import base64", "", *imports, "", "from rhi.trace import load"]),
         f"TRACE = (\n{packed}\n)",
         source.rstrip(),
@@ -175,7 +182,9 @@ def _source_of(predicate: Callable[[Trace], bool]) -> tuple[str, list[str]]:
         module = inspect.getmodule(predicate)
         whole = ast.parse(inspect.getsource(module)) if module is not None else ast.parse("")
     except (OSError, TypeError) as error:
-        refuse(TRACE_PREDICATE, "rhi.trace.write_test", f"{predicate!r}: {error}", "a function defined in a file")
+        refuse(
+            TRACE_PREDICATE, "rhi.trace.write_test", f"{predicate!r}: {error}", "a function defined in a file"
+        )
     used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
     imports = [
         ast.unparse(node)

@@ -1,13 +1,14 @@
 """`replay`: execute the commands of a trace on any device.
 
-- Resource ids and fence values are translated to those of the device. So the device may have been used before, and can
-  be used afterwards: its states are restored, passes and labels that the trace left open are ended.
-- Ring memory (`BufferUsage.STREAM`) becomes plain memory, whose writes are in order. A ring relies on the fences of the
-  device on which it was recorded.
-- The shaders of a file run only if the file is trusted. The arguments of its indirect draws and dispatches are read
-  back and checked before each of them: a device would execute whatever they say.
-- A call that failed when it was recorded is executed, too; if it fails again, that is noted and not raised. A refused
-  call never became a command, so it is only reported.
+- Resource ids and fence values are translated to those of the device. So the device may have been used
+  before, and can be used afterwards: its states are restored, passes and labels that the trace left open are
+  ended.
+- Ring memory (`BufferUsage.STREAM`) becomes plain memory, whose writes are in order. A ring relies on the
+  fences of the device on which it was recorded.
+- The shaders of a file run only if the file is trusted. The arguments of its indirect draws and dispatches
+  are read back and checked before each of them: a device would execute whatever they say.
+- A call that failed when it was recorded is executed, too; if it fails again, that is noted and not raised. A
+  refused call never became a command, so it is only reported.
 """
 
 from __future__ import annotations
@@ -47,11 +48,12 @@ class Replay:
     """The result of a replay.
 
     Attributes:
-        image: the image that was presented last, (height, width, channels) of the format's dtype, top row first; None
-            if there was none.
-        ids: the device's ids of the resources that the trace leaves alive, by their ids in the trace. They live until
-            the device is closed.
-        failures: for each call that failed when it was recorded, by its index, how it failed now; None if it succeeded.
+        image: the image that was presented last, (height, width, channels) of the format's dtype, top row
+            first; None if there was none.
+        ids: the device's ids of the resources that the trace leaves alive, by their ids in the trace. They
+            live until the device is closed.
+        failures: for each call that failed when it was recorded, by its index, how it failed now; None if it
+            succeeded.
         commands: number of commands that were executed.
         refusals: the calls that were refused while the trace was recorded.
     """
@@ -67,9 +69,10 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
     """Execute the commands of a trace on the device `on`.
 
     Raises:
-        ValidationError: `trace-capability` if the device lacks a capability that the trace needs, `trace-incomplete`
-            for a stream without its beginning, `pass-open` inside a render pass, `trace-trust` for a file with shaders
-            that isn't trusted, on a device that runs shaders. No command was executed then.
+        ValidationError: `trace-capability` if the device lacks a capability that the trace needs,
+            `trace-incomplete` for a stream without its beginning, `pass-open` inside a render pass,
+            `trace-trust` for a file with shaders that isn't trusted, on a device that runs shaders. No
+            command was executed then.
         ValidationError: `trace-reference` for indirect arguments of a file that reach beyond what exists.
         RhiError: the error of a command that succeeded when it was recorded. A note names the command.
     """
@@ -82,7 +85,11 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
     check_capabilities(stream, on.capabilities)
     runs_shaders = on.capabilities.shading
     if runs_shaders and not trace.trusted and stream.filter(Op.CREATE_PROGRAM):
-        refuse(TRACE_TRUST, f"rhi.trace.replay on {on.backend_name}", f"{trace.file!r}, loaded without trusted=True")
+        refuse(
+            TRACE_TRUST,
+            f"rhi.trace.replay on {on.backend_name}",
+            f"{trace.file!r}, loaded without trusted=True",
+        )
     player = _Player(stream, on, checks_indirect=runs_shaders and bool(trace.file))
     try:
         player.play()
@@ -112,9 +119,13 @@ class _Player:
         core.program = None
         self.set_states(self.before, default_values())
         own = {
-            Op.DESTROY: self.destroy, Op.SIGNAL: self.signal, Op.WAIT: self.wait, Op.PRESENT: self.present,
-            Op.DRAW_INDIRECT: self.draw_indirect, Op.DISPATCH_INDIRECT: self.dispatch_indirect,
-        }  # fmt: skip
+            Op.DESTROY: self.destroy,
+            Op.SIGNAL: self.signal,
+            Op.WAIT: self.wait,
+            Op.PRESENT: self.present,
+            Op.DRAW_INDIRECT: self.draw_indirect,
+            Op.DISPATCH_INDIRECT: self.dispatch_indirect,
+        }
         handlers: list[Callable[[Op, list[Any]], None] | None] = [
             self.create if op in CREATIONS else self.apply if op in _FOLLOWED else own.get(op) for op in Op
         ]
@@ -252,7 +263,8 @@ class _Player:
                 self.result.image = self.core.backend.read_texture(texture, 0, whole, False)[0]
 
     def repeat_failure(self, index: int, op: Op, values: list[Any]) -> None:
-        """Execute a call that failed when it was recorded, unless it opens or ends a pass, a label or the like."""
+        """Execute a call that failed when it was recorded, unless it opens or ends a pass, a label or the
+        like."""
         if op in _NOT_REPEATED:
             return
         try:

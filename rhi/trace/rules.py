@@ -6,7 +6,9 @@ from typing import Final
 
 from rhi.errors import Rule
 
-TRACE_FILE: Final = Rule("trace-file", "the file is not a complete trace", "save it again; it may be truncated")
+TRACE_FILE: Final = Rule(
+    "trace-file", "the file is not a complete trace", "save it again; it may be truncated"
+)
 TRACE_VERSION: Final = Rule(
     "trace-version", "this package doesn't support the version of the trace", "update the package"
 )
@@ -26,7 +28,9 @@ TRACE_INCOMPLETE: Final = Rule(
 TRACE_CAPABILITY: Final = Rule(
     "trace-capability", "the device lacks a capability that the trace needs", "replay it on another backend"
 )
-TRACE_SOURCE: Final = Rule("trace-source", "the trace has no source of this program in the language of the backend")
+TRACE_SOURCE: Final = Rule(
+    "trace-source", "the trace has no source of this program in the language of the backend"
+)
 TRACE_PREDICATE: Final = Rule(
     "trace-predicate",
     "the predicate can't be used to reduce the trace",
@@ -35,5 +39,6 @@ TRACE_PREDICATE: Final = Rule(
 TRACE_TRUST: Final = Rule(
     "trace-trust",
     "the shaders of a file run as they are, and the file isn't trusted",
-    "if you know its author: load(…, trusted=True), or --trust; the null device replays it without its shaders",
+    "if you know its author: load(…, trusted=True), or --trust; the null device replays it without its "
+    "shaders",
 )

@@ -1,15 +1,17 @@
 """Validation of traces: whether each command is valid where it stands, and whether a device can execute it.
 
-A device validates calls before they reach its backend, and backends rely on that. A trace may come from anybody, so the
-same is checked here again, on plain data.
+A device validates calls before they reach its backend, and backends rely on that. A trace may come from
+anybody, so the same is checked here again, on plain data.
 
 - `SequenceValidator` follows the commands while a file is loaded: resources exist and are what the contract's
-  annotations say, passes, labels and queries are paired, and arguments obey the rules of `rhi.contract.limits`, as far
-  as they are those of every device. Not checked is what only a driver knows (whether a shader compiles) and what only
-  the GPU sees: indices, which devices clamp, and indirect arguments, which `replay` reads.
-- `check_capabilities` checks a loaded trace by the same rules with the limits of the device that is to replay it,
-  before the first command is issued; and that what draws and dispatches read exists and is as large as their program
-  says. (A part of a trace, with bindings left out, still loads: it may be replayed where no shader runs.)
+  annotations say, passes, labels and queries are paired, and arguments obey the rules of
+  `rhi.contract.limits`, as far as they are those of every device. Not checked is what only a driver knows
+  (whether a shader compiles) and what only the GPU sees: indices, which devices clamp, and indirect
+  arguments, which `replay` reads.
+- `check_capabilities` checks a loaded trace by the same rules with the limits of the device that is to replay
+  it, before the first command is issued; and that what draws and dispatches read exists and is as large as
+  their program says. (A part of a trace, with bindings left out, still loads: it may be replayed where no
+  shader runs.)
 """
 
 from __future__ import annotations
@@ -70,8 +72,13 @@ _INSIDE_PASS: Final = dict.fromkeys(DRAWS | {Op.END_PASS}, True) | dict.fromkeys
 )
 """Whether a command belongs inside a pass, by op. Others belong everywhere."""
 _CHANGES_BINDINGS: Final = CREATIONS | {
-    Op.DESTROY, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE
-}  # fmt: skip
+    Op.DESTROY,
+    Op.BIND_PROGRAM,
+    Op.BIND_UNIFORM,
+    Op.BIND_STORAGE,
+    Op.BIND_TEXTURE,
+    Op.BIND_IMAGE,
+}
 _STAGES: Final = dict.fromkeys(DRAWS, Stage.VERTEX) | dict.fromkeys(DISPATCHES, Stage.COMPUTE)
 """The stage that a command executes, by op."""
 
@@ -103,8 +110,8 @@ class SequenceValidator:
         self._signalled = 0
 
     def check(self, op: Op, values: Sequence[Any], failed: bool, where: str, reader: ArchiveReader) -> None:
-        """Refuse the file if this command isn't valid next. A command that `failed` when it was recorded has no effect,
-        and may have requested more memory than there was."""
+        """Refuse the file if this command isn't valid next. A command that `failed` when it was recorded has
+        no effect, and may have requested more memory than there was."""
         before = self._total, self._signalled
         rule = _RULES[op]
         try:
@@ -119,7 +126,9 @@ class SequenceValidator:
             if op in CREATIONS:
                 self._create(values[0], _count_bytes(values[1]))
         except InvalidCommandError as error:
-            reader.refuse(TRACE_REFERENCE, f"{where}: {op.method}: {error}", "what a device would have issued")
+            reader.refuse(
+                TRACE_REFERENCE, f"{where}: {op.method}: {error}", "what a device would have issued"
+            )
         except TooLargeError as error:
             if not failed:
                 reader.refuse(TRACE_SIZE, f"{where}: {op.method}: {error}", f"{MAX_MEMORY:,} bytes")
@@ -128,20 +137,22 @@ class SequenceValidator:
         else:
             self.context.apply(op, values)
 
-    # -- every command -----------------------------------------------------------------------------------------
+    # -- every command ---------------------------------------------------------------------------------------
 
     def _check_scope(self, op: Op) -> None:
         """Check that a command belongs inside or outside a pass, and that a program of its kind is bound."""
         if op in _INSIDE_PASS:
             is_open = self.context.render_pass is not None
-            _require(is_open is _INSIDE_PASS[op], "inside a render pass" if is_open else "outside a render pass")
+            _require(
+                is_open is _INSIDE_PASS[op], "inside a render pass" if is_open else "outside a render pass"
+            )
         if op in _STAGES:
             bound = self._lookup(self.context.program, ProgramDescriptor)
             _require(_STAGES[op] in bound.stages, "a program of another kind is bound")
 
     def _check_arguments(self, op: Op, values: Sequence[Any]) -> None:
-        """Check that the resources exist and are what the contract says, that a new one has a new id, and the arguments
-        by the rules of `rhi.contract.limits`."""
+        """Check that the resources exist and are what the contract says, that a new one has a new id, and the
+        arguments by the rules of `rhi.contract.limits`."""
         for value in values:
             if type(value) is int and abs(value) > 1 << 53:
                 raise InvalidCommandError(f"{value} is out of range")
@@ -160,7 +171,9 @@ class SequenceValidator:
         if descriptor is None:
             raise InvalidCommandError(f"id {resource} is nothing")
         if not isinstance(descriptor, kind):
-            raise InvalidCommandError(f"id {resource} is a {type(descriptor).__name__}, not a {kind.__name__}")
+            raise InvalidCommandError(
+                f"id {resource} is a {type(descriptor).__name__}, not a {kind.__name__}"
+            )
         return descriptor
 
     def _create(self, resource: Id, size: int) -> None:
@@ -170,7 +183,7 @@ class SequenceValidator:
         self._used.add(resource)
         self._memory[resource] = size
 
-    # -- commands whose rules depend on earlier ones -------------------------------------------------------------
+    # -- commands whose rules depend on earlier ones ---------------------------------------------------------
 
     def draw(self, vertex_array: Id, *_: object) -> None:
         resources = self._lookup(vertex_array, VertexArrayDescriptor)
@@ -192,7 +205,8 @@ class SequenceValidator:
         open_pass = self.context.render_pass
         if open_pass is not None:
             _require(
-                resource not in {id for id, _ in kinds_of(Op.BEGIN_PASS, (open_pass,))}, "a target of the open pass"
+                resource not in {id for id, _ in kinds_of(Op.BEGIN_PASS, (open_pass,))},
+                "a target of the open pass",
             )
         _require(resource not in (self.context.open_query, self.context.condition), "a query that is open")
         self._total -= self._memory[resource]
@@ -233,10 +247,12 @@ def _require(condition: bool, otherwise: str) -> None:
         raise InvalidCommandError(otherwise)
 
 
-_RULES: Final[tuple[Callable[..., None] | None, ...]] = tuple(getattr(SequenceValidator, op.method, None) for op in Op)
+_RULES: Final[tuple[Callable[..., None] | None, ...]] = tuple(
+    getattr(SequenceValidator, op.method, None) for op in Op
+)
 
 
-# -- commands whose rules depend on their arguments only, and the limits of a device ---------------------------
+# -- commands whose rules depend on their arguments only, and the limits of a device -------------------------
 
 _Resources: TypeAlias = Mapping[Id, Any]
 """The descriptors of the resources that were created so far."""
@@ -248,15 +264,21 @@ def _buffer_range(resources: _Resources, buffer: Id, offset: int, size: int) -> 
         yield Fault(rules.BUFFER_RANGE, f"bytes {offset} to {offset + size}", f"within {whole} bytes")
 
 
-def _create_buffer(resources: _Resources, device: Capabilities, buffer: Id, descriptor: BufferDescriptor) -> Faults:
+def _create_buffer(
+    resources: _Resources, device: Capabilities, buffer: Id, descriptor: BufferDescriptor
+) -> Faults:
     if descriptor.size <= 0:
         yield Fault(rules.BUFFER_SIZE, f"{descriptor.size} bytes", "1 or more")
 
 
-def _create_program(resources: _Resources, device: Capabilities, program: Id, descriptor: ProgramDescriptor) -> Faults:
+def _create_program(
+    resources: _Resources, device: Capabilities, program: Id, descriptor: ProgramDescriptor
+) -> Faults:
     stages = descriptor.stages
     if stages != {Stage.COMPUTE} and (Stage.VERTEX not in stages or Stage.COMPUTE in stages):
-        yield Fault(rules.PROGRAM_STAGE, limits.show_stages(descriptor), "a vertex stage, or a compute stage alone")
+        yield Fault(
+            rules.PROGRAM_STAGE, limits.show_stages(descriptor), "a vertex stage, or a compute stage alone"
+        )
     yield from limits.program_faults(descriptor, device)
 
 
@@ -272,7 +294,9 @@ def _create_vertex_array(
         yield Fault(rules.MESH_DATA, "a stream without attributes", "one or more in each")
     for attribute in given:
         input_type = inputs[attribute.location]
-        size, scalar = (input_type.size, input_type.scalar) if isinstance(input_type, VectorType) else (1, input_type)
+        size, scalar = (
+            (input_type.size, input_type.scalar) if isinstance(input_type, VectorType) else (1, input_type)
+        )
         if attribute.format.components < size or attribute.format.kind != str(scalar):
             yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"as {input_type}")
 
@@ -286,7 +310,13 @@ def _clear_buffer(
 
 
 def _copy_buffer(
-    resources: _Resources, device: Capabilities, source: Id, offset: int, target: Id, target_offset: int, size: int
+    resources: _Resources,
+    device: Capabilities,
+    source: Id,
+    offset: int,
+    target: Id,
+    target_offset: int,
+    size: int,
 ) -> Faults:
     sizes = (resources[source].size, offset, resources[target].size, target_offset, size)
     return limits.buffer_copy_faults(*sizes, source == target, device)
@@ -305,7 +335,12 @@ def _write_texture(
         byte_count = columns * rows * region.layers * descriptor.compressed.block_bytes
         width, height = descriptor.level_size(level)
         right, bottom = region.x + region.width, region.y + region.height
-        inner = [region.x, region.y, *([right] if right < width else []), *([bottom] if bottom < height else [])]
+        inner = [
+            region.x,
+            region.y,
+            *([right] if right < width else []),
+            *([bottom] if bottom < height else []),
+        ]
         if any(edge % BLOCK for edge in inner):
             yield Fault(rules.TEXTURE_REGION, f"{region}", f"whole blocks of {width}×{height} texels")
     if len(data) != byte_count:
@@ -313,9 +348,17 @@ def _write_texture(
 
 
 def _copy_texture(
-    resources: _Resources, device: Capabilities, source: Id, level: int, region: Region, target: Id, target_level: int,
-    x: int, y: int, layer: int,
-) -> Faults:  # fmt: skip
+    resources: _Resources,
+    device: Capabilities,
+    source: Id,
+    level: int,
+    region: Region,
+    target: Id,
+    target_level: int,
+    x: int,
+    y: int,
+    layer: int,
+) -> Faults:
     end = Region(x, y, region.width, region.height, layer, region.layers)
     return limits.texture_copy_faults(
         resources[source], level, region, resources[target], target_level, end, source == target
@@ -332,7 +375,9 @@ def _copy_texture_to_buffer(
     offset: int,
     row_bytes: int,
 ) -> Faults:
-    return limits.row_faults(resources[source], level, region, offset, row_bytes, resources[target].size, device)
+    return limits.row_faults(
+        resources[source], level, region, offset, row_bytes, resources[target].size, device
+    )
 
 
 def _copy_buffer_to_texture(
@@ -346,7 +391,9 @@ def _copy_buffer_to_texture(
     region: Region,
 ) -> Faults:
     yield from limits.written_faults(resources[target])
-    yield from limits.row_faults(resources[target], level, region, offset, row_bytes, resources[source].size, device)
+    yield from limits.row_faults(
+        resources[target], level, region, offset, row_bytes, resources[source].size, device
+    )
 
 
 def _begin_pass(resources: _Resources, device: Capabilities, descriptor: PassDescriptor) -> Faults:
@@ -390,16 +437,25 @@ def _bind_range(
     yield from limits.range_faults(kind, offset, size, 0, device)
 
 
-def _bind_image(resources: _Resources, device: Capabilities, slot: int, texture: Id, level: int, layer: int) -> Faults:
+def _bind_image(
+    resources: _Resources, device: Capabilities, slot: int, texture: Id, level: int, layer: int
+) -> Faults:
     yield from _slot("max_image_slots", resources, device, slot)
     yield from limits.plain_faults(resources[texture])
     yield from limits.level_faults(resources[texture], level, max(layer, 0))
 
 
 def _draw(
-    resources: _Resources, device: Capabilities, vertex_array: Id, primitive: object, first: int, count: int,
-    instances: int, base_vertex: int, base_instance: int,
-) -> Faults:  # fmt: skip
+    resources: _Resources,
+    device: Capabilities,
+    vertex_array: Id,
+    primitive: object,
+    first: int,
+    count: int,
+    instances: int,
+    base_vertex: int,
+    base_instance: int,
+) -> Faults:
     descriptor: VertexArrayDescriptor = resources[vertex_array]
     elements = count_vertex_array_elements(resources, descriptor)
     numbers = (first, count, instances, base_vertex, base_instance)
@@ -407,21 +463,35 @@ def _draw(
     yield from excessive_work_faults(count * instances)
 
 
-def count_vertex_array_elements(resources: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> limits.ElementCounts:
+def count_vertex_array_elements(
+    resources: Mapping[Id, Any], descriptor: VertexArrayDescriptor
+) -> limits.ElementCounts:
     """Return how many elements the buffers of a vertex array hold; one that was destroyed holds none."""
-    return limits.count_elements(descriptor, lambda buffer: resources[buffer].size if buffer in resources else 0)
+    return limits.count_elements(
+        descriptor, lambda buffer: resources[buffer].size if buffer in resources else 0
+    )
 
 
 def excessive_work_faults(elements: int) -> Faults:
     """Yield that a command would run for very long."""
     if elements > MAX_WORK:
-        yield Fault(rules.DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
+        yield Fault(
+            rules.DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command"
+        )
 
 
 def _draw_indirect(
-    resources: _Resources, device: Capabilities, vertex_array: Id, primitive: object, buffer: Id, offset: int,
-    draws: int, stride: int, count_buffer: Id, count_offset: int,
-) -> Faults:  # fmt: skip
+    resources: _Resources,
+    device: Capabilities,
+    vertex_array: Id,
+    primitive: object,
+    buffer: Id,
+    offset: int,
+    draws: int,
+    stride: int,
+    count_buffer: Id,
+    count_offset: int,
+) -> Faults:
     yield from limits.indirect_faults(draws, offset, stride, count_offset, resources[buffer].size)
     if count_buffer:
         yield from limits.count_faults(count_offset, resources[count_buffer].size, device)
@@ -442,7 +512,9 @@ _FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.READ_BUFFER: lambda resources, device, *range_of_bytes: _buffer_range(resources, *range_of_bytes),
     Op.CLEAR_BUFFER: _clear_buffer,
     Op.WRITE_TEXTURE: _write_texture,
-    Op.READ_TEXTURE: lambda resources, device, texture, *region: limits.read_faults(resources[texture], *region),
+    Op.READ_TEXTURE: lambda resources, device, texture, *region: limits.read_faults(
+        resources[texture], *region
+    ),
     Op.COPY_TEXTURE: _copy_texture,
     Op.RESOLVE_TEXTURE: lambda resources, device, source, target: limits.resolve_faults(
         resources[source], resources[target], device
@@ -453,11 +525,15 @@ _FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
         at, resources[buffer].size
     ),
 }
-"""By op, the function of existing resources, device and the op's arguments that yields the faults: here on any
-device."""
+"""By op, the function of existing resources, device and the op's arguments that yields the faults: here on
+any device."""
 _LIMIT_FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
-    Op.CREATE_TEXTURE: lambda resources, device, texture, descriptor: limits.texture_faults(descriptor, device),
-    Op.CREATE_SAMPLER: lambda resources, device, sampler, descriptor: limits.sampler_faults(descriptor, device),
+    Op.CREATE_TEXTURE: lambda resources, device, texture, descriptor: limits.texture_faults(
+        descriptor, device
+    ),
+    Op.CREATE_SAMPLER: lambda resources, device, sampler, descriptor: limits.sampler_faults(
+        descriptor, device
+    ),
     Op.CREATE_PROGRAM: _create_program,
     Op.CREATE_QUERY: lambda resources, device, query, kind: limits.query_faults(kind, device),
     Op.COPY_BUFFER: _copy_buffer,
@@ -485,15 +561,24 @@ def binding_faults(context: StreamContext) -> Faults:
     for binding in program.bindings if isinstance(program, ProgramDescriptor) else ():
         bound = context.slots.get((binding.kind, binding.slot))
         if bound is None or bound[0] not in context.resources:
-            yield Fault(rules.BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
+            yield Fault(
+                rules.BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name
+            )
             return
         resources: Any = context.resources[bound[0]]
         if isinstance(resources, TextureDescriptor):
             layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
-            kind, image_type = resources.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
-            if image_type is not None and (image_type[0] is not kind or image_type[2] not in (None, resources.format)):
+            kind, image_type = (
+                resources.kind if layered else TextureKind.D2,
+                read_image_type(str(binding.type)),
+            )
+            if image_type is not None and (
+                image_type[0] is not kind or image_type[2] not in (None, resources.format)
+            ):
                 yield Fault(
-                    rules.BINDING_TYPE, f"{kind.value} of {resources.format.name}", f"{binding.name}: {binding.type}"
+                    rules.BINDING_TYPE,
+                    f"{kind.value} of {resources.format.name}",
+                    f"{binding.name}: {binding.type}",
                 )
             several = image_type is not None and image_type[1]
             if (resources.samples > 1) != several:
@@ -507,8 +592,8 @@ def check_capabilities(stream: CommandStream, device: Capabilities) -> None:
     """Refuse a trace that a device can't replay, and name the first command that it doesn't support.
 
     Raises:
-        ValidationError: `trace-capability`; `trace-reference` for a draw or dispatch whose bindings aren't there, on a
-            device that runs shaders.
+        ValidationError: `trace-capability`; `trace-reference` for a draw or dispatch whose bindings aren't
+            there, on a device that runs shaders.
     """
     resources: dict[Id, Descriptor] = {}
     checked: set[tuple[Any, ...]] = set()

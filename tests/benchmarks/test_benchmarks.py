@@ -18,10 +18,24 @@ FILES: Final = {path.stem: path.read_text() for path in (ROOT / "benchmarks").gl
 PROGRAMS: Final = sorted(name for name, text in FILES.items() if "__main__" in text)
 
 SMALLEST: Final = {
-    "--boxes": "40", "--cold-runs": "1", "--commands": "200", "--draws": "20", "--frames": "2", "--materials": "4",
-    "--meshes": "4", "--objects": "20", "--processes": "1", "--queries": "10", "--repeats": "1", "--rounds": "1",
-    "--runs": "1", "--scale": "0.001", "--size": "32x18", "--triangles": "1000", "--warm-up": "1",
-}  # fmt: skip
+    "--boxes": "40",
+    "--cold-runs": "1",
+    "--commands": "200",
+    "--draws": "20",
+    "--frames": "2",
+    "--materials": "4",
+    "--meshes": "4",
+    "--objects": "20",
+    "--processes": "1",
+    "--queries": "10",
+    "--repeats": "1",
+    "--rounds": "1",
+    "--runs": "1",
+    "--scale": "0.001",
+    "--size": "32x18",
+    "--triangles": "1000",
+    "--warm-up": "1",
+}
 """The options that say how much a program does, with the least that each of them may say."""
 FREE: Final = {"--programs", "--seed"}
 """Options with a number that says nothing of how much a program does, or is the least by itself."""
@@ -39,11 +53,18 @@ OWN: Final[dict[str, tuple[str, ...]]] = {
     "techniques": (*ON_CL["techniques"], "--scenes", "grid:4"),
     "thesis_tables": ("ground",),
 }
-"""What programs are given besides: what they can't do without, smaller scenes, and cl where another is the default."""
+"""What programs are given besides: what they can't do without, smaller scenes, and cl where another is the
+default."""
 TIMES_CL: Final = {
-    *ON_CL, "backends", "emulated_queries", "small_programs", "small_triangles", "software_depth",
-    "tessellation", "text",
-}  # fmt: skip
+    *ON_CL,
+    "backends",
+    "emulated_queries",
+    "small_programs",
+    "small_triangles",
+    "software_depth",
+    "tessellation",
+    "text",
+}
 """Programs that say beside each figure which kernels cl ran."""
 TEXT: Final = {"thesis_tables"}
 """Programs that print pages, and so no JSON."""
@@ -53,7 +74,9 @@ def run(name: str, *arguments: str) -> str:
     """Run a program as users do, with kernels that are built quickly; return what it prints."""
     command = [sys.executable, f"benchmarks/{name}.py", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "RHI_KERNELS": "quick"}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -13,7 +13,9 @@ import pytest
 
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "examples"
-FILES: Final = sorted(path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy")  # its own test runs it
+FILES: Final = sorted(
+    path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy"
+)  # its own test runs it
 PROGRAMS: Final = [path for path in FILES if '__name__ == "__main__"' in path.read_text()]
 SMALL: Final = ("--size", "32x18")
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2")}
@@ -21,13 +23,14 @@ ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2"
 
 
 def run(path: Path, *arguments: str) -> str:
-    """Run a copy of an example in a folder of its own, with kernels that are built quickly; return what it prints."""
+    """Run a copy of an example in a folder of its own, with kernels that are built quickly; return what it
+    prints."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "RHI_KERNELS": "quick"}
     folder = Path(arguments[arguments.index("--output") + 1]).parent
     command = [sys.executable, shutil.copy(path, folder), *arguments]
     done = subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -38,7 +38,10 @@ def test_its_entry_point_is_the_function() -> None:
 
 
 def test_what_it_lacks_is_refused_by_name() -> None:
-    with rhi.create_device(FUNCTION) as device, pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"):
+    with (
+        rhi.create_device(FUNCTION) as device,
+        pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"),
+    ):
         device.occlusion_query()
 
 
@@ -49,7 +52,8 @@ def test_it_passes_every_group_that_it_declares() -> None:
     assert status == 0, output
     board = output.partition(f"rhi conformance: {FUNCTION}")[2]  # what runs on no backend stands before it
     rows = {
-        name: int(passed) for name, passed in re.findall(r"^ \d (\w+ · [\w ]+?) +(\d+) passed", board, re.MULTILINE)
+        name: int(passed)
+        for name, passed in re.findall(r"^ \d (\w+ · [\w ]+?) +(\d+) passed", board, re.MULTILINE)
     }
     assert all(rows[group] > 10 for group in PASSES), output
     assert rows["validation · refusals"] > 5, output

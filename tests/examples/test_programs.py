@@ -1,4 +1,5 @@
-"""The small programs of examples/programs: the same image on gl and cl, and the commands that each one sends."""
+"""The small programs of examples/programs: the same image on gl and cl, and the commands that each one
+sends."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ FAR_APART = {
     "sprites": 0.0001,  # twenty layers of 8 bits
     "textured_cube": 0.005,  # levels between two mip levels have 8 bits
 }
-"""Largest part of the pixels in which a channel may differ by more than 3/255; nothing for the other programs."""
+"""Largest part of the pixels in which a channel may differ by more than 3/255; nothing for the other
+programs."""
 
 FEW_COLORS = {"engine_test": 5, "life": 1}
 """The programs with few colors, which have more than so many; the others have more than 20."""
@@ -82,13 +84,23 @@ def test_each_needs_nothing_but_what_is_installed() -> None:
         + ([each.name for each in node.names] if isinstance(node, ast.Import) else [])
     }
     assert imported & set(PROGRAMS) == set()
-    assert imported <= {*sys.stdlib_module_names, "numpy", "PIL", "moderngl", "pytest", "imgui_bundle", *PACKAGES}
+    assert imported <= {
+        *sys.stdlib_module_names,
+        "numpy",
+        "PIL",
+        "moderngl",
+        "pytest",
+        "imgui_bundle",
+        *PACKAGES,
+    }
 
 
 def test_each_is_on_the_page_and_in_the_table() -> None:
     page = (FOLDER.parents[1] / "docs" / "gallery.md").read_text()
     assert sorted(COSTS) == PROGRAMS
-    assert [name for name in PROGRAMS if f"programs/{name}.py" not in page or f"gallery/{name}.webp" not in page] == []
+    assert [
+        name for name in PROGRAMS if f"programs/{name}.py" not in page or f"gallery/{name}.webp" not in page
+    ] == []
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -173,7 +185,9 @@ def nearest_box(scene: Any, x: int, y: int) -> int | None:
     ends = [(2 * (x + 0.5) / SIZE[0] - 1, 1 - 2 * (y + 0.5) / SIZE[1], depth, 1) for depth in (1.0, 1e-3)]
     near, far = (np.linalg.inv(scene.view_projection) @ end for end in ends)
     start, direction = near[:3] / near[3], far[:3] / far[3] - near[:3] / near[3]
-    slabs = (scene.rows["center"].astype(float)[..., None] + (-0.4, 0.4) - start[:, None]) / direction[:, None]
+    slabs = (scene.rows["center"].astype(float)[..., None] + (-0.4, 0.4) - start[:, None]) / direction[
+        :, None
+    ]
     enters, leaves = slabs.min(-1).max(-1), slabs.max(-1).min(-1)
     hit = np.flatnonzero(enters < leaves)
     return int(hit[np.argmin(enters[hit])]) if len(hit) else None
@@ -201,7 +215,18 @@ def test_frames_of_several_processes_are_those_of_one(devices: list[rhi.Device],
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_the_tests_of_the_engine_and_of_the_batch_pass() -> None:
     programs = (FOLDER / "engine_test.py", FOLDER / "batch.py")
-    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "--rhi-backend", "gl", *programs]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        "--rhi-backend",
+        "gl",
+        *programs,
+    ]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=FOLDER)
     assert run.returncode == 0, run.stdout
     assert run.stdout.startswith("......")

@@ -57,7 +57,8 @@ def test_the_same_lines_draw_the_same_image_on_gl_and_cl(
     assert 5 < max(map(len, lists[0])) < example.LIGHTS
     assert sum(a != b for a, b in zip(*lists, strict=True)) <= 0.02 * len(lists[0])  # a light just in reach
     apart = np.abs(images[0] - images[1]).max(axis=-1)
-    # A shadow's edge, where the depth of a texel decides, or a sample within 1/256 pixel of a triangle's edge.
+    # A shadow's edge, where the depth of a texel decides, or a sample within 1/256 pixel of a triangle's
+    # edge.
     assert (apart > 2).sum() <= 0.001 * apart.size
     assert len(np.unique(images[0].reshape(-1, 4), axis=0)) > 500
 

@@ -1,4 +1,5 @@
-"""Windows in a virtual X server: the screen's pixels are the frame's, in every size and with every kind of context."""
+"""Windows in a virtual X server: the screen's pixels are the frame's, in every size and with every kind of
+context."""
 
 from __future__ import annotations
 
@@ -78,16 +79,27 @@ print("done")
 def run(display: Display, *arguments: str) -> str:
     done = subprocess.run(
         [sys.executable, *arguments],
-        env={**os.environ, **display.environment}, capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+        env={**os.environ, **display.environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
 
 
-@pytest.mark.parametrize(("api", "version"), [
-    ("glx", "any"), ("egl", "3.3"), *(pytest.param(api, version, marks=pytest.mark.nightly)
-                                      for api, version in (("glx", "3.3"), ("egl", "any"), ("glx", "4.5")))
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("api", "version"),
+    [
+        ("glx", "any"),
+        ("egl", "3.3"),
+        *(
+            pytest.param(api, version, marks=pytest.mark.nightly)
+            for api, version in (("glx", "3.3"), ("egl", "any"), ("glx", "4.5"))
+        ),
+    ],
+)
 def test_the_screens_pixels_are_the_frames(display: Display, api: str, version: str) -> None:
     assert run(display, "-c", FRAMES, api, version, str(display.pixels)).strip() == "done"
 
@@ -101,9 +113,16 @@ def test_the_example_draws_its_frames(display: Display, backend: str) -> None:
 
 def test_without_a_display_the_example_says_so_in_one_line() -> None:
     pytest.importorskip("glfw", reason="no GLFW: pip install rhi[viewer]")
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")
+    }
     done = subprocess.run(
-        [sys.executable, str(EXAMPLE)], env=environment, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, str(EXAMPLE)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     assert done.returncode == 1
     (line,) = done.stderr.strip().splitlines()

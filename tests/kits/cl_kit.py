@@ -28,9 +28,14 @@ def describe_program(
     origins: tuple[tuple[str, int], ...] = (),
 ) -> descriptors.ProgramDescriptor:
     return descriptors.ProgramDescriptor(
-        "Native", frozenset({descriptors.Stage.COMPUTE}), bindings, (), (), work_group,
+        "Native",
+        frozenset({descriptors.Stage.COMPUTE}),
+        bindings,
+        (),
+        (),
+        work_group,
         lambda language, stage: descriptors.StageText(source, origins),
-    )  # fmt: skip
+    )
 
 
 class ClKit(BackendKit):
@@ -54,8 +59,8 @@ class ClKit(BackendKit):
         return self.backend.read_texture(texture, level, descriptors.Region(0, 0, width, height), False)[0]
 
     def hold(self) -> cl.UserEvent:
-        """Hold back all further work until the returned event is released. It is released by itself after two minutes,
-        so that a wait by mistake ends with a wrong result instead of hanging."""
+        """Hold back all further work until the returned event is released. It is released by itself after two
+        minutes, so that a wait by mistake ends with a wrong result instead of hanging."""
         event = cl.UserEvent(self.backend.context.context)
         cl.enqueue_barrier(self.backend.context.queue, wait_for=[event])
         timer = self._timers[event] = threading.Timer(120.0, self._complete, [event])

@@ -9,15 +9,29 @@ from pathlib import Path
 
 
 def take_the_kit(backend: str, folder: Path, *groups: str, **environment: str) -> tuple[int, str]:
-    """Run groups of the kit for a backend whose module is in a folder; return the exit status and the output."""
+    """Run groups of the kit for a backend whose module is in a folder; return the exit status and the
+    output."""
     command = [
-        sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--color=no",
-        "--rhi-backend", backend, "--pyargs", *groups,
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "-q",
+        "--color=no",
+        "--rhi-backend",
+        backend,
+        "--pyargs",
+        *groups,
+    ]
     paths = os.pathsep.join([str(folder), *filter(None, sys.path)])
     run = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=folder,
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
         env=os.environ | {"PYTHONPATH": paths, "PYTEST_ADDOPTS": "", **environment},
-    )  # fmt: skip
+    )
     assert run.returncode in (0, 1), run.stdout + run.stderr
     return run.returncode, run.stdout

@@ -53,7 +53,9 @@ class GlKit(BackendKit):
 
     def texture(self, texel: Format = Format.RGBA8, samples: int = 1) -> descriptors.Id:
         texture = self.new_id()
-        self.backend.create_texture(texture, descriptors.TextureDescriptor((SIZE, SIZE), texel, samples=samples))
+        self.backend.create_texture(
+            texture, descriptors.TextureDescriptor((SIZE, SIZE), texel, samples=samples)
+        )
         return texture
 
     def shape(self, program: descriptors.Id, corners: ArrayLike) -> descriptors.Id:
@@ -71,9 +73,13 @@ class GlKit(BackendKit):
         return answer
 
     def set(self, *states: State) -> None:
-        self.backend.set_states([StateChange(type(s), (s,) * 8 if type(s) in PER_TARGET else s) for s in states])
+        self.backend.set_states(
+            [StateChange(type(s), (s,) * 8 if type(s) in PER_TARGET else s) for s in states]
+        )
 
-    def begin(self, target: descriptors.Id, clear: Sequence[float] | None = (0, 0, 0, 0), **parts: object) -> None:
+    def begin(
+        self, target: descriptors.Id, clear: Sequence[float] | None = (0, 0, 0, 0), **parts: object
+    ) -> None:
         color = descriptors.Attachment(target, clear=tuple(clear) if clear is not None else None)  # type: ignore[arg-type]
         self.backend.begin_pass(descriptors.PassDescriptor((SIZE, SIZE), (color,), **parts))  # type: ignore[arg-type]
 

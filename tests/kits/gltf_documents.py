@@ -109,7 +109,8 @@ def rotation_quaternion(degrees, axis=2):
 
 
 def make_skinned(moves=True, root=None):
-    """A strip along y, bent by its second joint at y = 2, in a file whose mesh's own node is to be ignored."""
+    """A strip along y, bent by its second joint at y = 2, in a file whose mesh's own node is to be
+    ignored."""
     document = GltfDocument(
         nodes=[
             {"name": "body", "children": [1, 3], **(root or {})},
@@ -127,7 +128,10 @@ def make_skinned(moves=True, root=None):
     document.add("skins", joints=[1, 2], inverseBindMatrices=document.accessor(binds.reshape(2, 16)))
     if moves:
         document.animate(
-            2, "rotation", [0, 1, 2], [rotation_quaternion(0), rotation_quaternion(90), rotation_quaternion(0)]
+            2,
+            "rotation",
+            [0, 1, 2],
+            [rotation_quaternion(0), rotation_quaternion(90), rotation_quaternion(0)],
         )
     return document
 
@@ -136,7 +140,10 @@ def make_morphing(track=True, weights=(0.25, 0.0), normals=False):
     """A triangle with two targets: along x, and along y."""
     document = GltfDocument(nodes=[{"mesh": 0, "translation": [0, 0, 5]}])
     document.mesh(NORMAL=UP[:3])
-    shifts = [{"POSITION": document.accessor(np.tile(np.float32([shift]), (3, 1)))} for shift in ((4, 0, 0), (0, 8, 0))]
+    shifts = [
+        {"POSITION": document.accessor(np.tile(np.float32([shift]), (3, 1)))}
+        for shift in ((4, 0, 0), (0, 8, 0))
+    ]
     if normals:
         shifts[0]["NORMAL"] = document.accessor(np.tile(np.float32([[1, 0, -1]]), (3, 1)))
     mesh = document.values["meshes"][0]

@@ -1,6 +1,7 @@
 """A device with resources, calls that use all of it, and a check that nothing was damaged.
 
-What happens to the device between two checks is the tests' matter: interrupts, exhausted memory, errors of the user.
+What happens to the device between two checks is the tests' matter: interrupts, exhausted memory, errors of
+the user.
 """
 
 from __future__ import annotations
@@ -66,7 +67,9 @@ class DeviceHarness:
         self.depth = device.texture((SIZE, SIZE), rhi.Format.D32F)
         self.full = device.mesh({"position": FULL})
         self.half = device.mesh({"position": HALF}, np.array([0, 1, 2]))
-        self.tints = [device.uniform(Tint(color=color)) for color in ((1, 0, 0, 1), (0, 1, 0, 0.5), (0, 0, 1, 1))]
+        self.tints = [
+            device.uniform(Tint(color=color)) for color in ((1, 0, 0, 1), (0, 1, 0, 0.5), (0, 0, 1, 1))
+        ]
         self.flat, self.second = device.program(Flat), device.program(SecondFlat)
         self.count = device.program(Count)
         self.numbers = device.storage(float, np.arange(16, dtype=np.float32))
@@ -196,7 +199,9 @@ def create_storage(harness: DeviceHarness) -> None:
 
 
 def create_a_texture(harness: DeviceHarness) -> None:
-    harness.created.append(harness.device.texture(np.zeros((4, 4, 4), np.uint8), rhi.Format.RGBA8, levels=None))
+    harness.created.append(
+        harness.device.texture(np.zeros((4, 4, 4), np.uint8), rhi.Format.RGBA8, levels=None)
+    )
 
 
 def create_a_mesh(harness: DeviceHarness) -> None:
@@ -259,14 +264,18 @@ def change_states(harness: DeviceHarness) -> None:
 
 def draw_many(harness: DeviceHarness) -> None:
     with harness.device.render_pass(harness.other):
-        harness.device.draw_many(harness.flat, harness.half, harness.half.draws([0, 0], 3), tint=harness.tints[1])
+        harness.device.draw_many(
+            harness.flat, harness.half, harness.half.draws([0, 0], 3), tint=harness.tints[1]
+        )
 
 
 def draw_counted(harness: DeviceHarness) -> None:
     harness.created.append(harness.device.query_set(2))
     with harness.device.render_pass(harness.other):
         draws = harness.half.draws([0, 0], 3)
-        harness.device.draw_counted(harness.flat, harness.half, draws, harness.created[-1], tint=harness.tints[1])
+        harness.device.draw_counted(
+            harness.flat, harness.half, draws, harness.created[-1], tint=harness.tints[1]
+        )
 
 
 def draw_conditional(harness: DeviceHarness) -> None:
@@ -275,8 +284,12 @@ def draw_conditional(harness: DeviceHarness) -> None:
     harness.created.append(harness.device.query_set(2))
     with harness.device.render_pass(harness.other):
         draws = harness.half.draws([0, 0], 3)
-        harness.device.draw_counted(harness.flat, harness.half, draws, harness.created[-1], tint=harness.tints[1])
-        harness.device.draw_conditional(harness.flat, harness.half, draws, harness.created[-1], tint=harness.tints[1])
+        harness.device.draw_counted(
+            harness.flat, harness.half, draws, harness.created[-1], tint=harness.tints[1]
+        )
+        harness.device.draw_conditional(
+            harness.flat, harness.half, draws, harness.created[-1], tint=harness.tints[1]
+        )
 
 
 def draw_transient_data(harness: DeviceHarness) -> None:
@@ -284,7 +297,9 @@ def draw_transient_data(harness: DeviceHarness) -> None:
     with device.render_pass(harness.other):
         tint = device.transient.uniform(Tint(color=(1, 1, 0, 1)))
         vertices = np.zeros(3, [("position", "<f4", 2)])
-        device.draw(harness.flat, device.transient.mesh(harness.flat, vertices, np.array([0, 1, 2])), tint=tint)
+        device.draw(
+            harness.flat, device.transient.mesh(harness.flat, vertices, np.array([0, 1, 2])), tint=tint
+        )
         with device.immediate(harness.second, rhi.Primitive.QUADS, tint=tint) as quads:
             for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)):
                 quads.vertex(position=(x, y))
@@ -377,7 +392,9 @@ def submit(harness: DeviceHarness) -> None:
 def record_and_submit(harness: DeviceHarness) -> None:
     with harness.device.record() as commands:
         with commands.render_pass(harness.other):
-            commands.draw(harness.flat, harness.half, tint=commands.transient.uniform(Tint(color=(1, 1, 0, 1))))
+            commands.draw(
+                harness.flat, harness.half, tint=commands.transient.uniform(Tint(color=(1, 1, 0, 1)))
+            )
     harness.device.submit(commands)
 
 
@@ -394,11 +411,37 @@ def bind_another_sampler(harness: DeviceHarness) -> None:
 
 
 CALLS: list[Callable[[DeviceHarness], None]] = [
-    create_a_buffer, create_a_filled_buffer, create_a_stream_buffer, create_constants, create_an_array_of_constants,
-    create_storage, create_a_texture, create_a_mesh, create_queries, create_a_program, destroy_everything, draw,
-    draw_a_new_mesh, change_states, draw_many, draw_counted, draw_conditional, draw_transient_data, grow_a_ring,
+    create_a_buffer,
+    create_a_filled_buffer,
+    create_a_stream_buffer,
+    create_constants,
+    create_an_array_of_constants,
+    create_storage,
+    create_a_texture,
+    create_a_mesh,
+    create_queries,
+    create_a_program,
+    destroy_everything,
+    draw,
+    draw_a_new_mesh,
+    change_states,
+    draw_many,
+    draw_counted,
+    draw_conditional,
+    draw_transient_data,
+    grow_a_ring,
     clear_and_resolve,
-    count_samples, wait_for_a_query, draw_under_a_condition, dispatch, write_and_read, lock, label,
-    label_with_times, submit,
-    record_and_submit, end_a_frame, wait_for_a_fence, bind_another_sampler,
-]  # fmt: skip
+    count_samples,
+    wait_for_a_query,
+    draw_under_a_condition,
+    dispatch,
+    write_and_read,
+    lock,
+    label,
+    label_with_times,
+    submit,
+    record_and_submit,
+    end_a_frame,
+    wait_for_a_fence,
+    bind_another_sampler,
+]

@@ -1,8 +1,9 @@
 """Interrupts at chosen steps of a call.
 
-CPython calls a signal's handler at few steps: when a Python function begins, after a call of C, and when a loop goes
-back. `Interrupt` counts these steps inside a block, in all functions that the block calls, and calls the handler of
-SIGINT at one of them, as the interpreter would: so what holds interrupts back holds these back, too.
+CPython calls a signal's handler at few steps: when a Python function begins, after a call of C, and when a
+loop goes back. `Interrupt` counts these steps inside a block, in all functions that the block calls, and
+calls the handler of SIGINT at one of them, as the interpreter would: so what holds interrupts back holds
+these back, too.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class Interrupt:
         self._last: dict[int, str] = {}
         self._destructors: set[int] = set()
         self._code: dict[CodeType, bytes] = {}
-        # CPython borrows what it calls, and a destructor that is interrupted while it makes a frame may end tracing.
+        # CPython borrows what it calls, and a destructor that is interrupted while it makes a frame may end
+        # tracing.
         self._entering, self._going, self._leaving = self._begin, self._go_on, self._leave_destructor
 
     def __enter__(self) -> Self:
@@ -57,7 +59,9 @@ class Interrupt:
             self._destructors.add(id(frame))  # Python prints their exceptions and goes on
             return self._leaving
         if caller is not None and self._last.get(id(caller)) == "CALL" and code.co_name not in _FROM_C:
-            self._last[id(caller)] = ""  # the interpreter calls Python functions without a step at their return
+            self._last[id(caller)] = (
+                ""  # the interpreter calls Python functions without a step at their return
+            )
         self._last[id(frame)] = ""
         frame.f_trace_opcodes = True
         frame.f_trace_lines = False

@@ -1,8 +1,10 @@
 """The output merger in isolation: a kernel that merges given fragments.
 
-The kernel is the general one, which reads formats and states as data; `special=True` takes that of the key alone.
+The kernel is the general one, which reads formats and states as data; `special=True` takes that of the key
+alone.
 
-Images consist of whole blocks. Fragments are (samples, height, width) arrays: outputs as 32-bit words, depth, coverage.
+Images consist of whole blocks. Fragments are (samples, height, width) arrays: outputs as 32-bit words, depth,
+coverage.
 """
 
 from __future__ import annotations
@@ -53,13 +55,16 @@ _context = cache(open_context)
 
 @cache
 def _build(defines: str) -> cl.Kernel:
-    source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_kernels("merger") + _KERNEL
+    source = (
+        "#define AT(type, address) ((global type *)(address))\n" + defines + read_kernels("merger") + _KERNEL
+    )
     return _context().compile(source, QUICK).find("merge")
 
 
 @dataclass
 class Planes:
-    """Contents of targets: (samples, height, width, channels) each; depth and stencil (samples, height, width)."""
+    """Contents of targets: (samples, height, width, channels) each; depth and stencil (samples, height,
+    width)."""
 
     colors: list[NDArray[Any]]
     depth: NDArray[np.float32] | None = None
@@ -92,18 +97,33 @@ def state_values(*states: State) -> dict[type, Any]:
 def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> ProgramDescriptor:
     """Return a program with an output for each format."""
     kinds = {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}
-    outputs = tuple(FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats))
+    outputs = tuple(
+        FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats)
+    )
     return ProgramDescriptor(
-        "Merged", frozenset({Stage.VERTEX, Stage.FRAGMENT}), (), (), outputs, (1, 1, 1),
-        lambda language, stage: StageText(""), **more,
-    )  # fmt: skip
+        "Merged",
+        frozenset({Stage.VERTEX, Stage.FRAGMENT}),
+        (),
+        (),
+        outputs,
+        (1, 1, 1),
+        lambda language, stage: StageText(""),
+        **more,
+    )
 
 
 def merge(
-    key: MergerKey, state: NDArray[np.uint32], planes: Planes, outputs: NDArray[Any], z: NDArray[np.float32],
-    covered: NDArray[np.bool_], front: bool = True, special: bool = False,
-) -> Planes:  # fmt: skip
-    """Merge fragments into the planes by the kernel; `outputs`: (samples, height, width, words) of 4 bytes."""
+    key: MergerKey,
+    state: NDArray[np.uint32],
+    planes: Planes,
+    outputs: NDArray[Any],
+    z: NDArray[np.float32],
+    covered: NDArray[np.bool_],
+    front: bool = True,
+    special: bool = False,
+) -> Planes:
+    """Merge fragments into the planes by the kernel; `outputs`: (samples, height, width, words) of 4
+    bytes."""
     kernel = _build(key.defines() if special else general_defines(key.output_words))
     queue = _context().queue
     samples, height, width = covered.shape
@@ -166,9 +186,17 @@ def upload(data: NDArray[Any]) -> cl.Buffer:
 
 
 def run(
-    formats: Sequence[Format], depth: Format | None, states: Sequence[State], planes: Planes, outputs: NDArray[Any],
-    z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, special: bool = False, **program: Any,
-) -> Planes:  # fmt: skip
+    formats: Sequence[Format],
+    depth: Format | None,
+    states: Sequence[State],
+    planes: Planes,
+    outputs: NDArray[Any],
+    z: NDArray[np.float32],
+    covered: NDArray[np.bool_],
+    front: bool = True,
+    special: bool = False,
+    **program: Any,
+) -> Planes:
     """`merge` by states and formats."""
     values = state_values(*states)
     key = make_key(describe(formats, **program), values, formats, depth, len(covered))

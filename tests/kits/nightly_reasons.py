@@ -2,9 +2,9 @@
 
     @pytest.mark.nightly_cases("cl*", reason=ONLY_KERNELS)
 
-The patterns are those of `fnmatch`, and are compared with a test's parameters as its id shows them; without a pattern
-all cases of the test are nightly. A test that never runs by default is marked `nightly` instead. `tests/conftest.py`
-reads both marks.
+The patterns are those of `fnmatch`, and are compared with a test's parameters as its id shows them; without a
+pattern all cases of the test are nightly. A test that never runs by default is marked `nightly` instead.
+`tests/conftest.py` reads both marks.
 """
 
 from __future__ import annotations
@@ -31,4 +31,6 @@ FEWER_CASES: Final = (
 SAME_ON_EACH_BACKEND: Final = """Python's end is the same for all backends, and a recorder passes every call on: the
 default run tries one of them."""
 
-CHEAPER_TEST: Final = """Starts processes, or runs the whole kit. A test beside it runs the same code with less."""
+CHEAPER_TEST: Final = (
+    """Starts processes, or runs the whole kit. A test beside it runs the same code with less."""
+)

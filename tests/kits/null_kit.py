@@ -1,4 +1,5 @@
-"""A hand-made program and a kit around it, so that tests need the interface alone, not the shading language."""
+"""A hand-made program and a kit around it, so that tests need the interface alone, not the shading
+language."""
 
 from __future__ import annotations
 

@@ -11,7 +11,9 @@ import pytest
 
 
 @contextmanager
-def stream_to_pipe(monkeypatch: pytest.MonkeyPatch, name: str, *, is_read: bool) -> Iterator[Callable[[], str]]:
+def stream_to_pipe(
+    monkeypatch: pytest.MonkeyPatch, name: str, *, is_read: bool
+) -> Iterator[Callable[[], str]]:
     """Make a stream of the process a pipe, whose reader goes away at once or stays; yield what reads it."""
     source, sink = os.pipe()
     if not is_read:

@@ -12,12 +12,13 @@ from rhi.contract import descriptors
 PLAIN, STATIC, STREAM = 100, 200, 201
 
 ROUND = CostModel(command=0, vertex=0, pixel=1, byte=0, state_change=0, invocation=0)
-"""A cost model in which a draw takes a nanosecond for each counted sample, and everything else takes nothing."""
+"""A cost model in which a draw takes a nanosecond for each counted sample, and everything else takes
+nothing."""
 
 
 def make_backend(cost: CostModel = ROUND, **times: Any) -> SimulatedBackend:
-    """Create a backend on which a call takes 10 ns, a submission 100, and a wake-up 7, by default. A draw passes
-    1,000 samples per instance."""
+    """Create a backend on which a call takes 10 ns, a submission 100, and a wake-up 7, by default. A draw
+    passes 1,000 samples per instance."""
     simulation = Simulation(cost, **({"call": 10, "submission_latency": 100, "wake_latency": 7} | times))
     backend = SimulatedBackend(simulation)
     backend.create_vertex_array(

@@ -1,8 +1,8 @@
 """Mutations of traces, and what may become of them: a process that loads, shows and replays each.
 
-`python trace_fuzz.py BACKEND SEED COUNT FOLDER` prints one JSON line for each mutation: "refused" and the rule,
-"replayed", or what went wrong; its seed; and the seconds. A process that dies leaves no line: its last "begin" says at
-which seed.
+`python trace_fuzz.py BACKEND SEED COUNT FOLDER` prints one JSON line for each mutation: "refused" and the
+rule, "replayed", or what went wrong; its seed; and the seconds. A process that dies leaves no line: its last
+"begin" says at which seed.
 """
 
 from __future__ import annotations
@@ -22,20 +22,35 @@ from rhi.trace import load, replay
 
 NUMBERS = [0, 1, -1, 2, 3, 7, 255, 256, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**40, 2**53, 2**63, -(2**31),
            0.5, -0.5, 1e30, 1e308, float("inf"), float("nan")]  # fmt: skip
-WORDS = ["", "NONE", "RGBA8", "D24S8", "QUADS", "CUBE", "gl.DepthClamp.ON", "os:system.X.Y", "\0", "x" * 1000, "../a"]
+WORDS = [
+    "",
+    "NONE",
+    "RGBA8",
+    "D24S8",
+    "QUADS",
+    "CUBE",
+    "gl.DepthClamp.ON",
+    "os:system.X.Y",
+    "\0",
+    "x" * 1000,
+    "../a",
+]
 
 EXEMPT_OPS = {"null": (), "gl": ("create_program",), "cl": ("create_program",)}
-"""By backend, the operations that stay as they are: the stated interface of a program belongs to the author of its
-text, who is trusted."""
+"""By backend, the operations that stay as they are: the stated interface of a program belongs to the author
+of its text, who is trusted."""
 
 
 def mutate(members: dict[str, bytes], choose: random.Random, exempt: Sequence[str]) -> dict[str, bytes]:
-    """Return the members of a trace with one to three changes, but for the lines of the operations in `exempt`."""
+    """Return the members of a trace with one to three changes, but for the lines of the operations in
+    `exempt`."""
     members = dict(members)
     for _ in range(choose.choice((1, 1, 1, 2, 3))):
         kind = choose.random()
         if kind < 0.12:
-            names = [name for name in members if "create_program" not in exempt or not name.startswith("programs/")]
+            names = [
+                name for name in members if "create_program" not in exempt or not name.startswith("programs/")
+            ]
             name = choose.choice([name for name in names if members[name]])
             data = bytearray(members[name])
             for _ in range(choose.choice((1, 1, 4))):

@@ -98,13 +98,20 @@ def record_much(device: rhi.Device) -> rhi.Texture:
         device.render_pass(sample_frame.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3),
     ):
         with device.states(
-            rhi.CullMode.NONE, rhi.StencilTest.ON, rhi.StencilFront(), rhi.Scissor(0, 0, 32, 48),
-            rhi.Viewport(0, 0, 64, 48), rhi.BlendFunction.ALPHA.at(0), rhi.ColorWrite.OFF.at(3),
-        ):  # fmt: skip
+            rhi.CullMode.NONE,
+            rhi.StencilTest.ON,
+            rhi.StencilFront(),
+            rhi.Scissor(0, 0, 32, 48),
+            rhi.Viewport(0, 0, 64, 48),
+            rhi.BlendFunction.ALPHA.at(0),
+            rhi.ColorWrite.OFF.at(3),
+        ):
             with query:
                 device.draw(device.program(Textured), sample_frame.walls, albedo=albedo.sampled(sampler))
             draws = sample_frame.walls.draws(np.zeros(2, int), np.full(2, 3))
-            device.draw_many(device.program(Textured), sample_frame.walls, draws, albedo=albedo.sampled(sampler))
+            device.draw_many(
+                device.program(Textured), sample_frame.walls, draws, albedo=albedo.sampled(sampler)
+            )
             queries = device.query_set(2)
             device.draw_counted(
                 device.program(Textured), sample_frame.walls, draws, queries, albedo=albedo.sampled(sampler)
@@ -126,11 +133,15 @@ def record(path: Path) -> Path:
 
 
 def record_draws(path: Path) -> Path:
-    """Indexed, instanced and indirect draws of a mesh of 4 vertices, 6 indices and 5 instances; a dispatch."""
+    """Indexed, instanced and indirect draws of a mesh of 4 vertices, 6 indices and 5 instances; a
+    dispatch."""
     with rhi.create_device("null") as device:
         vertices = {"position": np.zeros((4, 2), np.float32)}
-        mesh = device.mesh(vertices, np.array([0, 1, 2, 0, 2, 3], np.uint16),
-                           instances={"offset": np.zeros((5, 2), np.float32)})  # fmt: skip
+        mesh = device.mesh(
+            vertices,
+            np.array([0, 1, 2, 0, 2, 3], np.uint16),
+            instances={"offset": np.zeros((5, 2), np.float32)},
+        )
         plain = device.mesh(vertices)
         target = device.texture((8, 8), rhi.Format.RGBA8)
         tint = device.uniform(Tint(color=(1, 1, 1, 1)))
@@ -139,11 +150,15 @@ def record_draws(path: Path) -> Path:
         groups = device.buffer(np.array([1, 1, 1], np.uint32))
         storage_image, numbers = device.texture((8, 8), rhi.Format.R32F).image(), device.storage(float, 8)
         device.dispatch(device.program(ImageStore), 2, storage_image=storage_image, numbers=numbers)
-        device.dispatch_indirect(device.program(ImageStore), groups, storage_image=storage_image, numbers=numbers)
+        device.dispatch_indirect(
+            device.program(ImageStore), groups, storage_image=storage_image, numbers=numbers
+        )
         with device.render_pass(target, clear=(0, 0, 0, 1)), device.states(rhi.CullMode.NONE):
             device.draw(device.program(Instanced), mesh, 5)
             device.draw(device.program(Tinted), plain, tint=tint)
-            device.draw_indirect(device.program(Instanced), mesh, rhi.IndirectDraws(arguments, 2, count=count))
+            device.draw_indirect(
+                device.program(Instanced), mesh, rhi.IndirectDraws(arguments, 2, count=count)
+            )
         device.present(target)
         save(device, path)
     return path

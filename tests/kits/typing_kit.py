@@ -10,8 +10,11 @@ Mistakes = list[tuple[str, str, str]]
 """What to replace, by what, and the error that mypy must give."""
 
 
-def check_mistakes(mypy: Callable[..., tuple[str, int]], folder: Path, right: Path, mistakes: Mistakes) -> None:
-    """Assert, in one run of mypy, that a program passes and that it refuses each mistake in it on its line."""
+def check_mistakes(
+    mypy: Callable[..., tuple[str, int]], folder: Path, right: Path, mistakes: Mistakes
+) -> None:
+    """Assert, in one run of mypy, that a program passes and that it refuses each mistake in it on its
+    line."""
     source, paths = right.read_text(), []
     for number, (old, new, _) in enumerate(mistakes):
         assert source.count(old) >= 1, old

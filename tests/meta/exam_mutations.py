@@ -1,8 +1,8 @@
 """A run of the exam against each of the faults of `exam_mutations.toml`, one or more for each case.
 
-A mutation replaces a piece of a module's text before the module is imported, so that Python code and shaders can be
-broken alike. `python exam_mutations.py` prints a line of JSON for each case and mutation: whether it was seen.
-With numbers of cases it tries only those.
+A mutation replaces a piece of a module's text before the module is imported, so that Python code and shaders
+can be broken alike. `python exam_mutations.py` prints a line of JSON for each case and mutation: whether it
+was seen. With numbers of cases it tries only those.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ class Mutant(MetaPathFinder):
         assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
         broken = self.folder / Path(spec.origin).name
         broken.write_text(text.replace(self.mutation.old, self.mutation.new))
-        return importlib.util.spec_from_file_location(fullname, broken, loader=SourceFileLoader(fullname, str(broken)))
+        return importlib.util.spec_from_file_location(
+            fullname, broken, loader=SourceFileLoader(fullname, str(broken))
+        )
 
 
 def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
@@ -70,7 +72,9 @@ def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
 
         with rhi.create_device(mutation.backend) as device:
             rows = list(examine(device, [CASES[number] for number in mutation.cases]))
-    return {row.case: {"seen": row.passed is False, "error": str(row.error), "remark": row.remark} for row in rows}
+    return {
+        row.case: {"seen": row.passed is False, "error": str(row.error), "remark": row.remark} for row in rows
+    }
 
 
 def try_mutations(mutations: Sequence[Mutation]) -> Iterator[dict[str, Any]]:

@@ -1,6 +1,7 @@
 """Backends with one fault each, and a run of the kit against all of them.
 
-`python faulty_backends.py` prints a line of JSON: for each fault the tests of its group that failed, up to the first.
+`python faulty_backends.py` prints a line of JSON: for each fault the tests of its group that failed, up to
+the first.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ class Preparing(Faulty):
 
 
 class Late(Faulty):
-    """A backend that is seen to reach a fence value only by who waits for it, or asks often: a quick device reaches
-    one before anybody can notice who waits for it and who doesn't."""
+    """A backend that is seen to reach a fence value only by who waits for it, or asks often: a quick device
+    reaches one before anybody can notice who waits for it and who doesn't."""
 
     POLLS = 8
 

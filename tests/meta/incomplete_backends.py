@@ -1,7 +1,7 @@
 """Each method of the contract left out in turn, and a run of the kit against what is left.
 
-`python incomplete_backends.py` prints a line of JSON: for each method the tests of its group that failed, up to the
-first, and those of a backend that is only late.
+`python incomplete_backends.py` prints a line of JSON: for each method the tests of its group that failed, up
+to the first, and those of a backend that is only late.
 """
 
 from __future__ import annotations
@@ -26,7 +26,14 @@ DETECTED_BY_GROUP = {
     ),
     "sampling": ("create_sampler", "bind_texture"),
     "meshes": ("create_program", "create_vertex_array", "bind_program", "draw", "draw_indirect"),
-    "queries": ("create_query", "begin_query", "end_query", "read_query", "begin_conditional", "end_conditional"),
+    "queries": (
+        "create_query",
+        "begin_query",
+        "end_query",
+        "read_query",
+        "begin_conditional",
+        "end_conditional",
+    ),
     "targets": ("resolve_texture", "end_pass"),
     "depth": ("set_states",),
     "transient": ("bind_uniform",),

@@ -1,8 +1,9 @@
 """Checked memory: every buffer of the OpenCL backend lies between guards, and writes there are found.
 
-- `install` gives the memory of buffers, which kernels use in place, `GUARD` bytes of a pattern before and behind.
-- The backend's own padding behind a buffer, for loads that run past the end, holds the pattern too. Scratch memory is
-  exactly as large as requested.
+- `install` gives the memory of buffers, which kernels use in place, `GUARD` bytes of a pattern before and
+  behind.
+- The backend's own padding behind a buffer, for loads that run past the end, holds the pattern too. Scratch
+  memory is exactly as large as requested.
 - `collect_writes` returns where the pattern has changed.
 
 As a plugin it watches any tests:
@@ -96,7 +97,8 @@ def _reserve(self: pools.Pool, size: int) -> int:
 
 
 def install(replace: Callable[[Any, str, Any], None] = setattr) -> None:
-    """Guard all memory allocated from here on; `replace` sets an attribute, for instance `monkeypatch.setattr`."""
+    """Guard all memory allocated from here on; `replace` sets an attribute, for instance
+    `monkeypatch.setattr`."""
     _guarded_buffers.clear()
     for user in (cl_buffers, cl_textures):
         replace(user, "allocate", _allocate)

@@ -1,7 +1,7 @@
 """A port that has been written up to one step: the GL backend without the methods of later steps.
 
-`RHI_PORT_STEP=4 pytest --pyargs rhi.conformance… --rhi-backend partial_backends:create_backend` runs the kit on a port
-whose steps 1 to 4 are written.
+`RHI_PORT_STEP=4 pytest --pyargs rhi.conformance… --rhi-backend partial_backends:create_backend` runs the kit
+on a port whose steps 1 to 4 are written.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def create_backend(*, validation: bool = False) -> Any:
 
 
 def _part(whole: Any, name: str) -> property:
-    """Return a method of the whole, as it is at each call: of a context that isn't current, methods are others."""
+    """Return a method of the whole, as it is at each call: of a context that isn't current, methods are
+    others."""
     return property(lambda _: getattr(whole, name))
 
 

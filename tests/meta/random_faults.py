@@ -1,21 +1,23 @@
 """Random faults, one at a time, each tried against the tests that are responsible for its module.
 
-    python tests/meta/random_faults.py --faults 20 --seed 7 [rhi.device renderer.lights …] [--after 10] [--jobs 2]
-    python tests/meta/random_faults.py --faults 20 --seed 7 --list
+    python tests/meta/random_faults.py --faults 20 --seed 7 [rhi.device renderer.lights …] [--after 10]
+    [--jobs 2] python tests/meta/random_faults.py --faults 20 --seed 7 --list
 
-A fault is one small change of an operator, a constant, a condition or a call. It is made in a copy of the tracked
-files, which is deleted afterwards, so that processes that tests start, shaders that are parsed from their text and
-kernels in files see it too, and the working tree is never touched. Tests run in stages until one fails: first those of
-the module's folder, then for `rhi` those of its package and the conformance kit on the backends concerned, and for
-`renderer` the tests elsewhere that use the module most, the exam, and those of the package that imports it most, such
-as techniques for the shaders that they are made of. The test that fails is run once more without the
-fault, where it has to pass. One that doesn't end has noticed the fault, too.
+A fault is one small change of an operator, a constant, a condition or a call. It is made in a copy of the
+tracked files, which is deleted afterwards, so that processes that tests start, shaders that are parsed from
+their text and kernels in files see it too, and the working tree is never touched. Tests run in stages until
+one fails: first those of the module's folder, then for `rhi` those of its package and the conformance kit on
+the backends concerned, and for `renderer` the tests elsewhere that use the module most, the exam, and those
+of the package that imports it most, such as techniques for the shaders that they are made of. The test that
+fails is run once more without the fault, where it has to pass. One that doesn't end has noticed the fault,
+too.
 
-What no stage notices is printed with its line, unless `undetectable_faults` explains it. The last line gives the
-fraction that is noticed of what can be seen. The exit status is 1 if there are survivors without an explanation.
+What no stage notices is printed with its line, unless `undetectable_faults` explains it. The last line gives
+the fraction that is noticed of what can be seen. The exit status is 1 if there are survivors without an
+explanation.
 
-Of the libraries, mutmut puts functions behind others, so that shaders no longer find their text; mutatest changes
-bytecode, which shaders aren't made of; Cosmic Ray has one test command for all modules.
+Of the libraries, mutmut puts functions behind others, so that shaders no longer find their text; mutatest
+changes bytecode, which shaders aren't made of; Cosmic Ray has one test command for all modules.
 """
 
 from __future__ import annotations
@@ -46,12 +48,30 @@ from responsible_tests import ROOT, choose_tests, list_files
 from undetectable_faults import explain
 
 PACKAGES: Final = (
-    "rhi.backends.cl", "rhi.backends.gl", "rhi.backends.null", "rhi.commands", "rhi.contract", "rhi.device",
-    "rhi.errors", "rhi.shading", "rhi.testing", "rhi.trace", "renderer.content.gltf",
-    "renderer.frame", "renderer.layers", "renderer.lights", "renderer.scene", "renderer.shaders",
-    "renderer.shadows", "renderer.stereo", "renderer.techniques", "renderer.tessellation", "renderer.visibility",
-)  # fmt: skip
-"""Where faults are made unless packages are named: not in tests, the kit, scenes to look at, and what only measures."""
+    "rhi.backends.cl",
+    "rhi.backends.gl",
+    "rhi.backends.null",
+    "rhi.commands",
+    "rhi.contract",
+    "rhi.device",
+    "rhi.errors",
+    "rhi.shading",
+    "rhi.testing",
+    "rhi.trace",
+    "renderer.content.gltf",
+    "renderer.frame",
+    "renderer.layers",
+    "renderer.lights",
+    "renderer.scene",
+    "renderer.shaders",
+    "renderer.shadows",
+    "renderer.stereo",
+    "renderer.techniques",
+    "renderer.tessellation",
+    "renderer.visibility",
+)
+"""Where faults are made unless packages are named: not in tests, the kit, scenes to look at, and what only
+measures."""
 
 _PATIENCE: Final = 180.0, 3600.0
 """A test and a stage may take so many seconds."""
@@ -59,19 +79,48 @@ _PATIENCE: Final = 180.0, 3600.0
 _TEST: Final = re.compile(r"^(?:FAILED|ERROR) (\S+\.py(?:::.+?)?)(?: - .*)?$", re.MULTILINE)
 
 _BINARY: Final[dict[type[ast.AST], str]] = {
-    ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Mod: "//", ast.LShift: ">>",
-    ast.RShift: "<<", ast.BitAnd: "|", ast.BitOr: "&", ast.BitXor: "&", ast.Pow: "*", ast.MatMult: "*",
-}  # fmt: skip
+    ast.Add: "-",
+    ast.Sub: "+",
+    ast.Mult: "/",
+    ast.Div: "*",
+    ast.FloorDiv: "*",
+    ast.Mod: "//",
+    ast.LShift: ">>",
+    ast.RShift: "<<",
+    ast.BitAnd: "|",
+    ast.BitOr: "&",
+    ast.BitXor: "&",
+    ast.Pow: "*",
+    ast.MatMult: "*",
+}
 _COMPARISON: Final[dict[type[ast.AST], str]] = {
-    ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "==", ast.Is: "is not",
-    ast.IsNot: "is", ast.In: "not in", ast.NotIn: "in",
-}  # fmt: skip
+    ast.Lt: "<=",
+    ast.LtE: "<",
+    ast.Gt: ">=",
+    ast.GtE: ">",
+    ast.Eq: "!=",
+    ast.NotEq: "==",
+    ast.Is: "is not",
+    ast.IsNot: "is",
+    ast.In: "not in",
+    ast.NotIn: "in",
+}
 _SIGNS: Final = re.compile(r"\s*(not\s+in|is\s+not|[-+*/%<>=!&|^@]+|is|in|and|or)\s*")
 _KERNEL: Final = re.compile(r" (\+|-|\*|/|<=?|>=?|==|!=|&&|\|\|) |\b(\d+(?:\.\d+)?f?)\b")
 _KERNEL_SIGNS: Final = {
-    "+": "-", "-": "+", "*": "/", "/": "*", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==",
-    "&&": "||", "||": "&&",
-}  # fmt: skip
+    "+": "-",
+    "-": "+",
+    "*": "/",
+    "/": "*",
+    "<": "<=",
+    "<=": "<",
+    ">": ">=",
+    ">=": ">",
+    "==": "!=",
+    "!=": "==",
+    "&&": "||",
+    "||": "&&",
+}
 
 
 @dataclass(frozen=True, order=True)
@@ -100,7 +149,7 @@ class Fault:
         return f"{self.file}:{self.line}: {self.old!r} → {self.new!r} in: {self.text}"
 
 
-# -- which faults there are ----------------------------------------------------------------------------------------
+# -- which faults there are ----------------------------------------------------------------------------------
 
 
 def list_faults(file: str, text: str) -> list[Fault]:
@@ -126,7 +175,11 @@ def _list_kernel(text: str) -> Iterator[tuple[int, str, str]]:
                     yield start + match.start(1), sign, _KERNEL_SIGNS[sign]
                 else:
                     whole = number.rstrip("f")
-                    yield start + match.start(2), whole, f"{float(whole) + 1}" if "." in whole else str(int(whole) + 1)
+                    yield (
+                        start + match.start(2),
+                        whole,
+                        f"{float(whole) + 1}" if "." in whole else str(int(whole) + 1),
+                    )
         start += len(line)
 
 
@@ -174,9 +227,11 @@ class _FaultCollector(ast.NodeVisitor):
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
         is_text = isinstance(node.left, ast.Constant) and isinstance(node.left.value, str)
-        is_type = isinstance(node.op, ast.BitOr) and any(isinstance(side, ast.Name | ast.Constant) and (
-            getattr(side, "id", "")[:1].isupper() or getattr(side, "value", 0) is None
-        ) for side in (node.left, node.right))  # fmt: skip
+        is_type = isinstance(node.op, ast.BitOr) and any(
+            isinstance(side, ast.Name | ast.Constant)
+            and (getattr(side, "id", "")[:1].isupper() or getattr(side, "value", 0) is None)
+            for side in (node.left, node.right)
+        )
         if not is_text and not is_type:
             self._sign(node.left, node.right, _BINARY[type(node.op)])
         self.generic_visit(node)
@@ -194,7 +249,9 @@ class _FaultCollector(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Compare(self, node: ast.Compare) -> None:
-        for left, operator, right in zip([node.left, *node.comparators], node.ops, node.comparators, strict=False):
+        for left, operator, right in zip(
+            [node.left, *node.comparators], node.ops, node.comparators, strict=False
+        ):
             self._sign(left, right, _COMPARISON[type(operator)])
         self.generic_visit(node)
 
@@ -262,11 +319,14 @@ class _FaultCollector(ast.NodeVisitor):
 
 
 def choose_faults(root: Path, packages: Iterable[str], count: int, seed: int) -> list[Fault]:
-    """Return faults of packages or modules: with one seed always the same ones. Each line is as likely as any other."""
+    """Return faults of packages or modules: with one seed always the same ones. Each line is as likely as any
+    other."""
     folders = [package.replace(".", "/") for package in packages]
     by_line: dict[tuple[str, int], list[Fault]] = {}
     for file in list_files(root):
-        if file.endswith((".py", ".cl")) and any(file.startswith((f"{folder}/", f"{folder}.")) for folder in folders):
+        if file.endswith((".py", ".cl")) and any(
+            file.startswith((f"{folder}/", f"{folder}.")) for folder in folders
+        ):
             for fault in list_faults(file, (root / file).read_text()):
                 by_line.setdefault((file, fault.line), []).append(fault)
     generator = random.Random(seed)
@@ -274,7 +334,7 @@ def choose_faults(root: Path, packages: Iterable[str], count: int, seed: int) ->
     return [generator.choice(by_line[line]) for line in lines]
 
 
-# -- trials --------------------------------------------------------------------------------------------------------
+# -- trials --------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -289,25 +349,49 @@ class Copy:
         for file in list_files(project):
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(project / file, folder / file)
-        # The bytecode is valid for a text, not for a time: a fault is often as old and as long as what it replaces.
+        # The bytecode is valid for a text, not for a time: a fault is often as old and as long as what it
+        # replaces.
         for package in ("rhi", "rhi_screen", "renderer", "tests"):
             if (folder / package).is_dir():
-                compileall.compile_dir(folder / package, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
+                compileall.compile_dir(
+                    folder / package, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH
+                )
         return cls(folder)
 
     def run(self, tests: Sequence[str]) -> tuple[bool, str]:
         """Run tests, and return whether they fail or don't end, and what they say of it."""
         environment = os.environ | {
-            "PYTHONPATH": str(self.root), "PYTHONDONTWRITEBYTECODE": "1", "RHI_KERNELS": "quick",
-        }  # fmt: skip
+            "PYTHONPATH": str(self.root),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "RHI_KERNELS": "quick",
+        }
         command = [
-            sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "--tb=short",
-            "-o", f"faulthandler_timeout={_PATIENCE[0]}", "-o", "faulthandler_exit_on_timeout=true", *tests,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "pytest",
+            "-x",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:randomly",
+            "--tb=short",
+            "-o",
+            f"faulthandler_timeout={_PATIENCE[0]}",
+            "-o",
+            "faulthandler_exit_on_timeout=true",
+            *tests,
+        ]
         with subprocess.Popen(
-            command, cwd=self.root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            errors="replace", start_new_session=True,
-        ) as process:  # fmt: skip
+            command,
+            cwd=self.root,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        ) as process:
             try:
                 output, _ = process.communicate(timeout=_PATIENCE[1])
             except subprocess.TimeoutExpired:
@@ -339,13 +423,16 @@ def attempt_fault(copy: Copy, fault: Fault) -> str:
                 names = [name.partition("[")[0] for name in names]
             again, why = copy.run((*names, *options) if names else (*stage, "--collect-only"))
             assert not again, f"without a fault, {' '.join(names or stage)}: {why[-2000:]}"
-            lines = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR", "E  ", "Timeout"))]
+            lines = [
+                line for line in output.splitlines() if line.startswith(("FAILED", "ERROR", "E  ", "Timeout"))
+            ]
             return lines[-1] if lines else output[-200:]
     return ""
 
 
 def attempt_faults(project: Path, faults: Sequence[Fault], jobs: int) -> Iterator[tuple[Fault, str]]:
-    """Yield each fault with what noticed it. `jobs`: how many are tried at a time, each in a copy of its own."""
+    """Yield each fault with what noticed it. `jobs`: how many are tried at a time, each in a copy of its
+    own."""
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
         free: SimpleQueue[Copy] = SimpleQueue()
         for number in range(jobs):
@@ -368,7 +455,11 @@ def try_faults(project: Path, faults: Sequence[Fault], jobs: int = 1) -> list[Fa
     for fault, noticed in attempt_faults(project, faults, jobs):
         reason = "" if noticed else explain(fault.file, fault.text, fault.old, fault.new)
         counts["noticed" if noticed else "unseen" if reason else "escaped"] += 1
-        text = f"noticed  {fault}\n         {noticed[:200]}" if noticed else f"unseen   {fault}\n         {reason}"
+        text = (
+            f"noticed  {fault}\n         {noticed[:200]}"
+            if noticed
+            else f"unseen   {fault}\n         {reason}"
+        )
         print(text if noticed or reason else f"ESCAPED  {fault}", flush=True)
         if not noticed and not reason:
             survivors.append(fault)
@@ -379,8 +470,12 @@ def try_faults(project: Path, faults: Sequence[Fault], jobs: int = 1) -> list[Fa
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command, see this module."""
-    parser = argparse.ArgumentParser(description="Try random faults against the tests that are responsible for them.")
-    parser.add_argument("packages", nargs="*", default=PACKAGES, help="where: packages or modules (default: all)")
+    parser = argparse.ArgumentParser(
+        description="Try random faults against the tests that are responsible for them."
+    )
+    parser.add_argument(
+        "packages", nargs="*", default=PACKAGES, help="where: packages or modules (default: all)"
+    )
     parser.add_argument("--faults", type=int, default=20, help="how many (default 20)")
     parser.add_argument("--seed", type=int, default=1, help="which: a seed has always the same (default 1)")
     parser.add_argument("--after", type=int, default=0, help="go on after so many of them (default 0)")

@@ -2,8 +2,8 @@
 
     python tests/meta/responsible_tests.py [--base REV]
 
-prints the arguments of pytest for the files that differ from a commit, one a line; `test.sh --changed` passes them on.
-By default that commit is where the branch left `main`; on `main` itself it is the last commit.
+prints the arguments of pytest for the files that differ from a commit, one a line; `test.sh --changed` passes
+them on. By default that commit is where the branch left `main`; on `main` itself it is the last commit.
 
 | changed file | tests |
 |---|---|
@@ -82,18 +82,23 @@ def _list_wider(root: Path, path: PurePosixPath, own: str) -> list[tuple[str, ..
     """Return the stage of a module's package of `rhi`, and for a backend of what stands beside all."""
     is_backend = path.parts[1] == "backends"
     top = "/".join(("tests", *path.parts[: 3 if is_backend else 2]))
-    beside = [each.relative_to(root).as_posix() for each in sorted((root / "tests/rhi/backends").glob("test_*.py"))]
+    beside = [
+        each.relative_to(root).as_posix() for each in sorted((root / "tests/rhi/backends").glob("test_*.py"))
+    ]
     wider = ([top] if top != own and (root / top).is_dir() else []) + (beside if is_backend else [])
     return [tuple(wider)] if wider else []
 
 
 def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
-    """Return the files of tests outside a folder that import a module's package and name most of what it defines."""
+    """Return the files of tests outside a folder that import a module's package and name most of what it
+    defines."""
     module = path.with_suffix("").as_posix().replace("/", ".")
     package = re.compile(rf"\b{re.escape('.'.join(path.with_suffix('').parts[:2]))}\b")
     tree = ast.parse((root / path).read_text())
     names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
-    words = re.compile("|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_")))
+    words = re.compile(
+        "|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_"))
+    )
     counts = Counter[str]()
     for each in sorted((root / "tests").rglob("test_*.py")):
         if not each.is_relative_to(folder):
@@ -104,13 +109,20 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
 
 
 def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
-    """Return the folders of tests of the packages that import what a module defines, most often first, without those
-    that measure."""
-    package, module = path.parent.as_posix().replace("/", "."), path.with_suffix("").as_posix().replace("/", ".")
-    defined = re.findall(r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)", (root / path).read_text(), re.MULTILINE)
+    """Return the folders of tests of the packages that import what a module defines, most often first,
+    without those that measure."""
+    package, module = (
+        path.parent.as_posix().replace("/", "."),
+        path.with_suffix("").as_posix().replace("/", "."),
+    )
+    defined = re.findall(
+        r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)", (root / path).read_text(), re.MULTILINE
+    )
     names = rf"\b(?:{'|'.join(defined)})\b"
     listed = rf"(?:[^(\n]*?|\([^()]*?){names}"
-    imports = re.compile(rf"^from (?:{re.escape(module)} import |{re.escape(package)} import {listed})", re.MULTILINE)
+    imports = re.compile(
+        rf"^from (?:{re.escape(module)} import |{re.escape(package)} import {listed})", re.MULTILINE
+    )
     counts = Counter[str]()
     for file in sorted((root / path.parts[0]).rglob("*.py")):
         own = file.relative_to(root).parts
@@ -119,14 +131,16 @@ def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
     return [folder for folder, _ in counts.most_common() if (root / folder).is_dir()]
 
 
-# -- what differs from another commit ------------------------------------------------------------------------------
+# -- what differs from another commit ------------------------------------------------------------------------
 
 
 def list_changed_files(root: Path, base: str | None = None) -> list[str]:
     """Return the files that differ from a commit, new ones among them, but not those that are deleted."""
 
     def run_git(*arguments: str) -> str:
-        return subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            ["git", *arguments], cwd=root, capture_output=True, text=True, check=True
+        ).stdout.strip()
 
     if base is None:
         base = run_git("merge-base", "HEAD", "main")
@@ -160,7 +174,11 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
     paths |= dict.fromkeys(_ALWAYS)
     existing = [each for each in paths if (root / each).exists()]
     if kits:
-        existing += ["--pyargs", "rhi.conformance", *(part for kit in kits for part in ("--rhi-backend", kit))]
+        existing += [
+            "--pyargs",
+            "rhi.conformance",
+            *(part for kit in kits for part in ("--rhi-backend", kit)),
+        ]
     elif any(each.startswith("rhi/conformance") for each in existing):
         existing += ["--rhi-backend", "gl", "--rhi-backend", "cl", "--rhi-backend", "null"]
     return existing
@@ -176,7 +194,9 @@ def _choose_near_tests(root: Path, path: PurePosixPath) -> list[str]:
 
 def _list_test_importers(root: Path, path: PurePosixPath) -> list[str]:
     """Return the files of tests that import what a module of the tests defines."""
-    imports = re.compile(rf"^(?:from {re.escape(path.stem)} import|import {re.escape(path.stem)}\b)", re.MULTILINE)
+    imports = re.compile(
+        rf"^(?:from {re.escape(path.stem)} import|import {re.escape(path.stem)}\b)", re.MULTILINE
+    )
     tests = sorted((root / "tests").rglob("test_*.py"))
     return [each.relative_to(root).as_posix() for each in tests if imports.search(each.read_text())]
 

@@ -1,13 +1,14 @@
 """Which rules the tests break and which they keep, line by line.
 
-`python rule_coverage.py FOLDER… [-- OPTIONS OF PYTEST]` runs tests and prints a line of JSON: for each rule, how often
-a test broke it and how often one came to the same check and passed it.
+`python rule_coverage.py FOLDER… [-- OPTIONS OF PYTEST]` runs tests and prints a line of JSON: for each rule,
+how often a test broke it and how often one came to the same check and passed it.
 
-- A check is a call that names a rule (`refuse(PASS_NESTED, …)`) and the condition it stands under. It is passed
-  by a call of its function that gets to the condition and returns without getting to the refusal. A call of a
-  helper that does nothing but refuse (`-> NoReturn`) counts as naming its rules.
-- A call that is given a rule to refuse by (`ArgumentChecker(call, rule=DRAW_COUNT)`) is a check of what follows it:
-  broken if an error of that rule leaves its function, passed if the function gets to it and returns.
+- A check is a call that names a rule (`refuse(PASS_NESTED, …)`) and the condition it stands under. It is
+  passed by a call of its function that gets to the condition and returns without getting to the refusal. A
+  call of a helper that does nothing but refuse (`-> NoReturn`) counts as naming its rules.
+- A call that is given a rule to refuse by (`ArgumentChecker(call, rule=DRAW_COUNT)`) is a check of what
+  follows it: broken if an error of that rule leaves its function, passed if the function gets to it and
+  returns.
 - Only functions with a check in them are traced, so the tests take about twice their time.
 """
 
@@ -39,8 +40,8 @@ LEFT_OUT = ("conformance", "testing")
 
 @dataclass(frozen=True)
 class Check:
-    """A refusal: the lines of the call, and those of the condition it stands under, none if it has none. A loop
-    around it is part of the condition: one that isn't entered has nothing to refuse.
+    """A refusal: the lines of the call, and those of the condition it stands under, none if it has none. A
+    loop around it is part of the condition: one that isn't entered has nothing to refuse.
 
     Of a call that is given a rule, the condition is the call, and there is no refusal."""
 
@@ -52,7 +53,9 @@ class Check:
 def collect_rules() -> dict[str, Rule]:
     """All rules by the names of their constants."""
     modules = [importlib.import_module(name) for name in RULE_MODULES]
-    return {name: value for module in modules for name, value in vars(module).items() if isinstance(value, Rule)}
+    return {
+        name: value for module in modules for name, value in vars(module).items() if isinstance(value, Rule)
+    }
 
 
 def collect_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int, Check]]:
@@ -71,7 +74,11 @@ def collect_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[i
             helpers[node.name] = set().union(*inner)
 
     def visit(
-        node: ast.AST, function: int, loop: frozenset[int], condition: frozenset[int], statement: frozenset[int]
+        node: ast.AST,
+        function: int,
+        loop: frozenset[int],
+        condition: frozenset[int],
+        statement: frozenset[int],
     ) -> Iterator[tuple[int, Check]]:
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
             decorators = getattr(node, "decorator_list", [])

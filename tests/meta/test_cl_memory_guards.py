@@ -68,17 +68,32 @@ def test_a_write_is_found_when_its_buffer_is_gone() -> None:
     assert len(memory_guards.collect_writes()) == 1
 
 
-PRIMITIVES = (rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.LINES, rhi.Primitive.POINTS)
+PRIMITIVES = (
+    rhi.Primitive.TRIANGLES,
+    rhi.Primitive.TRIANGLE_STRIP,
+    rhi.Primitive.LINES,
+    rhi.Primitive.POINTS,
+)
 
 
 @pytest.mark.nightly_cases(
-    "(1, 1)-*", "(3, 5)-*", "(64, 64)-*", "*-1-*", "*-LINES", "*-POINTS", "*-TRIANGLE_STRIP", reason=FEWER_CASES
+    "(1, 1)-*",
+    "(3, 5)-*",
+    "(64, 64)-*",
+    "*-1-*",
+    "*-LINES",
+    "*-POINTS",
+    "*-TRIANGLE_STRIP",
+    reason=FEWER_CASES,
 )
 @pytest.mark.parametrize("primitive", PRIMITIVES, ids=lambda primitive: primitive.name)
 @pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (64, 64), (130, 70)], ids=str)
-def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: rhi.Primitive) -> None:
-    """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries, tables."""
+def test_draws_write_inside_their_targets(
+    size: tuple[int, int], samples: int, primitive: rhi.Primitive
+) -> None:
+    """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries,
+    tables."""
     rng = np.random.default_rng(0)
     positions = rng.normal(0, 2, (600, 4))
     positions[:, 2:] = rng.uniform(-0.2, 1.2, (600, 2))
@@ -147,9 +162,11 @@ def run_guarded(*modules: str) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "memory_guards", "-p", "no:cacheprovider"]
     path = os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [*command, "--pyargs", *modules, "--rhi-backend", "cl"], capture_output=True, text=True,
+        [*command, "--pyargs", *modules, "--rhi-backend", "cl"],
+        capture_output=True,
+        text=True,
         env=os.environ | {"PYTHONPATH": path},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout[-4000:]
 
 

@@ -13,7 +13,9 @@ import pytest
 @pytest.mark.nightly
 def test_each_fault_of_a_backend_is_detected_and_a_backend_without_passes() -> None:
     """In one process of its own: this one may hold devices."""
-    run = subprocess.run([sys.executable, faulty_backends.__file__], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, faulty_backends.__file__], capture_output=True, text=True, check=False
+    )
     assert run.returncode == 0, run.stderr
     failures: dict[str, list[str]] = json.loads(run.stdout)
     assert failures.pop(faulty_backends.CONTROL) == []

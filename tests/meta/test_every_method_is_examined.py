@@ -32,7 +32,9 @@ def test_a_backend_without_any_one_method_fails() -> None:
         rhi.create_device("gl").close()
     except rhi.DeviceError as error:
         pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
-    run = subprocess.run([sys.executable, incomplete_backends.__file__], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, incomplete_backends.__file__], capture_output=True, text=True, check=False
+    )
     assert run.returncode == 0, run.stderr
     failures: dict[str, list[str]] = json.loads(run.stdout)
     assert failures.pop(incomplete_backends.LATE) == []

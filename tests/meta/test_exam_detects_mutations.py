@@ -31,7 +31,9 @@ def test_what_a_mutation_replaces_is_there_once() -> None:
 @pytest.mark.nightly
 def test_each_mutation_is_detected_by_its_case() -> None:
     """In processes of their own: this one has imported what they break."""
-    run = subprocess.run([sys.executable, exam_mutations.__file__], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, exam_mutations.__file__], capture_output=True, text=True, check=False
+    )
     assert run.returncode == 0, run.stderr
     results = [json.loads(line) for line in run.stdout.splitlines()]
     assert len(results) == sum(len(mutation.cases) for mutation in exam_mutations.MUTATIONS)

@@ -15,7 +15,9 @@ from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING
 
 @pytest.mark.nightly
 def test_useless_devices_pass_what_has_nothing_to_do_with_them() -> None:
-    run = subprocess.run([sys.executable, useless_devices.__file__], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, useless_devices.__file__], capture_output=True, text=True, check=True
+    )
     passed_by_device = json.loads(run.stdout)
     control = passed_by_device.pop("none of these faults")
     cases = {

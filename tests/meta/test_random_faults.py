@@ -30,24 +30,36 @@ def changes(text: str, file: str = "a.py") -> list[tuple[str, str]]:
         ("x = a and b or c", [("and", "or"), ("or", "and")]),
         ("x = not a", [("not a", "(a)")]),
         ("x = -a", [("-a", "(a)")]),
-        ("x = 7, 0.0, 2.5, True, 'text', None", [("7", "8"), ("0.0", "1.0"), ("2.5", "5.0"), ("True", "False")]),
+        (
+            "x = 7, 0.0, 2.5, True, 'text', None",
+            [("7", "8"), ("0.0", "1.0"), ("2.5", "5.0"), ("True", "False")],
+        ),
         ("if a:\n    f(b)", [("a", "not (a)"), ("f(b)", "pass")]),
         ("while a:\n    b = 1", [("a", "not (a)"), ("1", "2")]),
         ("def f(a: int = 1) -> Final[2]:\n    return a", [("1", "2")]),
     ],
 )
-def test_operators_constants_conditions_and_calls_have_faults(text: str, expected: list[tuple[str, str]]) -> None:
+def test_operators_constants_conditions_and_calls_have_faults(
+    text: str, expected: list[tuple[str, str]]
+) -> None:
     assert changes(text) == expected
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        '"""Return 1 + 1."""', "import a", "x: Array[3] = y", "def f(a: X | None) -> Y | None: ...", "assert a == 1",
-        "x = 'a %d' % b", "T = X | None", "if TYPE_CHECKING:\n    import b", "x = f'{a + 1}'",
+        '"""Return 1 + 1."""',
+        "import a",
+        "x: Array[3] = y",
+        "def f(a: X | None) -> Y | None: ...",
+        "assert a == 1",
+        "x = 'a %d' % b",
+        "T = X | None",
+        "if TYPE_CHECKING:\n    import b",
+        "x = f'{a + 1}'",
         "x = zip(a, b, strict=True)",
     ],
-)  # fmt: skip
+)
 def test_texts_types_and_assertions_have_none(text: str) -> None:
     assert changes(text) == []
 
@@ -77,7 +89,9 @@ def test_a_seed_has_always_the_same_faults() -> None:
     assert all(fault.file.startswith("rhi/trace/") for fault in first)
 
 
-TESTED = "def scale(x):\n    return 2 * x\n\n\ndef count(n):\n    while n > 0:\n        n -= 1\n    return n\n"
+TESTED = (
+    "def scale(x):\n    return 2 * x\n\n\ndef count(n):\n    while n > 0:\n        n -= 1\n    return n\n"
+)
 TESTS = "from thing.numbers import count, scale\n\n\ndef test_it():\n    assert scale(0) == count(3) == 0\n"
 
 
@@ -115,7 +129,9 @@ def test_a_fault_that_is_explained_is_no_survivor(
     monkeypatch.setattr(random_faults, "explain", lambda *fault: "for a reason")
     (fault,) = (each for each in list_faults("thing/numbers.py", TESTED) if each.old == "2")
     assert try_faults(project, [fault]) == []
-    assert capsys.readouterr().out.endswith("for a reason\n0 of 0 that can be seen are noticed; 1 can't be seen\n")
+    assert capsys.readouterr().out.endswith(
+        "for a reason\n0 of 0 that can be seen are noticed; 1 can't be seen\n"
+    )
 
 
 @pytest.mark.nightly

@@ -12,16 +12,23 @@ from responsible_tests import ROOT, choose_changed_tests, choose_tests, list_cha
 @pytest.mark.parametrize(
     ("file", "first", "last"),
     [
-        ("rhi/backends/cl/raster/boxes.py",
-         ("tests/rhi/backends/cl/raster/test_cl_boxes.py", "tests/rhi/backends/cl/raster"),
-         ("--pyargs", "rhi.conformance", "--rhi-backend", "cl")),
-        ("rhi/backends/null/simulation/hazards.py",
-         ("tests/rhi/backends/null/test_null_hazards.py", "tests/rhi/backends/null"),
-         ("--pyargs", "rhi.conformance", "--rhi-backend", "null")),
-        ("rhi/trace/diff.py", ("tests/rhi/trace/test_trace_diff.py", "tests/rhi/trace"),
-         ("--pyargs", "rhi.conformance", "--rhi-backend", "gl")),
+        (
+            "rhi/backends/cl/raster/boxes.py",
+            ("tests/rhi/backends/cl/raster/test_cl_boxes.py", "tests/rhi/backends/cl/raster"),
+            ("--pyargs", "rhi.conformance", "--rhi-backend", "cl"),
+        ),
+        (
+            "rhi/backends/null/simulation/hazards.py",
+            ("tests/rhi/backends/null/test_null_hazards.py", "tests/rhi/backends/null"),
+            ("--pyargs", "rhi.conformance", "--rhi-backend", "null"),
+        ),
+        (
+            "rhi/trace/diff.py",
+            ("tests/rhi/trace/test_trace_diff.py", "tests/rhi/trace"),
+            ("--pyargs", "rhi.conformance", "--rhi-backend", "gl"),
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_module_s_tests_are_its_folder_s_and_then_the_kit_s(
     file: str, first: tuple[str, ...], last: tuple[str, ...]
 ) -> None:
@@ -45,10 +52,12 @@ def test_shaders_are_also_tested_by_the_techniques_that_are_made_of_them(module:
 
 
 def test_what_only_its_package_imports_has_no_tests_of_importers() -> None:
-    assert choose_tests(ROOT, "renderer/techniques/parts/fxaa.py")[-1] == ("tests/renderer/lab/exam/test_cases.py",)
+    assert choose_tests(ROOT, "renderer/techniques/parts/fxaa.py")[-1] == (
+        "tests/renderer/lab/exam/test_cases.py",
+    )
 
 
-# -- what differs from another commit ------------------------------------------------------------------------------
+# -- what differs from another commit ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

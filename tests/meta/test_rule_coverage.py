@@ -27,11 +27,19 @@ ALWAYS_BROKEN = {
 """Rules whose refusals stand under no condition of ours, and what passes them."""
 
 BROKEN_IN_A_CHILD = {DEVICE_FORKED.id: "device/test_forks.py"}
-"""Rules that are broken in processes which tests start, where calls aren't counted, and the file of those tests."""
+"""Rules that are broken in processes which tests start, where calls aren't counted, and the file of those
+tests."""
 
 
 # They compare numbers and images, and break no rule that others don't; traced they would take minutes.
-NOT_ABOUT_RULES = ("accuracy", "agreement", "lane_programs", "fragment_programs", "shading_textures", "cl_targets")
+NOT_ABOUT_RULES = (
+    "accuracy",
+    "agreement",
+    "lane_programs",
+    "fragment_programs",
+    "shading_textures",
+    "cl_targets",
+)
 
 
 @pytest.mark.nightly
@@ -41,14 +49,21 @@ def test_each_rule_is_broken_by_a_test_and_passed_by_another() -> None:
     left_out = [TESTS / "conformance", *ignored]
     arguments = [str(TESTS), *(text for path in left_out for text in ("--ignore", str(path)))]
     kit = ["--pyargs", "rhi.conformance.validation", "--rhi-backend", "null"]
-    path = os.pathsep.join(path for path in sys.path if path)  # the kits of the tests, which no setting of pytest names
+    path = os.pathsep.join(
+        path for path in sys.path if path
+    )  # the kits of the tests, which no setting of pytest names
     run = subprocess.run(
         [sys.executable, rule_coverage.__file__, *arguments, *kit],
-        capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": path},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": path},
+    )
     assert run.returncode == 0, run.stderr
     counts: dict[str, tuple[int, int]] = json.loads(run.stdout)
-    never_broken = [rule for rule, (broken, _) in counts.items() if not broken and rule not in BROKEN_IN_A_CHILD]
+    never_broken = [
+        rule for rule, (broken, _) in counts.items() if not broken and rule not in BROKEN_IN_A_CHILD
+    ]
     never_passed = [rule for rule, (_, passed) in counts.items() if not passed and rule not in ALWAYS_BROKEN]
     assert (never_broken, never_passed) == ([], [])
 
@@ -58,7 +73,7 @@ def test_a_rule_that_is_broken_in_a_child_is_named_by_its_tests(rule: str) -> No
     assert f'"{rule}"' in (TESTS / BROKEN_IN_A_CHILD[rule]).read_text()
 
 
-# -- the gate itself -----------------------------------------------------------------------------------------------
+# -- the gate itself -----------------------------------------------------------------------------------------
 
 SOURCE = """
 def check(core, value):
@@ -107,7 +122,9 @@ def draw(count):
 """
 
 
-@pytest.mark.parametrize(("count", "broken", "passed"), [(-1, {"draw-count": 1}, {}), (1, {}, {"draw-count": 1})])
+@pytest.mark.parametrize(
+    ("count", "broken", "passed"), [(-1, {"draw-count": 1}, {}), (1, {}, {"draw-count": 1})]
+)
 def test_a_call_breaks_or_passes_what_is_checked_by_a_rule_that_it_gives(
     tmp_path: Path, count: int, broken: dict[str, int], passed: dict[str, int]
 ) -> None:
@@ -139,7 +156,9 @@ def test_a_call_breaks_or_passes_the_checks_it_comes_to(
     tmp_path: Path, nested: bool, value: bool, broken: dict[str, int], passed: dict[str, int]
 ) -> None:
     coverage = rule_coverage.Coverage(tmp_path)
-    for first, check in collect_checks(ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}):
+    for first, check in collect_checks(
+        ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}
+    ):
         coverage.checks["<example>", first].append(check)
     scope: dict[str, object] = {"NoReturn": None}
     exec(compile("from __future__ import annotations" + SOURCE, "<example>", "exec"), scope)

@@ -111,8 +111,21 @@ def test_a_fault_in_the_masks_is_found(fault, run, monkeypatch, request):
             raise AssertionError("NumPy") from error
 
     if fault is break_stores and "RHI_ALONE" not in os.environ:  # lanes that are off may end the process
-        command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-m", "", f"{__file__}::{request.node.name}"]
-        assert subprocess.run(command, env=os.environ | {"RHI_ALONE": "1"}, check=False).returncode in (0, -SIGSEGV)
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-n",
+            "0",
+            "-m",
+            "",
+            f"{__file__}::{request.node.name}",
+        ]
+        assert subprocess.run(command, env=os.environ | {"RHI_ALONE": "1"}, check=False).returncode in (
+            0,
+            -SIGSEGV,
+        )
         return
     fault(monkeypatch)
     with pytest.raises(AssertionError, match=r"one lane|16 lanes|NumPy"):

@@ -14,12 +14,16 @@ from rhi.conformance.port_steps import STEPS
 
 
 def run_step(number: int, written: int) -> tuple[int, str]:
-    """Run the groups of a step on a port that has been written up to another one; return exit status and output."""
+    """Run the groups of a step on a port that has been written up to another one; return exit status and
+    output."""
     modules = [
-        "rhi.conformance." + group.replace(" · ", ".test_").replace(" ", "_") for group in STEPS[number - 1].groups
+        "rhi.conformance." + group.replace(" · ", ".test_").replace(" ", "_")
+        for group in STEPS[number - 1].groups
     ]
     folder = Path(partial_backends.__file__).parent
-    return take_the_kit("partial_backends:create_backend", folder, *modules, **{partial_backends.STEP: str(written)})
+    return take_the_kit(
+        "partial_backends:create_backend", folder, *modules, **{partial_backends.STEP: str(written)}
+    )
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,7 @@
 """Random faults that no test can see, by kind, each with the reason: those of `undetectable_faults.txt`.
 
-A fault is named by its file, the line that it changes and the change, so the list holds while lines move. One whose
-line is gone is refused by a test.
+A fault is named by its file, the line that it changes and the change, so the list holds while lines move. One
+whose line is gone is refused by a test.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ KINDS: Final = {
 
 
 class UndetectableFault(NamedTuple):
-    """A fault that can't be seen: in the line `text` of `file`, `old` becomes `new`. `why` begins with its kind."""
+    """A fault that can't be seen: in the line `text` of `file`, `old` becomes `new`. `why` begins with its
+    kind."""
 
     file: str
     text: str

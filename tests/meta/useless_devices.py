@@ -1,6 +1,7 @@
 """Devices of no use, and a run of the exam against each of them: what they pass says nothing about drawing.
 
-`python useless_devices.py` prints JSON: for each device the cases that it passes, by what they ask of a device.
+`python useless_devices.py` prints JSON: for each device the cases that it passes, by what they ask of a
+device.
 """
 
 from __future__ import annotations

@@ -29,7 +29,8 @@ def open_device(name: str, **options: Any) -> Iterator[rhi.Device]:
 
 
 def run_with_quick_kernels(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run `compare` in a process of its own, whose cache has no optimised kernels: PoCL asks once where it is."""
+    """Run `compare` in a process of its own, whose cache has no optimised kernels: PoCL asks once where it
+    is."""
     environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
     environment |= {"RHI_CACHE": str(cache), "RHI_KERNELS": "quick"}
     command = [sys.executable, "-m", "renderer", "compare", *arguments]

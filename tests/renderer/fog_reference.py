@@ -12,7 +12,9 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 def integrate_fog(fog: Fog, eye: float, position: NDArray[np.float64], pieces: int = 256) -> float:
     """Return how much light from `position`, relative to an eye at the height `eye`, passes the fog."""
-    half = np.concatenate([[0.0], np.geomspace(1e-10, 0.5, pieces // 2)])  # fine at both ends, where density is
+    half = np.concatenate(
+        [[0.0], np.geomspace(1e-10, 0.5, pieces // 2)]
+    )  # fine at both ends, where density is
     ends = np.concatenate([half, 1.0 - half[-2::-1]])
     along = (ends[:-1, None] + (ends[1:, None] - ends[:-1, None]) * (NODES + 1.0) / 2.0).ravel()
     exponent = -fog.falloff * (eye + along * position[1] - fog.base)

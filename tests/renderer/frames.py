@@ -34,7 +34,8 @@ def make_boxes(*transforms: Any, name: str = "boxes", **material: Any) -> SceneB
 
 
 def make_lit_boxes(points: int = 0, spots: int = 0, *, wide: int = 0, boxes: int = 1) -> Scene:
-    """Make boxes in one place before `EYE`, and local lights above them: point lights, spot lights, and wide ones."""
+    """Make boxes in one place before `EYE`, and local lights above them: point lights, spot lights, and wide
+    ones."""
     builder = make_boxes(*[(0, 0, 0)] * boxes)
     for number in range(points):
         builder.lights.add_point((0.01 * number, 1.5, 0), 3.0)
@@ -46,9 +47,14 @@ def make_lit_boxes(points: int = 0, spots: int = 0, *, wide: int = 0, boxes: int
 
 @contextmanager
 def open_renderer(
-    device: rhi.Device, scene: Scene, technique: Technique | None = None,
-    *, visibility: str = "none", size: tuple[int, int] = SIZE, **options: Any,
-) -> Iterator[Renderer]:  # fmt: skip
+    device: rhi.Device,
+    scene: Scene,
+    technique: Technique | None = None,
+    *,
+    visibility: str = "none",
+    size: tuple[int, int] = SIZE,
+    **options: Any,
+) -> Iterator[Renderer]:
     """Yield a renderer that finds visible objects by this algorithm, and destroy both."""
     algorithm = make_visibility(visibility, scene, device)
     with Renderer(device, scene, technique=technique, visibility=algorithm, size=size, **options) as renderer:
@@ -79,10 +85,16 @@ def read_colors(result: FrameResult) -> NDArray[Any]:
 
 
 def draw(
-    device: rhi.Device, scene: Scene, technique: Technique | None = None, camera: Camera | None = None,
-    *, frames: int = 1, **options: Any,
-) -> NDArray[Any]:  # fmt: skip
-    """Return the image (h, w, 3) of the scene's first view, or as another camera sees it, after some frames."""
+    device: rhi.Device,
+    scene: Scene,
+    technique: Technique | None = None,
+    camera: Camera | None = None,
+    *,
+    frames: int = 1,
+    **options: Any,
+) -> NDArray[Any]:
+    """Return the image (h, w, 3) of the scene's first view, or as another camera sees it, after some
+    frames."""
     with open_renderer(device, scene, technique, **options) as renderer:
         for _ in range(frames):
             result = renderer.render(camera or first_view_camera(scene))
@@ -106,10 +118,16 @@ def max_difference(first: NDArray[Any], second: NDArray[Any]) -> int:
 
 
 def record(
-    device: rhi.Device, scene: Scene, technique: Technique | None = None, camera: Camera | None = None,
-    *, frames: int = 2, **options: Any,
-) -> rhi.CommandStream:  # fmt: skip
-    """Return the commands of the last of some frames, of the second as a rule; nothing is destroyed afterwards."""
+    device: rhi.Device,
+    scene: Scene,
+    technique: Technique | None = None,
+    camera: Camera | None = None,
+    *,
+    frames: int = 2,
+    **options: Any,
+) -> rhi.CommandStream:
+    """Return the commands of the last of some frames, of the second as a rule; nothing is destroyed
+    afterwards."""
     algorithm = make_visibility(options.pop("visibility", "none"), scene, device)
     arguments = {"technique": technique, "visibility": algorithm, "size": SIZE, **options}
     renderer = Renderer(device, scene, **arguments)
@@ -126,12 +144,14 @@ def count_draws(device: rhi.Device, scene: Scene, *arguments: Any, **options: An
 
 
 def list_owned(device: rhi.Device) -> tuple[list[rhi.Command], list[rhi.Command]]:
-    """Return the commands that made textures, buffers and vertex arrays, without the device's own streams, and those
-    of them whose object is still there."""
+    """Return the commands that made textures, buffers and vertex arrays, without the device's own streams,
+    and those of them whose object is still there."""
     device.finish()
     creations = device.stream.filter(
         (rhi.Op.CREATE_TEXTURE, rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY),
-        where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+        where=lambda c: (
+            c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM
+        ),
     )
     gone = {command.values[0] for command in device.stream.filter(rhi.Op.DESTROY)}
     return [*creations], [command for command in creations if command.values[0] not in gone]

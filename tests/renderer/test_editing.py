@@ -12,7 +12,16 @@ from refusals import refused_rule
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import AlphaMode, Camera, ObjectHandle, Scene, SceneBuilder, rotation, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    ObjectHandle,
+    Scene,
+    SceneBuilder,
+    rotation,
+    scaling,
+    translation,
+)
 from renderer.shadows import ShadowSettings
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import ALGORITHMS
@@ -35,7 +44,9 @@ def begin() -> SceneBuilder:
     builder.add_material(base_color=(0.9, 0.8, 0.1), emission=1.5)
     builder.lights.add_directional((-0.4, -1.0, -0.3), intensity=0.5, casts_shadow=True)
     builder.lights.add_point((2.0, 3.0, 1.0), 8.0, intensity=4.0, casts_shadow=True)
-    builder.lights.add_spot((-3.0, 4.0, 1.0), (0.4, -1.0, 0.0), 9.0, 0.4, 0.7, intensity=5.0, casts_shadow=True)
+    builder.lights.add_spot(
+        (-3.0, 4.0, 1.0), (0.4, -1.0, 0.0), 9.0, 0.4, 0.7, intensity=5.0, casts_shadow=True
+    )
     builder.add_objects(builder.add_node(translation((0, -0.6, 0)) @ scaling((12, 1, 12))), 0, 0)
     return builder
 
@@ -106,7 +117,8 @@ def draw(renderer: Renderer) -> FrameResult:
 
 
 def compare(device: Device, technique: str, algorithm: str, edits: int, *, every: int, seed: int = 1) -> None:
-    """Edit a scene, and compare it with one that is built anew: its image, and what is drawn without queries."""
+    """Edit a scene, and compare it with one that is built anew: its image, and what is drawn without
+    queries."""
     glass = 1 if technique == "inferred" else 3  # which stipples glass by the rows of objects
     scene = make_edited(glass)
     editor = Editor(scene, seed, glass)
@@ -127,7 +139,10 @@ def compare(device: Device, technique: str, algorithm: str, edits: int, *, every
                     assert frame.statistics.triangles == expected.statistics.triangles, number
                     assert renderer.shadows.casters_drawn == other.shadows.casters_drawn == 0
                     expected_casters = sorted((each.name, each.casters) for each in other.shadows.reports)
-                    assert sorted((each.name, each.casters) for each in renderer.shadows.reports) == expected_casters
+                    assert (
+                        sorted((each.name, each.casters) for each in renderer.shadows.reports)
+                        == expected_casters
+                    )
 
 
 @pytest.mark.nightly_cases("cl-forward", "cl-deferred_plus", "cl-clustered", reason=ONLY_KERNELS)
@@ -144,7 +159,9 @@ def test_each_algorithm_follows_edits(gl: Device, algorithm: str) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("technique", sorted(TECHNIQUES))
-def test_two_thousand_edits_look_and_cost_as_a_scene_that_is_built_anew(drawing_device: Device, technique: str) -> None:
+def test_two_thousand_edits_look_and_cost_as_a_scene_that_is_built_anew(
+    drawing_device: Device, technique: str
+) -> None:
     compare(drawing_device, technique, "frustum", 2000, every=50, seed=3)
 
 
@@ -227,7 +244,9 @@ def test_what_cannot_be_replaced_is_refused_and_nothing_changes(
     before = scene.objects.mesh.copy(), scene.objects.material.copy(), scene.material_version
     with pytest.raises(ValidationError, match=rule):
         scene.replace(rows, **arguments)
-    assert all(map(np.array_equal, before, (scene.objects.mesh, scene.objects.material, scene.material_version)))
+    assert all(
+        map(np.array_equal, before, (scene.objects.mesh, scene.objects.material, scene.material_version))
+    )
     scene.replace([1, 4], material=2)  # the control
     assert scene.objects.material[[1, 4]].tolist() == [2, 2]
 

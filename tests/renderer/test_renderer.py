@@ -110,7 +110,9 @@ def test_what_is_far_away_is_neither_simulated_nor_uploaded(null: rhi.Device) ->
 
 
 @pytest.mark.parametrize(("name", "default"), [("animation_step", 0.0), ("animation_lag", 0.5)])
-def test_a_step_of_animation_and_its_lag_are_finite(null: rhi.Device, city: Scene, name: str, default: float) -> None:
+def test_a_step_of_animation_and_its_lag_are_finite(
+    null: rhi.Device, city: Scene, name: str, default: float
+) -> None:
     with Renderer(null, city, size=(64, 36)) as renderer:
         for value in (-1e-9, float("inf"), float("nan")):
             with pytest.raises(rhi.ValidationError, match=name.replace("_", "-")):

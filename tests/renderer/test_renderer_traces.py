@@ -46,7 +46,9 @@ def test_ten_frames_of_a_city_recorded_on_null_replay_on_gl(tmp_path: Path, gl: 
 
 
 @pytest.mark.nightly
-def test_the_default_citys_first_ten_frames_recorded_on_null_replay_on_gl(tmp_path: Path, gl: rhi.Device) -> None:
+def test_the_default_citys_first_ten_frames_recorded_on_null_replay_on_gl(
+    tmp_path: Path, gl: rhi.Device
+) -> None:
     assert_replays(tmp_path, gl, "city", (960, 540))
 
 
@@ -59,7 +61,12 @@ def test_the_command_line_records_on_one_backend_and_replays_on_another(
     shared = ["render", "city:blocks=4", "--size", "80x60", "--frames", "3", "--camera", "ground", *ways]
     assert cli.main([*shared, "--backend", "null", "--trace", "new/city.zip"]) == 0
     assert cli.main([*shared, "--backend", "gl", "--output", "direct.png"]) == 0
-    assert rhi_main(["trace", "replay", "new/city.zip", "--backend", "gl", "--trust", "--output", "replayed.png"]) == 0
+    assert (
+        rhi_main(
+            ["trace", "replay", "new/city.zip", "--backend", "gl", "--trust", "--output", "replayed.png"]
+        )
+        == 0
+    )
     direct, replayed = (np.asarray(Image.open(name)) for name in ("direct.png", "replayed.png"))
     assert np.array_equal(direct, replayed)
 
@@ -67,7 +74,9 @@ def test_the_command_line_records_on_one_backend_and_replays_on_another(
 @pytest.mark.usefixtures("gl")
 def test_a_trace_recorded_on_gl_has_its_commands_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["render", "city:blocks=4", "--size", "16x16", "--backend", "gl", "--trace", "t.zip"]) == 0
+    assert (
+        cli.main(["render", "city:blocks=4", "--size", "16x16", "--backend", "gl", "--trace", "t.zip"]) == 0
+    )
     trace = load("t.zip")
     assert trace.backend == "gl"
     assert len(trace.stream.draws()) >= 2

@@ -1,4 +1,5 @@
-"""A renderer that has drawn a scene before draws it as a new one does, whatever has changed between two frames."""
+"""A renderer that has drawn a scene before draws it as a new one does, whatever has changed between two
+frames."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ ISSUED: Final = {Op.BEGIN_PASS, Op.DRAW, Op.DRAW_INDIRECT, Op.DISPATCH}
 
 
 def make() -> Scene:
-    """Return objects of each material that can move, above a floor, and lights of each kind without shadows."""
+    """Return objects of each material that can move, above a floor, and lights of each kind without
+    shadows."""
     builder = begin()
     for material in range(1, 5):
         node = builder.add_node(translation((2.0 * material - 5.0, 0.6, -1.0)), dynamic=True)
@@ -91,12 +93,20 @@ def resize(renderer: Renderer, random: Random) -> None:
 
 
 EDITS: Final[tuple[Callable[[Renderer, Random], None], ...]] = (
-    move_light, turn_sun, change_air, change_sky, change_material, move_objects, change_settings, resize,
-)  # fmt: skip
+    move_light,
+    turn_sun,
+    change_air,
+    change_sky,
+    change_material,
+    move_objects,
+    change_settings,
+    resize,
+)
 
 
 def describe(command: Command) -> tuple[object, ...]:
-    """Return a command's labels and program, and of a draw the states: a dispatch and a pass depend on none."""
+    """Return a command's labels and program, and of a draw the states: a dispatch and a pass depend on
+    none."""
     program = "" if command.op is Op.BEGIN_PASS else str(command.resource(command.program))
     return command.op, command.labels, program, str(command.states) if "DRAW" in command.op.name else ""
 
@@ -122,7 +132,9 @@ def compare(device: rhi.Device, technique: str, seed: int, *, frames: int = 40) 
             issued = list_issued(device) if records else []
             names = ("size", "blending", "precision", "bloom")
             options: dict[str, Any] = {name: getattr(renderer, name) for name in names}
-            with open_renderer(device, scene, TECHNIQUES[technique](), visibility="frustum", **options) as other:
+            with open_renderer(
+                device, scene, TECHNIQUES[technique](), visibility="frustum", **options
+            ) as other:
                 other.scale = renderer.scale
                 if records:
                     device.stream.clear()

@@ -1,9 +1,10 @@
 """Scenes on gl and cl, pixel by pixel: the same renderer code, the same image.
 
-llvmpipe cuts what reaches beyond the viewport, at points that it rounds again; there an edge may pass on the other
-side of a sample that lies within 1/256 pixel of it, and another surface shows. In a viewport `WIDER` times as wide,
-through a projection as much wider, all has the same place in the window and is cut where nobody sees it. Levels of
-images differ as each backend rounds them (`test_levels_are_means_of_the_ones_before`), so here both have gl's.
+llvmpipe cuts what reaches beyond the viewport, at points that it rounds again; there an edge may pass on the
+other side of a sample that lies within 1/256 pixel of it, and another surface shows. In a viewport `WIDER`
+times as wide, through a projection as much wider, all has the same place in the window and is cut where
+nobody sees it. Levels of images differ as each backend rounds them
+(`test_levels_are_means_of_the_ones_before`), so here both have gl's.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 def draw(
     device: Device, scene: Scene, path: str, frame: int, name: str, levels: list[NDArray[Any]] | None = None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return colour as integers, and depth; `levels` are the mip levels of the scene's images below the first."""
+    """Return colour as integers, and depth; `levels` are the mip levels of the scene's images below the
+    first."""
     passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(frame), SIZE)
     for level, texels in enumerate(levels or [], 1):
         assert passes.resources.images is not None
@@ -69,13 +71,16 @@ def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
     assert passes.resources.images is not None
     (images,) = passes.resources.images.textures
     levels = [
-        np.stack([images.read(level, layer) for layer in range(images.layers)]) for level in range(1, images.levels)
+        np.stack([images.read(level, layer) for layer in range(images.layers)])
+        for level in range(1, images.levels)
     ]
     passes.destroy()
     return levels
 
 
-def draw_depth(device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int) -> NDArray[Any]:
+def draw_depth(
+    device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int
+) -> NDArray[Any]:
     """Draw the depth pass in a viewport several times as wide as the target."""
     passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(frame), size)
     projection, eye = passes.camera.relative_view_projection.copy(), passes.camera.position
@@ -96,8 +101,11 @@ def draw_depth(device: Device, scene: Scene, path: str, frame: int, size: tuple[
         passes.destroy()
 
 
-def check_depth(devices: tuple[Device, Device], scene: Scene, path: str, frame: int, size: tuple[int, int]) -> None:
-    """Check that both cover the same pixels at the same depth, except for a few of slivers thinner than the grid."""
+def check_depth(
+    devices: tuple[Device, Device], scene: Scene, path: str, frame: int, size: tuple[int, int]
+) -> None:
+    """Check that both cover the same pixels at the same depth, except for a few of slivers thinner than the
+    grid."""
     gl, cl = (draw_depth(device, scene, path, frame, size, WIDER) for device in devices)
     np.testing.assert_array_equal(gl > 0, cl > 0)
     assert (gl > 0).mean() > 0.5
@@ -126,7 +134,9 @@ def test_gl_and_cl_cover_the_same_pixels_along_all_paths(
 @pytest.mark.nightly_cases("*-900", "city-sky-0", reason=FEWER_CASES)
 @pytest.mark.parametrize("frame", FRAMES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
-def test_gl_and_cl_draw_the_same_scene(devices: tuple[Device, Device], scene: Scene, path: str, frame: int) -> None:
+def test_gl_and_cl_draw_the_same_scene(
+    devices: tuple[Device, Device], scene: Scene, path: str, frame: int
+) -> None:
     (gl_color, gl_depth), (cl_color, cl_depth) = (draw(d, scene, path, frame, "lit") for d in devices)
     assert (gl_depth > 0).mean() > 0.5
     assert ((gl_depth > 0) != (cl_depth > 0)).sum() <= 1
@@ -168,9 +178,11 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
 
 @pytest.mark.nightly_cases("city-*", "hall-sky", reason=FEWER_CASES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
-def test_cl_counts_the_samples_that_its_boxes_cover(devices: tuple[Device, Device], scene: Scene, path: str) -> None:
-    """Of up to 1,000 boxes, all at once and one by one; compared with each box drawn alone, every sample that passes
-    adding one to its pixel."""
+def test_cl_counts_the_samples_that_its_boxes_cover(
+    devices: tuple[Device, Device], scene: Scene, path: str
+) -> None:
+    """Of up to 1,000 boxes, all at once and one by one; compared with each box drawn alone, every sample that
+    passes adding one to its pixel."""
     device = devices[1]
     passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(900), SIZE)
     passes.work("queries")

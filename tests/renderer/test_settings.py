@@ -30,7 +30,9 @@ from rhi.shading import Precision, Shader
 from tests.renderer.conftest import open_device
 
 OTHERS = RenderSettings(
-    TechniqueSettings("clustered", fxaa=True, clusters=ClusterSettings(32, 7, "hybrid"), scale=0.5, stippled=False),
+    TechniqueSettings(
+        "clustered", fxaa=True, clusters=ClusterSettings(32, 7, "hybrid"), scale=0.5, stippled=False
+    ),
     "frustum",
     VisibilitySettings(batch=7, threshold=3),
     ShadowSettings(ShadowFilter.HARD, cascades=2, bias=0.5),
@@ -49,13 +51,19 @@ OTHERS = RenderSettings(
 def test_a_file_keeps_all_settings(tmp_path: Path) -> None:
     OTHERS.save(tmp_path / "s.json", ratio=0.5)
     assert RenderSettings.load(tmp_path / "s.json") == OTHERS
-    assert VisibilitySettings.load(tmp_path / "s.json") == OTHERS.visibility  # commands that only cull read it, too
+    assert (
+        VisibilitySettings.load(tmp_path / "s.json") == OTHERS.visibility
+    )  # commands that only cull read it, too
 
 
 def test_what_a_file_lacks_has_its_default(tmp_path: Path) -> None:
     VisibilitySettings(batch=9).save(tmp_path / "tuned.json")
-    assert RenderSettings.load(tmp_path / "tuned.json") == RenderSettings(visibility=VisibilitySettings(batch=9))
-    (tmp_path / "s.json").write_text(json.dumps({"rendering": {"shadows": {"cascades": 3}, "textures": {"mip": None}}}))
+    assert RenderSettings.load(tmp_path / "tuned.json") == RenderSettings(
+        visibility=VisibilitySettings(batch=9)
+    )
+    (tmp_path / "s.json").write_text(
+        json.dumps({"rendering": {"shadows": {"cascades": 3}, "textures": {"mip": None}}})
+    )
     assert RenderSettings.load(tmp_path / "s.json") == RenderSettings(
         shadows=ShadowSettings(cascades=3), textures=TextureSettings(mip=None)
     )
@@ -65,7 +73,10 @@ def test_cells_that_a_file_gives_in_part_are_otherwise_those_of_their_technique(
     technique_fields = {"tiles": {"sphere_test": "hybrid"}, "clusters": {"slices": 12}}
     (tmp_path / "s.json").write_text(json.dumps({"rendering": {"technique": technique_fields}}))
     technique = RenderSettings.load(tmp_path / "s.json").technique
-    assert (technique.tiles, technique.clusters) == (ClusterSettings(16, 1, "hybrid"), ClusterSettings(64, 12, "exact"))
+    assert (technique.tiles, technique.clusters) == (
+        ClusterSettings(16, 1, "hybrid"),
+        ClusterSettings(64, 12, "exact"),
+    )
 
 
 @pytest.mark.parametrize("text", ["[]", "{}"])
@@ -124,7 +135,25 @@ def test_a_value_of_another_kind_is_refused_by_name(part: type[Any], name: str) 
             part(**{name: other})
 
 
-STRANGE = (None, True, "", "forward", -1, 0, 1, 3, 1e-300, 1e300, 2**70, inf, float("nan"), [], [1, 2], {}, {"a": 1})
+STRANGE = (
+    None,
+    True,
+    "",
+    "forward",
+    -1,
+    0,
+    1,
+    3,
+    1e-300,
+    1e300,
+    2**70,
+    inf,
+    float("nan"),
+    [],
+    [1, 2],
+    {},
+    {"a": 1},
+)
 
 
 def mutate(rng: random.Random, value: Any) -> Any:
@@ -139,7 +168,9 @@ def mutate(rng: random.Random, value: Any) -> Any:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(10))
-def test_a_mutated_file_is_refused_by_a_rule_or_draws_a_frame(seed: int, tmp_path: Path, null: rhi.Device) -> None:
+def test_a_mutated_file_is_refused_by_a_rule_or_draws_a_frame(
+    seed: int, tmp_path: Path, null: rhi.Device
+) -> None:
     OTHERS.save(tmp_path / "s.json")
     text, scene = (tmp_path / "s.json").read_text(), load_scene("grid:count=4,lights=2")
     rng, drawn = random.Random(seed), 0
@@ -189,8 +220,12 @@ def test_an_algorithm_that_no_frame_could_have_is_refused() -> None:
 
 
 def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
-    technique = '{"scale": 1.0, "specular_channels": 1, "tiles": {"tile": 1}, "clusters": {"tile": 64, "slices": 1}}'
-    (tmp_path / "s.json").write_text(f'{{"rendering": {{"technique": {technique}, "shadows": {{"far_size": 0}}}}}}')
+    technique = (
+        '{"scale": 1.0, "specular_channels": 1, "tiles": {"tile": 1}, "clusters": {"tile": 64, "slices": 1}}'
+    )
+    (tmp_path / "s.json").write_text(
+        f'{{"rendering": {{"technique": {technique}, "shadows": {{"far_size": 0}}}}}}'
+    )
     read = RenderSettings.load(tmp_path / "s.json")
     assert (read.technique.scale, read.technique.specular_channels, read.shadows.far_size) == (1.0, 1, 0)
     assert (read.technique.tiles.tile, read.technique.clusters.slices) == (1, 1)
@@ -237,7 +272,10 @@ def test_a_renderer_has_the_settings(null: rhi.Device) -> None:
 def test_techniques_have_the_settings_that_are_theirs(null: rhi.Device) -> None:
     scene = load_scene("grid:count=1")
     settings = TechniqueSettings("clustered", clusters=ClusterSettings(32), scale=0.25, stippled=False)
-    clustered, inferred = settings.make(scene, null), RenderSettings(settings).change("technique.name", "inferred")
+    clustered, inferred = (
+        settings.make(scene, null),
+        RenderSettings(settings).change("technique.name", "inferred"),
+    )
     technique = inferred.technique.make(scene, null)
     assert isinstance(clustered, Clustered)
     assert clustered.cells == ClusterSettings(32)
@@ -257,7 +295,11 @@ def test_an_algorithm_has_the_settings() -> None:
 def test_textures_are_read_no_better_than_the_settings_say() -> None:
     plain, best = SamplerDescriptor(), SamplerDescriptor(max_anisotropy=8.0)
     pixels = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
-    assert [TextureSettings().adjust(setting, 16.0) for setting in (plain, best, pixels)] == [plain, best, pixels]
+    assert [TextureSettings().adjust(setting, 16.0) for setting in (plain, best, pixels)] == [
+        plain,
+        best,
+        pixels,
+    ]
     flat = TextureSettings(mip=None)
     assert flat.adjust(plain, 16.0) == SamplerDescriptor(mip=None)
     nearest = TextureSettings(Filter.NEAREST, Filter.NEAREST)

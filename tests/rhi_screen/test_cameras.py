@@ -25,7 +25,9 @@ def screen() -> Iterator[Screen]:
 
 
 def test_an_orbit_begins_where_it_is_told_with_the_proportions_of_the_screen(screen: Screen) -> None:
-    camera = OrbitCamera(screen, (1.0, 2.0, 3.0), 7.0, yaw=0.4, pitch=-0.3, projection=Perspective(fov=0.8)).update()
+    camera = OrbitCamera(
+        screen, (1.0, 2.0, 3.0), 7.0, yaw=0.4, pitch=-0.3, projection=Perspective(fov=0.8)
+    ).update()
     assert np.allclose(camera.view, rhi.math.orbit((1.0, 2.0, 3.0), 7.0, 0.4, -0.3))
     assert np.allclose(camera.projection.matrix, rhi.math.perspective(0.8, 60 / 40))
 
@@ -167,4 +169,6 @@ def test_a_recorded_video_has_the_frames_that_were_shown(tmp_path: Path) -> None
         assert float(file.streams.video[0].average_rate) == 25
         frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
     assert [frame.shape for frame in frames] == [(48, 64, 3)] * 3
-    assert np.abs(np.array([frame[24, 32] for frame in frames]).astype(int) - colors).max() < 12, "H.264, 4:2:0"
+    assert np.abs(np.array([frame[24, 32] for frame in frames]).astype(int) - colors).max() < 12, (
+        "H.264, 4:2:0"
+    )

@@ -41,7 +41,15 @@ class Listener:
 
 def pointer(kind: str, x: float, y: float, button: int = 0, **more: Any) -> dict[str, Any]:
     buttons = (button,) if button and kind != "pointer_up" else ()
-    event = {"event_type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "modifiers": (), "touches": {}}
+    event = {
+        "event_type": kind,
+        "x": x,
+        "y": y,
+        "button": button,
+        "buttons": buttons,
+        "modifiers": (),
+        "touches": {},
+    }
     return event | more
 
 

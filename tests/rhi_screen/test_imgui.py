@@ -111,7 +111,9 @@ def test_colors_are_the_same_in_linear_light(texels_are_light: bool, image_is_li
             imgui.begin("image", None, PLAIN)
             imgui.set_cursor_pos(imgui.ImVec2(20, 20))
             imgui.image(gui.renderer.texture(texture), imgui.ImVec2(16, 16))
-            imgui.get_window_draw_list().add_rect_filled((60, 60), (80, 80), imgui.IM_COL32(200, 100, 50, 255))
+            imgui.get_window_draw_list().add_rect_filled(
+                (60, 60), (80, 80), imgui.IM_COL32(200, 100, 50, 255)
+            )
             imgui.end()
 
         with screen.device.render_pass(image, clear=(0, 0, 0, 1)):

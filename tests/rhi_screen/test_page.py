@@ -1,4 +1,5 @@
-"""The page of a browser: it is there for one who knows its address, and for no other page, host or program."""
+"""The page of a browser: it is there for one who knows its address, and for no other page, host or
+program."""
 
 from __future__ import annotations
 
@@ -252,7 +253,10 @@ def test_no_more_than_two_frames_are_sent_that_a_page_has_not_shown() -> None:
             with pytest.raises(asyncio.TimeoutError):
                 while True:
                     received.append(await asyncio.wait_for(client.recv(), 0.5))
-        assert len([each for each in received if isinstance(each, bytes)]) in (2, 3)  # one may precede what it said
+        assert len([each for each in received if isinstance(each, bytes)]) in (
+            2,
+            3,
+        )  # one may precede what it said
 
     received: list[str | bytes] = []
     show(visit)

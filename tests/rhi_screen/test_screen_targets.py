@@ -36,7 +36,9 @@ def test_a_pass_clears_color_depth_and_stencil_together_or_nothing(screen: Scree
     for clear in ((0, 0, 0, 1), None):
         with targets.render_pass(clear, label="scene"):
             pass
-    first, second = (command.arguments["descriptor"] for command in screen.device.stream.filter(Op.BEGIN_PASS))
+    first, second = (
+        command.arguments["descriptor"] for command in screen.device.stream.filter(Op.BEGIN_PASS)
+    )
     assert [target.clear for target in first.colors] == [(0, 0, 0, 1)] * 2
     assert (first.depth.clear, first.depth.clear_stencil, first.label) == (0.0, 0, "scene")
     assert [target.clear for target in second.colors] == [None, None]

@@ -76,7 +76,9 @@ def test_other_ways_with_errors_are_refused(screen: Screen) -> None:
         screen.run(lambda: None, on_error="ignore")
 
 
-@pytest.mark.parametrize(("format", "options"), [(Format.RGBA16F, {}), (Format.R8, {}), (Format.RGBA8, {"samples": 4})])
+@pytest.mark.parametrize(
+    ("format", "options"), [(Format.RGBA16F, {}), (Format.R8, {}), (Format.RGBA8, {"samples": 4})]
+)
 def test_other_images_are_refused_by_name(screen: Screen, format: Format, options: dict[str, Any]) -> None:
     image = screen.device.texture((6, 4), format, **options)
     with pytest.raises(ValidationError, match=r"^\[screen-image\]") as error:

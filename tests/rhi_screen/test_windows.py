@@ -1,4 +1,5 @@
-"""Windows in a virtual X server. What is checked in them runs in a process of its own, which has that display."""
+"""Windows in a virtual X server. What is checked in them runs in a process of its own, which has that
+display."""
 
 from __future__ import annotations
 
@@ -178,7 +179,9 @@ def check_pixels(display: Display, backend: str) -> None:
 def check_resize(display: Display, backend: str) -> None:
     with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
         sizes = []
-        screen.canvas.add_event_handler(lambda event: sizes.append((event["width"], event["height"])), "resize")
+        screen.canvas.add_event_handler(
+            lambda event: sizes.append((event["width"], event["height"])), "resize"
+        )
 
         def steps() -> Iterator[None]:
             for size in ((101, 67), (40, 90), SIZE):
@@ -214,8 +217,15 @@ def check_events(_display: Display) -> None:
     with open_screen("null", size=SIZE, update_mode="fastest") as screen:
         events: list[dict[str, Any]] = []
         kinds = (
-            "pointer_down", "pointer_up", "pointer_move", "double_click", "wheel", "key_down", "key_up", "char",
-        )  # fmt: skip
+            "pointer_down",
+            "pointer_up",
+            "pointer_move",
+            "double_click",
+            "wheel",
+            "key_down",
+            "key_up",
+            "char",
+        )
         screen.canvas.add_event_handler(events.append, *kinds)
         window = str(x_window(screen))
 
@@ -277,7 +287,9 @@ def check_density(_display: Display, density: int, ratio: float) -> None:
             yield
             for _ in range(1000):
                 coordinates = [str(round(each * ratio)) for each in (30, 12)]
-                subprocess.run(["xdotool", "mousemove", "--window", str(x_window(screen)), *coordinates], check=True)
+                subprocess.run(
+                    ["xdotool", "mousemove", "--window", str(x_window(screen)), *coordinates], check=True
+                )
                 yield
                 if moves:
                     break
@@ -335,7 +347,10 @@ def check_closing(_display: Display, backend: str) -> None:
 
 
 def check_two(display: Display, backend: str) -> None:
-    with open_screen(backend, size=SIZE, update_mode="fastest") as first, open_screen(backend, size=(30, 20)) as second:
+    with (
+        open_screen(backend, size=SIZE, update_mode="fastest") as first,
+        open_screen(backend, size=(30, 20)) as second,
+    ):
         import glfw
 
         glfw.set_window_pos(second.canvas._window, 200, 100)
@@ -405,8 +420,12 @@ def test_events_arrive(windows: Check) -> None:
 
 
 @requires_xdotool
-@pytest.mark.parametrize(("density", "ratio"), [(192, 2.0), pytest.param(144, 1.5, marks=pytest.mark.nightly)])
-def test_a_dense_display_has_more_pixels_than_the_logical_size(display: Display, density: int, ratio: float) -> None:
+@pytest.mark.parametrize(
+    ("density", "ratio"), [(192, 2.0), pytest.param(144, 1.5, marks=pytest.mark.nightly)]
+)
+def test_a_dense_display_has_more_pixels_than_the_logical_size(
+    display: Display, density: int, ratio: float
+) -> None:
     with begin_process(display) as run:
         run(check_density, density, ratio)
 

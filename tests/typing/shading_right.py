@@ -55,7 +55,9 @@ class Device:
     def program(self, shader: Callable[P, Shader]) -> Program[P]:
         return Program()
 
-    def draw(self, program: Program[P], mesh: object, instances: int = 1, *args: P.args, **bindings: P.kwargs) -> None:
+    def draw(
+        self, program: Program[P], mesh: object, instances: int = 1, *args: P.args, **bindings: P.kwargs
+    ) -> None:
         pass
 
 

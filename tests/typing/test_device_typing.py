@@ -42,7 +42,11 @@ MISTAKES = [
     ("device.dispatch(plain, (1, 1, 1))", "device.dispatch(plain)", "Too few arguments"),
     # in a command buffer
     ("commands.draw(flat, mesh, 3", "commands.draw(flat, image, 3", 'Argument 2 to "draw"'),
-    ("mesh, 3, tint=constants", "mesh, 3, tint=other", 'expected "UniformRange[Tint] | Tint | dict[str, Any]"'),
+    (
+        "mesh, 3, tint=constants",
+        "mesh, 3, tint=other",
+        'expected "UniformRange[Tint] | Tint | dict[str, Any]"',
+    ),
     ("device.submit(commands)", "device.submit(image)", 'expected "CommandBuffer"'),
     # a wrong value
     ("device.texture((8, 8), Format.RGBA8)", 'device.texture((8, 8), "rgba8")', 'Argument 2 to "texture"'),

@@ -1,7 +1,8 @@
-"""Pyright says of shaders and of the device what mypy says: right use passes, each mistake is refused on its line.
+"""Pyright says of shaders and of the device what mypy says: right use passes, each mistake is refused on its
+line.
 
-Pyright and its node come as wheels (`pyright[nodejs]`), without any download. Checking a file takes .2 s, so mistakes
-on different lines share one.
+Pyright and its node come as wheels (`pyright[nodejs]`), without any download. Checking a file takes .2 s, so
+mistakes on different lines share one.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ import test_shading_typing
 ROOT = Path(__file__).parents[2]
 SUITES: list[Any] = [test_device_typing, test_shading_typing]
 Edit = tuple[int, int, int, str]
-"""The first and last line of a mistake, where in the text it begins, what is there, and what takes its place."""
+"""The first and last line of a mistake, where in the text it begins, what is there, and what takes its
+place."""
 
 
 def pack(source: str, mistakes: list[tuple[str, str, str]]) -> list[dict[int, tuple[int, str, str]]]:
-    """Return files of mistakes of which no two touch one line: by line, the place, the right text and the wrong one."""
+    """Return files of mistakes of which no two touch one line: by line, the place, the right text and the
+    wrong one."""
     files: list[dict[int, tuple[int, str, str]]] = []
     for old, new, _ in mistakes:
         assert old.count("\n") == new.count("\n")
@@ -57,7 +60,9 @@ def mistakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
         (folder / suite.RIGHT.name).write_text(source)
         for number, file in enumerate(pack(source, suite.MISTAKES)):
             (folder / f"{suite.__name__}_{number}.py").write_text(apply(source, file))
-    (folder / "pyrightconfig.json").write_text(json.dumps({"extraPaths": [str(ROOT)], "pythonVersion": "3.11"}))
+    (folder / "pyrightconfig.json").write_text(
+        json.dumps({"extraPaths": [str(ROOT)], "pythonVersion": "3.11"})
+    )
     environment = os.environ | {"PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
     own = ["--pythonpath", sys.executable]  # not the first that PATH has, which may lack NumPy
     command = [sys.executable, "-m", "pyright", "--outputjson", "-p", str(folder), *own]
@@ -75,7 +80,9 @@ def test_right_use_passes_pyright(mistakes: dict[str, set[int]], suite: Any) -> 
 
 
 @pytest.mark.parametrize("suite", SUITES, ids=lambda suite: suite.__name__)
-def test_pyright_refuses_every_mistake_on_its_line(mistakes: dict[str, set[int]], suite: ModuleType | Any) -> None:
+def test_pyright_refuses_every_mistake_on_its_line(
+    mistakes: dict[str, set[int]], suite: ModuleType | Any
+) -> None:
     files = pack(suite.RIGHT.read_text(), suite.MISTAKES)
     assert sum(map(len, files)) == len(suite.MISTAKES)
     accepted = [

@@ -1,7 +1,7 @@
 """The numpy backend: rhi's contract on NumPy. Memory, copies, clears, time and compute; no draws.
 
-The example of docs/porting.md, steps 1 to 4. Every call is executed at once. So commands execute in the order of the
-calls, reads never wait, and a fence is completed as soon as it is signalled.
+The example of docs/porting.md, steps 1 to 4. Every call is executed at once. So commands execute in the order
+of the calls, reads never wait, and a fence is completed as soon as it is signalled.
 """
 
 from __future__ import annotations
@@ -196,7 +196,12 @@ class NumpyBackend:
     # -- 5 to 8: methods whose capabilities are declared missing -----------------------------------------
 
     def _refuse(self, *arguments: object) -> NoReturn:
-        refuse(rules.DEVICE_CAPABILITY, "the numpy backend", "a draw, or a call that draws need", "memory and compute")
+        refuse(
+            rules.DEVICE_CAPABILITY,
+            "the numpy backend",
+            "a draw, or a call that draws need",
+            "memory and compute",
+        )
 
     create_vertex_array = set_states = draw = draw_indirect = resolve_texture = _refuse
     bind_texture = bind_image = begin_query = end_query = begin_conditional = end_conditional = _refuse

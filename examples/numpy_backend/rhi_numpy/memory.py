@@ -1,8 +1,8 @@
 """Buffers and textures as arrays.
 
-A buffer is an array of bytes. A level of a texture is an array (layers, height, width, channels) like the one that
-`Texture.read` returns, top row first. Depth is float32, limited to the values that its format can store; stencil is a
-separate array.
+A buffer is an array of bytes. A level of a texture is an array (layers, height, width, channels) like the one
+that `Texture.read` returns, top row first. Depth is float32, limited to the values that its format can store;
+stencil is a separate array.
 """
 
 from __future__ import annotations
@@ -84,7 +84,9 @@ class Memory:
         texels = np.ascontiguousarray(self.box(texture, level, region))
         return texels.view(np.uint8).reshape(region.layers * region.height, -1)
 
-    def buffer_rows(self, buffer: Id, offset: int, row_bytes: int, like: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def buffer_rows(
+        self, buffer: Id, offset: int, row_bytes: int, like: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
         """Return a view of rows of a buffer that begin `row_bytes` apart, in the shape of `like`."""
         count, size = like.shape
         memory = self.buffers[buffer][offset : offset + (count - 1) * row_bytes + size]
@@ -107,7 +109,9 @@ class Memory:
             return
         stored = self.textures[depth.texture]
         if depth.clear is not None:
-            stored.levels[depth.level][depth.layer] = encode(stored.descriptor.format, np.array([depth.clear]))
+            stored.levels[depth.level][depth.layer] = encode(
+                stored.descriptor.format, np.array([depth.clear])
+            )
         if depth.clear_stencil is not None:
             stored.stencil[depth.level][depth.layer] = depth.clear_stencil
 

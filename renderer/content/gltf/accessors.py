@@ -1,7 +1,8 @@
 """Accessors: arrays in the buffers of a glTF file.
 
-An accessor is a view of its buffer wherever that is possible: strides (interleaved vertices), offsets and component
-types are NumPy's. Only sparse and normalised accessors are copied. Each is read once, whatever refers to it.
+An accessor is a view of its buffer wherever that is possible: strides (interleaved vertices), offsets and
+component types are NumPy's. Only sparse and normalised accessors are copied. Each is read once, whatever
+refers to it.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ class Accessors:
         return elements[:, 0] if kind == "SCALAR" else elements
 
     def floats(self, number: int, types: tuple[str, ...] | str) -> NDArray[np.float32]:
-        """Return the elements (n, size) of an accessor as float32: normalised integers are in -1 to 1 or 0 to 1."""
+        """Return the elements (n, size) of an accessor as float32: normalised integers are in -1 to 1 or 0 to
+        1."""
         array = self.array(number, types)
         if array.dtype.kind == "f":
             return array
@@ -136,9 +138,14 @@ class Accessors:
         if rows.max() >= len(base):
             where.refuse("", f"index {rows.max()}", f"0 to {len(base) - 1}")
         values = self._elements(
-            what, what.index("bufferView", views, required=True), what.whole("byteOffset", 0), count, base.dtype,
-            base.shape[1], 0,
-        )  # fmt: skip
+            what,
+            what.index("bufferView", views, required=True),
+            what.whole("byteOffset", 0),
+            count,
+            base.dtype,
+            base.shape[1],
+            0,
+        )
         changed = base.copy()
         changed[rows] = values
         return changed
@@ -152,4 +159,6 @@ def _component(fields: JsonObject) -> np.dtype[Any]:
 
 
 def _list_components(kinds: str) -> str:
-    return ", ".join(f"{number} ({dtype.name})" for number, dtype in _COMPONENTS.items() if dtype.kind in kinds)
+    return ", ".join(
+        f"{number} ({dtype.name})" for number, dtype in _COMPONENTS.items() if dtype.kind in kinds
+    )

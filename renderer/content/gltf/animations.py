@@ -1,8 +1,8 @@
 """Animations of a glTF file as clips of tracks, and the motion of the nodes that they move.
 
-All animations of a file are played together, each from its beginning when it has ended, unless an earlier one that is
-played moves the same part of the same node: many exporters write an animation for each object. Others wait until
-someone plays them (`renderer.scene.clips`).
+All animations of a file are played together, each from its beginning when it has ended, unless an earlier one
+that is played moves the same part of the same node: many exporters write an animation for each object. Others
+wait until someone plays them (`renderer.scene.clips`).
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions, cl
         samplers = animation.children("samplers")
         channels = animation.children("channels")
         used = [channel.index("sampler", len(samplers), required=True) for channel in channels]
-        times = {n: accessors.times(samplers[n].index("input", len(accessors), required=True)) for n in set(used)}
+        times = {
+            n: accessors.times(samplers[n].index("input", len(accessors), required=True)) for n in set(used)
+        }
         moved: dict[tuple[int, int], Track] = {}
         for channel, number in zip(channels, used, strict=True):
             target = channel.child("target")
@@ -111,4 +113,6 @@ def _read_track(sampler: JsonObject, accessors: Accessors, target: int, times: F
     if len(values) != keys * parts * max(per_key, 1):
         accessors.fields[number].refuse("count", len(values), f"{keys * parts}, for {keys} keys")
     size = per_key if target == WEIGHTS else values.shape[1]
-    return Track(target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), clip)
+    return Track(
+        target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), clip
+    )

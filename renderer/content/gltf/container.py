@@ -1,7 +1,8 @@
-"""The two containers of glTF 2.0: `.gltf`, JSON that names its buffers, and `.glb`, JSON and a buffer in one file.
+"""The two containers of glTF 2.0: `.gltf`, JSON that names its buffers, and `.glb`, JSON and a buffer in one
+file.
 
-A `GltfFile` is opened by its first bytes, not by its extension. Buffers are read when they are first used, and only
-then checked, so that what nothing refers to isn't read.
+A `GltfFile` is opened by its first bytes, not by its extension. Buffers are read when they are first used,
+and only then checked, so that what nothing refers to isn't read.
 """
 
 from __future__ import annotations
@@ -97,14 +98,19 @@ class GltfFile:
             else:
                 others = ", ".join(fields.child("extensions").values)  # such as EXT_meshopt_compression
                 problem = f"missing, with {others}" if others else "missing"
-                fields.refuse("uri", problem, "the buffer's file, or data:…;base64,…", EXPORT_TIP if others else "")
+                fields.refuse(
+                    "uri", problem, "the buffer's file, or data:…;base64,…", EXPORT_TIP if others else ""
+                )
             if len(data) < length:
-                fields.refuse("byteLength", f"{length:,}", f"{len(data):,}, the bytes that are there, or less")
+                fields.refuse(
+                    "byteLength", f"{length:,}", f"{len(data):,}, the bytes that are there, or less"
+                )
             self._buffers[number] = data[:length]
         return self._buffers[number]
 
     def read(self, fields: JsonObject) -> ByteArray:
-        """Return the bytes that the field `uri` names: a file beside this one, or data in the field itself."""
+        """Return the bytes that the field `uri` names: a file beside this one, or data in the field
+        itself."""
         uri = fields.text("uri")
         if uri.startswith("data:"):
             header, _, data = uri.partition(",")
@@ -120,7 +126,9 @@ class GltfFile:
         file = self.budget.find(file)
         self.files.append(file)  # also if it is missing: it may be saved later
         if not self.budget.allows(file):
-            allowed = f"a file in {self._folder.resolve()}, unless ModelLimits(outside=True) or {self.path}:outside"
+            allowed = (
+                f"a file in {self._folder.resolve()}, unless ModelLimits(outside=True) or {self.path}:outside"
+            )
             fields.refuse("uri", uri, allowed)
         try:
             content = np.frombuffer(self.budget.read(file), np.uint8)

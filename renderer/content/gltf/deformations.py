@@ -1,12 +1,12 @@
 """Skins and morph targets: meshes whose vertices are computed where they are drawn.
 
-A vertex is its position plus the weighted offsets of the mesh's targets, then the weighted mean of where the joints of
-the skin take it. Vertices of a skin are relative to the nearest node above all joints that never moves, and that is
-where the object is placed; glTF ignores the mesh's own node.
+A vertex is its position plus the weighted offsets of the mesh's targets, then the weighted mean of where the
+joints of the skin take it. Vertices of a skin are relative to the nearest node above all joints that never
+moves, and that is where the object is placed; glTF ignores the mesh's own node.
 
-Both have bounds that hold at all times. A skinned vertex lies between the points where its joints take it, so it is
-within the boxes that these sweep; an offset vertex is between the extremes of each weight. Normals are turned with the
-vertices; tangents stay as they are.
+Both have bounds that hold at all times. A skinned vertex lies between the points where its joints take it, so
+it is within the boxes that these sweep; an offset vertex is between the extremes of each weight. Normals are
+turned with the vertices; tangents stay as they are.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ class NodeTree:
         return anchor
 
     def sweep(self, row: int, anchor: int, box: MeshBounds) -> MeshBounds:
-        """Return a box in the space of `anchor` that holds at all times a box in the space of the node `row`."""
+        """Return a box in the space of `anchor` that holds at all times a box in the space of the node
+        `row`."""
         while row != anchor:
             if self.motion is not None and self.member[row] >= 0:
                 box = self.motion.reach(int(self.member[row]), *box)
@@ -91,9 +92,11 @@ class NodeTree:
         return box
 
     def compute_bounds(self, contents: Sequence[tuple[int, MeshBounds]]) -> MeshBounds:
-        """Return the boxes (k, 3) that hold at all times what is at the animated nodes, down to the next ones.
+        """Return the boxes (k, 3) that hold at all times what is at the animated nodes, down to the next
+        ones.
 
-        They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
+        They are in the space of the first node above that isn't animated. `contents` are boxes, each at a
+        node.
         """
         boxes_of_nodes: dict[int, list[MeshBounds]] = {}
         for row, box in contents:
@@ -161,7 +164,8 @@ class DeformedMesh:
     Attributes:
         geometry: the mesh as it stands in the file.
         offsets: (t, v, 3) of positions and of normals. weights: theirs, with their tracks.
-        joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a skin.
+        joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a
+            skin.
     """
 
     geometry: MeshGeometry
@@ -189,17 +193,23 @@ class DeformedMesh:
         if self.skeleton is not None and self.joints is not None and self.joint_weights is not None:
             matrices = self.skeleton.matrices(seconds)[:, :3]
             blend = np.einsum("vk,vkij->vij", self.joint_weights, matrices[self.joints])
-            deformed["position"] = np.einsum("vij,vj->vi", blend[:, :, :3], deformed["position"]) + blend[:, :, 3]
+            deformed["position"] = (
+                np.einsum("vij,vj->vi", blend[:, :, :3], deformed["position"]) + blend[:, :, 3]
+            )
             deformed["normal"] = np.einsum("vij,vj->vi", blend[:, :, :3], deformed["normal"])
         length = np.linalg.norm(deformed["normal"], axis=1, keepdims=True)
-        deformed["normal"] = np.where(length > 1e-20, deformed["normal"] / np.maximum(length, 1e-20), (0.0, 1.0, 0.0))
+        deformed["normal"] = np.where(
+            length > 1e-20, deformed["normal"] / np.maximum(length, 1e-20), (0.0, 1.0, 0.0)
+        )
         return deformed
 
     def bounds(self) -> MeshBounds:
         """Return a box that holds all vertices at all times."""
         position = self.geometry.vertices["position"].astype(np.float64)
         least, most = self.weights.value_bounds(0)
-        ends = np.stack([least[:, None, None] * self.position_offsets, most[:, None, None] * self.position_offsets])
+        ends = np.stack(
+            [least[:, None, None] * self.position_offsets, most[:, None, None] * self.position_offsets]
+        )
         low, high = position + ends.min(0).sum(0), position + ends.max(0).sum(0)
         boxes: list[MeshBounds] = []
         if self.skeleton is None or self.joints is None or self.joint_weights is None:
@@ -209,7 +219,9 @@ class DeformedMesh:
                 is_moved = ((self.joints == number) & (self.joint_weights > 0.0)).any(1)
                 if is_moved.any():
                     corners = low[is_moved].min(0)[None], high[is_moved].max(0)[None]
-                    below, above = transform_bounds(self.skeleton.inverse_bind_matrices[number][None], *corners)
+                    below, above = transform_bounds(
+                        self.skeleton.inverse_bind_matrices[number][None], *corners
+                    )
                     boxes.append(self.skeleton.tree.sweep(joint, self.skeleton.anchor, (below[0], above[0])))
         lower, upper = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
         slack = _ROUNDING * max(float(np.abs([lower, upper]).max()), 1e-30)
@@ -296,7 +308,10 @@ def read_deformed(
             index = target.index(name, len(accessors))
             if index >= 0:
                 differences = accessors.floats(index, "VEC3")
-                if len(differences) <= int(mesh.vertex_indices.max()) or not (np.abs(differences) <= 1e30).all():
+                if (
+                    len(differences) <= int(mesh.vertex_indices.max())
+                    or not (np.abs(differences) <= 1e30).all()
+                ):
                     target.refuse(name, f"{len(differences)} offsets", "a finite one for each vertex")
                 changed[number] = differences[mesh.vertex_indices]
     moved = PropertyTracks(tracks, np.zeros(len(tracks), np.int64), weights[None], clips)

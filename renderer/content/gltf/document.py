@@ -1,7 +1,7 @@
 """Values of a JSON document, read with their path in the file, so that every refusal names it.
 
-`JsonObject` is one object of the document. Its methods return a value of the wanted kind, or refuse the file with one
-line: what stands where, and what is allowed there. So no reader checks a type or a range by itself.
+`JsonObject` is one object of the document. Its methods return a value of the wanted kind, or refuse the file
+with one line: what stands where, and what is allowed there. So no reader checks a type or a range by itself.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class JsonObject:
 
     Attributes:
         file: the path as the user gave it.
-        where: the object's place in the document, such as `meshes[3].primitives[0]`; empty for the document itself.
+        where: the object's place in the document, such as `meshes[3].primitives[0]`; empty for the document
+            itself.
         values: the object.
     """
 
@@ -39,8 +40,8 @@ class JsonObject:
         return f"{self.where}.{name}" if self.where else name
 
     def refuse(self, name: str, value: object, allowed: str = "", tip: str = "") -> NoReturn:
-        """Refuse the file because of the field `name`; an empty name means the object itself. `tip` takes the place
-        of the rule's."""
+        """Refuse the file because of the field `name`; an empty name means the object itself. `tip` takes the
+        place of the rule's."""
         text = value if isinstance(value, str) else repr(value)
         text = text if len(text) <= _MAX_SHOWN_LENGTH else f"{text[:_MAX_SHOWN_LENGTH]}…"
         path_of = self.path_of(name) if name else self.where
@@ -55,7 +56,9 @@ class JsonObject:
     def __contains__(self, name: str) -> bool:
         return name in self.values
 
-    def real(self, name: str, default: float | None = None, low: float = -np.inf, high: float = np.inf) -> float:
+    def real(
+        self, name: str, default: float | None = None, low: float = -np.inf, high: float = np.inf
+    ) -> float:
         """Return a finite number from `low` to `high`; without a default it must be there."""
         value = self.values.get(name, default)
         if not _is_number(value) or not low <= value <= high:
@@ -77,7 +80,9 @@ class JsonObject:
             return -1
         value = self.values.get(name)
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
-            self.refuse(name, _describe_value(value), f"0 to {count - 1}" if count else "nothing: the file has none")
+            self.refuse(
+                name, _describe_value(value), f"0 to {count - 1}" if count else "nothing: the file has none"
+            )
         return value
 
     def indices(self, name: str, count: int) -> list[int]:
@@ -137,7 +142,9 @@ class JsonObject:
         for number, values in enumerate(elements):
             if not isinstance(values, dict):
                 self.refuse(f"{name}[{number}]", values, "an object")
-        return [JsonObject(self.file, f"{path_of}[{number}]", values) for number, values in enumerate(elements)]
+        return [
+            JsonObject(self.file, f"{path_of}[{number}]", values) for number, values in enumerate(elements)
+        ]
 
     def extension(self, name: str) -> JsonObject | None:
         """Return the object of the extension `name`, or None if this object hasn't got it."""

@@ -1,15 +1,16 @@
 """Properties of a scene that glTF has no words for, kept in `extras` of the file under the key `rhi`.
 
-Other programs ignore it, or carry it along. `save_scene` writes it and the reader reads it; both use the names here. It
-never says twice what glTF says, so that a file that another program has changed is read as it was changed.
+Other programs ignore it, or carry it along. `save_scene` writes it and the reader reads it; both use the
+names here. It never says twice what glTF says, so that a file that another program has changed is read as it
+was changed.
 
-- of the scene: background, haze, ambient light, camera paths; which nodes may move or are hidden, the order of the
-  objects, which objects cast no shadow.
-- of a material of the specular model: its four parameters, and emission as a multiple of the base colour. What glTF can
-  say is written beside it as a likeness for other programs.
+- of the scene: background, haze, ambient light, camera paths; which nodes may move or are hidden, the order
+  of the objects, which objects cast no shadow.
+- of a material of the specular model: its four parameters, and emission as a multiple of the base colour.
+  What glTF can say is written beside it as a likeness for other programs.
 - of a camera: that its far plane only stands for none.
-- of a light: whether it casts a shadow, and the radius of its source. Of a node: that it only holds a light or a
-  camera, and is none of the scene's.
+- of a light: whether it casts a shadow, and the radius of its source. Of a node: that it only holds a light
+  or a camera, and is none of the scene's.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ _Color = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneExtras:
-    """The properties of a scene besides its parts: `background`, `haze`, the ambient light `sky` and `ground`, and
-    `paths`."""
+    """The properties of a scene besides its parts: `background`, `haze`, the ambient light `sky` and
+    `ground`, and `paths`."""
 
     background: _Color
     haze: float
@@ -52,7 +53,9 @@ def get_extras(fields: JsonObject) -> JsonObject | None:
     """Return the fields that `save_scene` has written to the extras of an object, or None."""
     extras = fields.values.get("extras")
     values = extras.get(KEY) if isinstance(extras, dict) else None
-    return JsonObject(fields.file, f"{fields.where}.extras.{KEY}", values) if isinstance(values, dict) else None
+    return (
+        JsonObject(fields.file, f"{fields.where}.extras.{KEY}", values) if isinstance(values, dict) else None
+    )
 
 
 def primitive_name(primitive: JsonObject, name: str) -> str:
@@ -90,7 +93,9 @@ def _write_path(name: str, path: CameraPath) -> dict[str, Any]:
     projection = path.projection
     assert isinstance(projection, Perspective | Orthographic)
     kind = (
-        {"perspective": projection.fov} if isinstance(projection, Perspective) else {"orthographic": projection.height}
+        {"perspective": projection.fov}
+        if isinstance(projection, Perspective)
+        else {"orthographic": projection.height}
     )
     far = {} if np.isinf(projection.far) else {"far": projection.far}
     rest = {"aspect": projection.aspect, "near": projection.near, **far, "depth": projection.depth.value}
@@ -101,7 +106,11 @@ def _write_path(name: str, path: CameraPath) -> dict[str, Any]:
 def _read_path(fields: JsonObject) -> CameraPath:
     is_parallel = "orthographic" in fields
     near = fields.real("near", low=-np.inf if is_parallel else 1e-30)
-    far = fields.real("far", low=float(np.nextafter(near, np.inf))) if is_parallel or "far" in fields else np.inf
+    far = (
+        fields.real("far", low=float(np.nextafter(near, np.inf)))
+        if is_parallel or "far" in fields
+        else np.inf
+    )
     aspect, depth = (
         fields.real("aspect", low=1e-9),
         Depth(fields.choice("depth", [is_constant.value for is_constant in Depth])),

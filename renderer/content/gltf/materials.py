@@ -1,7 +1,7 @@
 """Materials, textures, images and samplers of a glTF file.
 
-Images are collected first and decoded together, in threads. One that is missing or can't be decoded is left out, and
-materials go without it: the rest of the file can still be seen, and the report says what is missing.
+Images are collected first and decoded together, in threads. One that is missing or can't be decoded is left
+out, and materials go without it: the rest of the file can still be seen, and the report says what is missing.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ WRAPS: Final = {10497: Wrap.REPEAT, 33071: Wrap.CLAMP, 33648: Wrap.MIRROR}
 
 _READ: Final = {name for name, user in EXTENSIONS.items() if user == "material"}
 _STRONGEST: Final = 1e6  # of emitted light
-_UNLIT: Final = 2.0**19  # times what an unlit material reflects of light, it emits; a power of two rounds nothing
+_UNLIT: Final = (
+    2.0**19
+)  # times what an unlit material reflects of light, it emits; a power of two rounds nothing
 _DEFAULT: Final = {"base_color": (1.0, 1.0, 1.0), "metallic": 1.0, "roughness": 1.0}
 
 
@@ -70,13 +72,16 @@ class Materials:
             self.get(number)
 
     def get(self, number: int, is_unlit: bool = False) -> int:
-        """Return the id of a material of the file, or of the default one for -1; or of its unlit likeness. What isn't
-        there yet is added."""
+        """Return the id of a material of the file, or of the default one for -1; or of its unlit likeness.
+        What isn't there yet is added."""
         key = number, is_unlit
         if key not in self._material_ids:
             values, textures = self._read_values[number]
             if is_unlit:
-                values, textures = _make_unlit(values), {name: textures[name] for name in textures.keys() & {"texture"}}
+                values, textures = (
+                    _make_unlit(values),
+                    {name: textures[name] for name in textures.keys() & {"texture"}},
+                )
             self._material_ids[key] = self.builder.add_material(**values, **textures)
         return self._material_ids[key]
 
@@ -113,7 +118,9 @@ class Materials:
         extras = get_extras(fields)
         return (values if extras is None else _restore(extras, values, maps)), maps
 
-    def _read_map(self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, holder: JsonObject, field: str) -> bool:
+    def _read_map(
+        self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, holder: JsonObject, field: str
+    ) -> bool:
         """Note the texture that a field of `holder` describes under `name`, if it has that field."""
         if field not in holder:
             return False
@@ -164,19 +171,23 @@ class Materials:
 
 
 def _make_unlit(values: dict[str, Any]) -> dict[str, Any]:
-    """Return a material that emits its base colour. Textures and colours of vertices multiply the base colour, so it
-    is a small one that is emitted many times; what it reflects can't be seen."""
+    """Return a material that emits its base colour. Textures and colours of vertices multiply the base
+    colour, so it is a small one that is emitted many times; what it reflects can't be seen."""
     if values.get("emission"):
         return values
     *color, alpha = (float(value) for value in values["base_color"])
-    return {name: values[name] for name in ("alpha_mode", "alpha_cutoff", "double_sided") if name in values} | {
+    return {
+        name: values[name] for name in ("alpha_mode", "alpha_cutoff", "double_sided") if name in values
+    } | {
         "base_color": (*(value / _UNLIT for value in color), alpha),
         "specular_color": (0.0, 0.0, 0.0),
         "emission": _UNLIT,
     }
 
 
-def _restore(extras: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
+def _restore(
+    extras: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]
+) -> dict[str, Any]:
     """Return a material's values, with the saved originals of values that glTF can only approximate."""
     restored = dict(values)
     if "emission" in extras:
@@ -198,7 +209,9 @@ def _restore(extras: JsonObject, values: dict[str, Any], maps: dict[str, tuple[i
     return restored
 
 
-def _colors(fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4) -> NDArray[np.float64]:
+def _colors(
+    fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4
+) -> NDArray[np.float64]:
     color = fields.reals(name, size, (default,) * size)
     if not ((color >= 0.0) & (color <= high)).all():
         fields.refuse(name, color.tolist(), "0 to 1")

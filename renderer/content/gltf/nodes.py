@@ -1,7 +1,7 @@
 """The nodes of a glTF scene: hierarchy, transforms, cameras and lights.
 
-Nodes are listed by depth and then by their number in the file, which is the order of the rows of a scene. Each node
-has one parent at most and none is above itself: a file in which that isn't so is refused.
+Nodes are listed by depth and then by their number in the file, which is the order of the rows of a scene.
+Each node has one parent at most and none is above itself: a file in which that isn't so is refused.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from renderer.scene.omissions import Omissions
 from rhi.math import Camera, Orthographic, Perspective, multiply
 
 CANDELA: Final = 1.0 / np.pi
-"""Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in glTF, and
-all of it here."""
+"""Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in
+glTF, and all of it here."""
 
 _FAINT: Final = 1.0 / 512.0  # what a light without a range gives at the range that it gets
 _FARTHEST: Final = 1e6  # metres: the greatest of these ranges
@@ -58,7 +58,9 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
     for number, below in enumerate(children):
         for position, child in enumerate(below):
             if above[child] >= 0:
-                nodes[number].refuse(f"children[{position}]", f"{child} is also a child of nodes[{above[child]}]")
+                nodes[number].refuse(
+                    f"children[{position}]", f"{child} is also a child of nodes[{above[child]}]"
+                )
             above[child] = number
     scenes = root.children("scenes")
     if scenes:
@@ -92,12 +94,15 @@ def compute_world_transforms(nodes: list[GltfNode]) -> Floats:
     for row, node in enumerate(nodes):
         worlds[row] = node.local if node.parent < 0 else multiply(worlds[node.parent], node.local)
         if np.abs(worlds[row]).max() > _LARGEST_WORLD:
-            node.fields.refuse("", f"a world transform up to {np.abs(worlds[row]).max():g}", f"{_LARGEST_WORLD:g}")
+            node.fields.refuse(
+                "", f"a world transform up to {np.abs(worlds[row]).max():g}", f"{_LARGEST_WORLD:g}"
+            )
     return worlds
 
 
 def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
-    """Return a camera of the file at a node, or None if it looks nowhere; a camera looks along -Z of its node."""
+    """Return a camera of the file at a node, or None if it looks nowhere; a camera looks along -Z of its
+    node."""
     if fields.choice("type", ("perspective", "orthographic")) == "perspective":
         perspective = fields.child("perspective")
         near = perspective.real("znear", low=1e-12)
@@ -152,7 +157,9 @@ class LightCollector:
             faint = float(np.sqrt(row["intensity"] * color.max() / _FAINT))
             row["position"] = world[:3, 3]
             row["range"] = fields.real("range", min(max(faint, 1e-3), _FARTHEST), 1e-30)
-            row["source_radius"] = 0.0 if extras is None else extras.real("source_radius", 0.0, 0.0, row["range"])
+            row["source_radius"] = (
+                0.0 if extras is None else extras.real("source_radius", 0.0, 0.0, row["range"])
+            )
         assert kind.gltf is not None
         row |= kind.gltf.read(fields)
         self._rows[kind.gltf.type].append(row)
@@ -192,7 +199,8 @@ def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:
 
 
 def _axes(world: Floats) -> Floats | None:
-    """Return the axes (3, 3) of a node as rows: right, up and back, of unit length; None if they aren't axes."""
+    """Return the axes (3, 3) of a node as rows: right, up and back, of unit length; None if they aren't
+    axes."""
     axes = world[:3, :3].T.copy()
     if np.abs(axes @ axes.T - np.eye(3)).max() <= _ORTHONORMAL:
         return axes

@@ -1,9 +1,10 @@
 """Primitives of glTF as meshes of the renderer: triangles, and the solids that points and lines become
 (`renderer.content.gltf.solids`).
 
-Two primitives with the same accessors are one mesh, whatever their materials. A primitive that uses less than half of
-the vertices of its accessors, as when many share one array, gets a copy of those that it uses. Missing normals are
-flat, as glTF demands; single ones that aren't directions are computed from the triangles around them.
+Two primitives with the same accessors are one mesh, whatever their materials. A primitive that uses less than
+half of the vertices of its accessors, as when many share one array, gets a copy of those that it uses.
+Missing normals are flat, as glTF demands; single ones that aren't directions are computed from the triangles
+around them.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ _UNIT: Final = 1e-4  # deviation of a squared length from 1 beyond which a norma
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PrimitiveMesh:
-    """A primitive's triangles, and the `vertex_indices` (v,) of its accessors that its vertices were read from."""
+    """A primitive's triangles, and the `vertex_indices` (v,) of its accessors that its vertices were read
+    from."""
 
     geometry: MeshGeometry
     vertex_indices: Indices
@@ -67,7 +69,8 @@ class Primitives:
         return False
 
     def is_unlit(self, primitive: JsonObject) -> bool:
-        """Return whether a primitive isn't lit, whatever its material: glTF's points and lines without normals."""
+        """Return whether a primitive isn't lit, whatever its material: glTF's points and lines without
+        normals."""
         return self._mode(primitive) < TRIANGLES and "NORMAL" not in primitive.child("attributes")
 
     def key(self, primitive: JsonObject) -> object:
@@ -88,13 +91,18 @@ class Primitives:
         mode = self._mode(primitive)
         attributes = primitive.child("attributes")
         packed = primitive.extension("KHR_draco_mesh_compression")
-        if packed is not None and "bufferView" not in self.accessors.fields[self._number(attributes, "POSITION")]:
+        if (
+            packed is not None
+            and "bufferView" not in self.accessors.fields[self._number(attributes, "POSITION")]
+        ):
             packed.refuse("", "the vertices are there only compressed", "also as accessors", EXPORT_TIP)
         for name in sorted(attributes.values.keys() - ATTRIBUTES.keys()):
             if name not in ("JOINTS_0", "WEIGHTS_0"):
                 self.omissions.add(f"vertex attribute {name}", attributes.where)
         columns = {
-            name: self._column(attributes, name, types) for name, (_, types) in ATTRIBUTES.items() if name in attributes
+            name: self._column(attributes, name, types)
+            for name, (_, types) in ATTRIBUTES.items()
+            if name in attributes
         }
         count = len(columns["POSITION"])
         for name, column in columns.items():
@@ -103,7 +111,9 @@ class Primitives:
         used = self._corners(primitive, count)
         self.accessors.file.budget.spend("vertices", count + len(used))
         if mode < TRIANGLES:
-            return self._make_solids(primitive, columns, list_ends(used, mode), SEGMENT if mode >= LINES else POINT)
+            return self._make_solids(
+                primitive, columns, list_ends(used, mode), SEGMENT if mode >= LINES else POINT
+            )
         corners = _list_triangles(used, mode)
         if not len(corners):
             self.omissions.add("primitives without a triangle", primitive.where)
@@ -117,7 +127,11 @@ class Primitives:
         return PrimitiveMesh(self._assemble(attributes, columns, rows, corners), rows)
 
     def _make_solids(
-        self, primitive: JsonObject, columns: dict[str, NDArray[np.float32]], ends: NDArray[np.uint32], solid: Solid
+        self,
+        primitive: JsonObject,
+        columns: dict[str, NDArray[np.float32]],
+        ends: NDArray[np.uint32],
+        solid: Solid,
     ) -> PrimitiveMesh | None:
         """Return the solids of points or lines with these `ends`, or None if there are none."""
         if not len(ends):
@@ -146,7 +160,9 @@ class Primitives:
         corners = self.accessors.array(number, "SCALAR", "u")
         if int(corners.max()) >= count:
             worst = int(np.argmax(corners >= count))
-            self.accessors.fields[number].refuse("", f"element {worst} is index {corners[worst]}", f"0 to {count - 1}")
+            self.accessors.fields[number].refuse(
+                "", f"element {worst} is index {corners[worst]}", f"0 to {count - 1}"
+            )
         return corners.astype(np.uint32)
 
     def _assemble(
@@ -158,7 +174,8 @@ class Primitives:
         outward: Floats | None = None,
         radius: float = 0.0,
     ) -> MeshGeometry:
-        """Return the mesh of the vertices `rows`; vertices of solids are moved `outward` (v, 3) by `radius`."""
+        """Return the mesh of the vertices `rows`; vertices of solids are moved `outward` (v, 3) by
+        `radius`."""
         position = columns["POSITION"][rows]
         if outward is not None:
             with np.errstate(over="ignore"):
@@ -169,7 +186,8 @@ class Primitives:
             refuse(
                 rules.BAD_VERTICES,
                 f"load_model({attributes.file!r})",
-                f"{attributes.file}: {attributes.path_of('POSITION')}: vertex {worst} is {columns['POSITION'][worst]}",
+                f"{attributes.file}: {attributes.path_of('POSITION')}: vertex {worst} is "
+                f"{columns['POSITION'][worst]}",
                 "finite numbers",
             )
         more = {ATTRIBUTES[name][0] for name in columns} - set(VERTEX.names or ())
@@ -230,7 +248,8 @@ def _list_triangles(corners: NDArray[np.uint32], mode: int) -> NDArray[np.uint32
 
 
 def _used_vertices(corners: NDArray[np.uint32], count: int) -> tuple[Indices, NDArray[np.uint32]]:
-    """Return the rows of the vertices to keep, and the indices of these: all rows, if at least half are used."""
+    """Return the rows of the vertices to keep, and the indices of these: all rows, if at least half are
+    used."""
     if len(corners) * 2 >= count:
         used = np.zeros(count, bool)
         used[corners] = True

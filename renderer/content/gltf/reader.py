@@ -1,11 +1,12 @@
 """glTF 2.0 files as scenes.
 
-A file is read in this order: materials with their images, meshes, nodes with objects, cameras and lights, animations.
-What is broken is refused in one line that names the place in the file (`renderer.content.gltf.document`). What is
-whole but has no place in a scene is left out and listed (`Scene.omissions`).
+A file is read in this order: materials with their images, meshes, nodes with objects, cameras and lights,
+animations. What is broken is refused in one line that names the place in the file
+(`renderer.content.gltf.document`). What is whole but has no place in a scene is left out and listed
+(`Scene.omissions`).
 
-Meshes have the order of their accessors, nodes that of their depth and then of the file, objects that of their nodes.
-So a scene that `save_scene` has written is read back row by row.
+Meshes have the order of their accessors, nodes that of their depth and then of the file, objects that of
+their nodes. So a scene that `save_scene` has written is read back row by row.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> 
 
 @dataclass(frozen=True, slots=True)
 class _GltfPart:
-    """A primitive of a mesh `holder` of the file, its mesh in the scene, and its material in the file or -1."""
+    """A primitive of a mesh `holder` of the file, its mesh in the scene, and its material in the file or
+    -1."""
 
     holder: JsonObject
     primitive: JsonObject
@@ -96,13 +98,16 @@ class _GltfReader:
         self._has_nodes = bool(nodes)
         tracks = read_tracks(self._root, self._accessors, self._omissions, self._builder.clips)
         worlds = compute_world_transforms(nodes)
-        tree = deformations.NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips))
+        tree = deformations.NodeTree.make(
+            nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips)
+        )
         self._add_nodes(tree, tracks)
         self._add_cameras(nodes, worlds, tree.moves)
         self._add_lights(nodes, worlds, tree.moves)
 
     def explain_emptiness(self) -> str:
-        """Return why nothing of the file is drawn; an empty text if it has only lights, cameras or empty nodes."""
+        """Return why nothing of the file is drawn; an empty text if it has only lights, cameras or empty
+        nodes."""
         nodes, scenes = self._root.children("nodes"), self._root.children("scenes")
         if not self._meshes:
             return "" if self._has_nodes else "it has no meshes, and its scene has no nodes"
@@ -130,7 +135,9 @@ class _GltfReader:
             for primitive in primitives:
                 attributes = primitive.child("attributes")
                 first = attributes.index("POSITION", len(self._accessors))
-                firsts.setdefault(reader.key(primitive), (first, number, primitive, primitive_name(primitive, name)))
+                firsts.setdefault(
+                    reader.key(primitive), (first, number, primitive, primitive_name(primitive, name))
+                )
         mesh_ids: dict[object, int] = {}
         is_saved = self.scene_extras is not None  # then equal meshes were several in the scene, and stay so
         added: set[int] = set()

@@ -1,13 +1,13 @@
 """Points and lines of glTF as small solids of triangles.
 
-Every draw list, light volume, shadow map and occluder of the renderer consists of triangles, so points and lines that
-are made of triangles when they are read are drawn, lit, culled and shadowed by all that is there. A point becomes an
-octahedron, and a segment one that is pulled apart at its middle, from one end to the other. Its tips reach beyond its
-ends, so bent lines have no gaps, and a segment without a length is a point.
+Every draw list, light volume, shadow map and occluder of the renderer consists of triangles, so points and
+lines that are made of triangles when they are read are drawn, lit, culled and shadowed by all that is there.
+A point becomes an octahedron, and a segment one that is pulled apart at its middle, from one end to the
+other. Its tips reach beyond its ends, so bent lines have no gaps, and a segment without a length is a point.
 
-glTF leaves the width to the program. Here it is in the space of the mesh, not in pixels, so that it is the same in
-shadows and in both eyes: the radius is `_RADIUS` of the diagonal of the box around the primitive's points. Where they
-are all at one place, it is `_POINT_RADIUS`.
+glTF leaves the width to the program. Here it is in the space of the mesh, not in pixels, so that it is the
+same in shadows and in both eyes: the radius is `_RADIUS` of the diagonal of the box around the primitive's
+points. Where they are all at one place, it is `_POINT_RADIUS`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class Solid:
 
     Attributes:
         directions: (k, 3), where the vertices lie from their end; the first axis leads along the segment.
-        ends: (k,), the end of each vertex: 0, or 1. faces: (f, 3), the triangles, counter-clockwise from outside.
+        ends: (k,), the end of each vertex: 0, or 1. faces: (f, 3), the triangles, counter-clockwise from
+            outside.
     """
 
     directions: Floats
@@ -62,8 +63,9 @@ class Solid:
     def make_vertices(
         self, positions: NDArray[np.float32], ends: NDArray[np.uint32]
     ) -> tuple[Indices, Indices, Floats, float]:
-        """Return for solids with `ends` (s, 1 or 2), rows of `positions` (v, 3): the row of each of their vertices,
-        (k * s,), their triangles (f * s, 3), which way each vertex lies from its row, (k * s, 3), and how far."""
+        """Return for solids with `ends` (s, 1 or 2), rows of `positions` (v, 3): the row of each of their
+        vertices, (k * s,), their triangles (f * s, 3), which way each vertex lies from its row, (k * s, 3),
+        and how far."""
         points = positions[ends].astype(np.float64)
         with np.errstate(invalid="ignore"):
             along = points[:, -1] - points[:, 0]

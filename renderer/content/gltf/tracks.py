@@ -1,9 +1,10 @@
 """Animations of nodes: keys on tracks, evaluated all at once, and how far they move what hangs on them.
 
-A track animates the translation, the rotation or the scale of one node in a clip. The keys of all tracks lie in one
-array in which each track begins after the end of the one before, so that one binary search finds the keys of every
-track. Between two keys a track is constant, linear (rotations follow the great circle) or a cubic Hermite curve, as in
-glTF. What several clips move is the mean by their weights; of rotations, that of quaternions on the same side.
+A track animates the translation, the rotation or the scale of one node in a clip. The keys of all tracks lie
+in one array in which each track begins after the end of the one before, so that one binary search finds the
+keys of every track. Between two keys a track is constant, linear (rotations follow the great circle) or a
+cubic Hermite curve, as in glTF. What several clips move is the mean by their weights; of rotations, that of
+quaternions on the same side.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class Track:
         target: TRANSLATION, ROTATION, SCALE or WEIGHTS.
         kind: STEP, LINEAR or CUBIC.
         times: (k,) seconds, ascending.
-        values: (k, size); of a cubic track (k, 3, size): the tangent before each key, its value, the tangent after it.
+        values: (k, size); of a cubic track (k, 3, size): the tangent before each key, its value, the tangent
+            after it.
         clip: the row of the clip that it belongs to.
     """
 
@@ -86,7 +88,9 @@ class PropertyTracks:
         none = np.zeros((0, rest.shape[1]))
         self._values = np.concatenate([none, *keys])
         self._before, self._after = (
-            np.concatenate([none, *(t.values[:, side] if t.kind == CUBIC else 0.0 * t.values for t in tracks)])
+            np.concatenate(
+                [none, *(t.values[:, side] if t.kind == CUBIC else 0.0 * t.values for t in tracks)]
+            )
             for side in (0, 2)
         )
 
@@ -143,9 +147,13 @@ class PropertyTracks:
             result[great] = slerp(a[great], b[great], share[great, 0])
         if (cubic := kind == CUBIC).any():
             curve = _hermite(
-                a[cubic], self._after[first[cubic]], b[cubic], self._before[second[cubic]], share[cubic],
+                a[cubic],
+                self._after[first[cubic]],
+                b[cubic],
+                self._before[second[cubic]],
+                share[cubic],
                 length[cubic, None],
-            )  # fmt: skip
+            )
             result[cubic] = _unit(curve) if self._is_rotation else curve
         return result
 
@@ -212,10 +220,13 @@ class NodeMotion:
         return compose(translation[members], rotation[members], scale[members])
 
     def reach(self, member: int, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-        """Return a box in the space of the member's parent that holds the box `lower` to `upper` (3,) at all times,
-        whatever clips are played."""
+        """Return a box in the space of the member's parent that holds the box `lower` to `upper` (3,) at all
+        times, whatever clips are played."""
         moved, turned, scaled = self._properties
-        (moved_low, moved_high), (scale_low, scale_high) = moved.value_bounds(member), scaled.value_bounds(member)
+        (moved_low, moved_high), (scale_low, scale_high) = (
+            moved.value_bounds(member),
+            scaled.value_bounds(member),
+        )
         products = np.stack([lower * scale_low, lower * scale_high, upper * scale_low, upper * scale_high])
         lower, upper = products.min(0), products.max(0)
         lower, upper = _rotated_bounds(*_cover(turned.list_tracks(member), turned.rest[member]), lower, upper)
@@ -225,7 +236,8 @@ class NodeMotion:
 
 
 def compose(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
-    """Return transforms (..., 4, 4) of translations (..., 3), quaternions x, y, z, w (..., 4) and scales (..., 3)."""
+    """Return transforms (..., 4, 4) of translations (..., 3), quaternions x, y, z, w (..., 4) and scales
+    (..., 3)."""
     x, y, z, w = np.moveaxis(rotation, -1, 0)
     matrix = np.zeros((*translation.shape[:-1], 4, 4))
     matrix[..., 0, 0], matrix[..., 1, 1] = 1.0 - 2.0 * (y * y + z * z), 1.0 - 2.0 * (x * x + z * z)
@@ -240,7 +252,8 @@ def compose(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
 
 
 def slerp(a: Floats, b: Floats, fraction: Floats) -> Floats:
-    """Return rotations (j, 4) on the shorter great circles from `a` to `b` (j, 4), at `fraction` (j,) of the way."""
+    """Return rotations (j, 4) on the shorter great circles from `a` to `b` (j, 4), at `fraction` (j,) of the
+    way."""
     cosine = (a * b).sum(-1)
     b = np.where(cosine[:, None] < 0.0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
@@ -252,8 +265,11 @@ def slerp(a: Floats, b: Floats, fraction: Floats) -> Floats:
     return _unit(first[:, None] * a + second[:, None] * b)
 
 
-def _hermite(a: Floats, leaving: Floats, b: Floats, arriving: Floats, fraction: Floats, length: Floats) -> Floats:
-    """Return points of cubic curves from `a` to `b` with the tangents `leaving` and `arriving`, per second."""
+def _hermite(
+    a: Floats, leaving: Floats, b: Floats, arriving: Floats, fraction: Floats, length: Floats
+) -> Floats:
+    """Return points of cubic curves from `a` to `b` with the tangents `leaving` and `arriving`, per
+    second."""
     s, s2, s3 = fraction, fraction**2, fraction**3
     return (
         (2.0 * s3 - 3.0 * s2 + 1.0) * a
@@ -272,15 +288,19 @@ def _controls(track: Track) -> Floats:
     """Return the four control points (k - 1, 4, size) of each segment of a cubic track, as a Bézier curve."""
     third = np.diff(track.times)[:, None] / 3.0
     before, keys, after = track.values[:, 0], track.values[:, 1], track.values[:, 2]
-    return np.stack([keys[:-1], keys[:-1] + third * after[:-1], keys[1:] - third * before[1:], keys[1:]], axis=1)
+    return np.stack(
+        [keys[:-1], keys[:-1] + third * after[:-1], keys[1:] - third * before[1:], keys[1:]], axis=1
+    )
 
 
 def _cover(tracks: Sequence[Track], rest: Floats) -> tuple[Floats, NDArray[np.float64]]:
-    """Cover the rotations that tracks of one node ever give, and its rest: return rotations (j, 4), and angles (j,) by
-    which each of them differs from one of these."""
+    """Cover the rotations that tracks of one node ever give, and its rest: return rotations (j, 4), and
+    angles (j,) by which each of them differs from one of these."""
     if len(tracks) < 2:
         covered = [(rest[None], np.zeros(1)), *map(_arcs, tracks)]
-        return np.concatenate([turns for turns, _ in covered]), np.concatenate([angles for _, angles in covered])
+        return np.concatenate([turns for turns, _ in covered]), np.concatenate(
+            [angles for _, angles in covered]
+        )
     # Means of several are in the cone that holds the middles of all arcs, widened by these.
     turns, angles = (np.concatenate(parts) for parts in zip(*map(_arcs, tracks), strict=True))
     turns = np.where((turns @ turns[0] < 0.0)[:, None], -turns, turns)
@@ -290,7 +310,8 @@ def _cover(tracks: Sequence[Track], rest: Floats) -> tuple[Floats, NDArray[np.fl
 
 
 def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:
-    """Cover a track of rotations: return rotations (j, 4), and angles (j,) by which it differs from one of them."""
+    """Cover a track of rotations: return rotations (j, 4), and angles (j,) by which it differs from one of
+    them."""
     keys = _unit(track.keys)
     if track.kind == STEP or len(keys) == 1:
         return keys, np.zeros(len(keys))
@@ -303,7 +324,9 @@ def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:
         middles = slerp(a[segment], b[segment], (part + 0.5) / parts[segment])
         return middles, (0.5 * angle / parts)[segment]
     points = _controls(track)
-    points = np.concatenate([_cut(points, piece / _PIECES, (piece + 1) / _PIECES) for piece in range(_PIECES)])
+    points = np.concatenate(
+        [_cut(points, piece / _PIECES, (piece + 1) / _PIECES) for piece in range(_PIECES)]
+    )
     middle = _unit(points.mean(1))
     length = np.linalg.norm(points, axis=-1)
     cosine = ((points * middle[:, None]).sum(-1) / np.maximum(length, 1e-300)).min(1)
@@ -326,10 +349,11 @@ def _cut(points: Floats, start: float, end: float) -> Floats:
 
 
 def _rotated_bounds(rotations: Floats, angles: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Return a box that holds the box `lower` to `upper` under rotations that are at most `angles` (j,) from one of
-    `rotations` (j, 4).
+    """Return a box that holds the box `lower` to `upper` under rotations that are at most `angles` (j,) from
+    one of `rotations` (j, 4).
 
-    A rotation by an angle moves a point at the distance r by at most 2 r sin(angle / 2), and never farther out than r.
+    A rotation by an angle moves a point at the distance r by at most 2 r sin(angle / 2), and never farther
+    out than r.
     """
     linear = compose(np.zeros((len(rotations), 3)), rotations, np.ones((len(rotations), 3)))[:, :3, :3]
     centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)

@@ -1,8 +1,9 @@
 """Scenes as glTF 2.0 files.
 
-The scene's arrays are written as they are: its vertices are one interleaved buffer view, and the accessors of a mesh
-begin at its first vertex; so are its indices. Transforms are JSON numbers, which hold float64 exactly. Reading the
-file gives the same arrays. What glTF can't say is kept in extras (`renderer.content.gltf.extras`), or listed.
+The scene's arrays are written as they are: its vertices are one interleaved buffer view, and the accessors of
+a mesh begin at its first vertex; so are its indices. Transforms are JSON numbers, which hold float64 exactly.
+Reading the file gives the same arrays. What glTF can't say is kept in extras
+(`renderer.content.gltf.extras`), or listed.
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ def write_gltf(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     """Write a scene to a file, and return what the file can't hold; see `renderer.content.save_scene`."""
     file = Path(path)
     if file.suffix.lower() not in FORMATS:
-        refuse(rules.UNKNOWN_FORMAT, f"save_scene({str(path)!r})", file.suffix or file.name, ", ".join(FORMATS))
+        refuse(
+            rules.UNKNOWN_FORMAT, f"save_scene({str(path)!r})", file.suffix or file.name, ", ".join(FORMATS)
+        )
     writer = _GltfWriter(scene)
     writer.write_all()
     writer.save(file)
@@ -122,7 +125,9 @@ class _GltfWriter:
         return len(elements) - 1
 
     def _view(self, data: bytes, **more: Any) -> int:
-        number = self._add("bufferViews", {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **more})
+        number = self._add(
+            "bufferViews", {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **more}
+        )
         padded = data + bytes(-len(data) % 4)
         self._chunks.append(padded)
         self._size += len(padded)
@@ -164,7 +169,9 @@ class _GltfWriter:
             scale = [float(np.hypot(xx, yx)), float(np.hypot(xy, yy))] if turned else [xx, yy]
             if turned and xx * yy - xy * yx < 0.0:
                 scale[1] = -scale[1]
-            use["extensions"] = {"KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}}
+            use["extensions"] = {
+                "KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}
+            }
         return use
 
     def _material(self, row: NDArray[Any]) -> dict[str, Any]:
@@ -196,7 +203,9 @@ class _GltfWriter:
                 extras["has_emissive_texture"] = image >= 0
                 image = image if image >= 0 else int(row["texture"])
         if any(emissive):
-            strength = 2.0 ** np.ceil(np.log2(max(*emissive, 1.0)))  # a power of two, so that nothing is rounded
+            strength = 2.0 ** np.ceil(
+                np.log2(max(*emissive, 1.0))
+            )  # a power of two, so that nothing is rounded
             fields["emissiveFactor"] = [value / strength for value in emissive]
             if strength > 1.0:
                 self._extensions.add("KHR_materials_emissive_strength")
@@ -215,7 +224,8 @@ class _GltfWriter:
         return fields
 
     def _write_meshes(self) -> list[dict[str, Any]]:
-        """Write the vertices and indices of all meshes; return for each the attributes and indices of a primitive."""
+        """Write the vertices and indices of all meshes; return for each the attributes and indices of a
+        primitive."""
         meshes = self._scene.meshes
         stride = meshes.vertices.dtype.itemsize
         vertices = self._view(meshes.vertices.tobytes(), byteStride=stride, target=_VERTICES)
@@ -255,7 +265,8 @@ class _GltfWriter:
         return written
 
     def _write_nodes(self, primitives: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
-        """Write nodes, and for each set of objects at a node a mesh; return the motions that can be written."""
+        """Write nodes, and for each set of objects at a node a mesh; return the motions that can be
+        written."""
         scene = self._scene
         nodes = scene.nodes
         objects = scene.objects
@@ -295,21 +306,26 @@ class _GltfWriter:
             "objects": order if (np.diff(order) < 0).any() else order[:0],
             "shadowless": np.flatnonzero(~objects.casts_shadow),
         }
-        private = write_scene_extras(scene) | {name: rows.tolist() for name, rows in lists.items() if len(rows)}
+        private = write_scene_extras(scene) | {
+            name: rows.tolist() for name, rows in lists.items() if len(rows)
+        }
         roots = np.flatnonzero(nodes.parents < 0).tolist()
         self._lists["scenes"] = [{"name": scene.name, "nodes": roots, "extras": {KEY: private}}]
         return motions
 
     def _mesh(self, pairs: tuple[tuple[int, int], ...], primitives: list[dict[str, Any]]) -> dict[str, Any]:
         names = [self._scene.meshes.names[mesh] for mesh, _ in pairs]
-        parts = [primitives[mesh] | ({"material": material} if material >= 0 else {}) for mesh, material in pairs]
+        parts = [
+            primitives[mesh] | ({"material": material} if material >= 0 else {}) for mesh, material in pairs
+        ]
         if len(set(names)) == 1:
             return {**({"name": names[0]} if names[0] else {}), "primitives": parts}
         named = [part | {"extras": {"name": name}} for part, name in zip(parts, names, strict=True)]
         return {"primitives": named}
 
     def _collect_motions(self, nodes: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
-        """Return the motions of glTF with the rows of their nodes, which get their parts in place of a matrix."""
+        """Return the motions of glTF with the rows of their nodes, which get their parts in place of a
+        matrix."""
         motions = []
         for number, simulated in enumerate(self._scene.simulated):
             motion = simulated.simulation
@@ -320,7 +336,9 @@ class _GltfWriter:
             for member, row in enumerate(simulated.nodes.tolist()):
                 for name in ("matrix", *_PATHS):
                     nodes[row].pop(name, None)
-                nodes[row] |= {name: part[member].tolist() for name, part in zip(_PATHS, motion.rest, strict=True)}
+                nodes[row] |= {
+                    name: part[member].tolist() for name, part in zip(_PATHS, motion.rest, strict=True)
+                }
             motions.append((simulated.nodes, motion))
         return motions
 
@@ -365,7 +383,9 @@ class _GltfWriter:
             lights = self._scene.lights.of_kind(kind)
             if kind.gltf is None:
                 if len(lights):
-                    self.omissions.add(f"{kind.noun}s, which glTF doesn't have", f"lights[{len(self._lights)}]")
+                    self.omissions.add(
+                        f"{kind.noun}s, which glTF doesn't have", f"lights[{len(self._lights)}]"
+                    )
                 continue
             for light in lights:
                 number = len(self._lights)
@@ -404,11 +424,21 @@ class _GltfWriter:
         if isinstance(projection, Perspective):
             # glTF lets an infinite zfar be left out, but loaders of other engines fail without it.
             far = FARTHEST * projection.near if np.isinf(projection.far) else projection.far
-            fields = {"yfov": projection.fov, "aspectRatio": projection.aspect, "znear": projection.near, "zfar": far}
+            fields = {
+                "yfov": projection.fov,
+                "aspectRatio": projection.aspect,
+                "znear": projection.near,
+                "zfar": far,
+            }
             stands = {} if far == projection.far else {"extras": {KEY: {INFINITE: far}}}
             return {"type": "perspective", "perspective": fields, **stands}
         height = 0.5 * projection.height
-        fields = {"xmag": height * projection.aspect, "ymag": height, "znear": projection.near, "zfar": projection.far}
+        fields = {
+            "xmag": height * projection.aspect,
+            "ymag": height,
+            "znear": projection.near,
+            "zfar": projection.far,
+        }
         return {"type": "orthographic", "orthographic": fields}
 
 

@@ -28,9 +28,15 @@ class Bench:
     size."""
 
     def __init__(
-        self, device: Device, scene: Scene, size: tuple[int, int], reference: RenderSettings, scale: int = 1,
-        rig: StereoRig | None = None, rays: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        device: Device,
+        scene: Scene,
+        size: tuple[int, int],
+        reference: RenderSettings,
+        scale: int = 1,
+        rig: StereoRig | None = None,
+        rays: int = 0,
+    ) -> None:
         """Open a bench. `reference` are the reference's settings, `scale` is how many times as wide and high
         it is. With `rays` along each side of a pixel, the reference ray tracer renders it instead."""
         self.device, self.scene, self._size, self._rig = device, scene, size, rig
@@ -60,9 +66,12 @@ class Bench:
         """The reference image of a frame, at the size of all others; NaN in pixels that weren't traced."""
         if self._rays:
             return self._trace_reference(path_frame)
-        self._reference_renderer = self._reference_renderer or self.open(self._reference_settings, self._scale)
+        self._reference_renderer = self._reference_renderer or self.open(
+            self._reference_settings, self._scale
+        )
         return downsample_image(
-            read_image_levels(self._reference_settings.render(self._reference_renderer, path_frame)), self._scale
+            read_image_levels(self._reference_settings.render(self._reference_renderer, path_frame)),
+            self._scale,
         )
 
     def _trace_reference(self, path_frame: PathFrame) -> Floats:
@@ -91,10 +100,22 @@ def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: in
     """A hash of all that a ray-traced image depends on."""
     lights, meshes, objects = scene.lights, scene.meshes, scene.objects
     arrays = (
-        scene.materials, scene.textures, scene.nodes.world, meshes.vertices, meshes.indices, objects.node, objects.mesh,
-        objects.material, objects.casts_shadow, lights.directional, lights.point, lights.spot, *scene.images,
-        camera.position, camera.rotation,
-    )  # fmt: skip
+        scene.materials,
+        scene.textures,
+        scene.nodes.world,
+        meshes.vertices,
+        meshes.indices,
+        objects.node,
+        objects.mesh,
+        objects.material,
+        objects.casts_shadow,
+        lights.directional,
+        lights.point,
+        lights.spot,
+        *scene.images,
+        camera.position,
+        camera.rotation,
+    )
     air = lights.sky, lights.ground, scene.background, scene.haze, scene.fog
     others = (*air, scene.samplers, camera.projection, size, rays)
     digest = sha256(repr(others).encode())
@@ -107,7 +128,9 @@ def can_ray_trace(scene: Scene) -> bool:
     """Whether the reference ray tracer supports all of a scene: no bloom, no simulated meshes, no materials
     with shaders of their own."""
     return (
-        scene.bloom is None and not scene.shaders and not any(len(simulated.objects) for simulated in scene.simulated)
+        scene.bloom is None
+        and not scene.shaders
+        and not any(len(simulated.objects) for simulated in scene.simulated)
     )
 
 

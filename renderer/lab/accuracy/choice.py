@@ -36,7 +36,13 @@ import rhi
 from renderer import rules
 from renderer.content import load_scene
 from renderer.lab.accuracy.bench import Bench, can_ray_trace, read_image_levels
-from renderer.lab.accuracy.quality_settings import QUALITY_SETTINGS, RAY_TRACED, ErrorUnit, QualitySetting, Requirement
+from renderer.lab.accuracy.quality_settings import (
+    QUALITY_SETTINGS,
+    RAY_TRACED,
+    ErrorUnit,
+    QualitySetting,
+    Requirement,
+)
 from renderer.lab.accuracy.sweep import SettingReport, SweepSetup, list_views
 from renderer.lab.measure.measurement import alternate
 from renderer.renderer import Renderer
@@ -113,7 +119,9 @@ def select_effective_reports(
     """The sweeps of the quality settings that change an image of this scene with these settings, by name."""
     base = make_plain(settings)
     lights = scene.lights
-    casts = any(light_array["casts_shadow"].any() for light_array in (lights.directional, lights.point, lights.spot))
+    casts = any(
+        light_array["casts_shadow"].any() for light_array in (lights.directional, lights.point, lights.spot)
+    )
     effective = {}
     for report in reports:
         setting = QUALITY_SETTINGS[report.setting]
@@ -121,9 +129,12 @@ def select_effective_reports(
             base.get(path) == value for path, value in setting.base_settings.items() if path != _ATLAS_SETTING
         )
         lacks = setting.requirement is Requirement.STEREO or (
-            setting.requirement in (Requirement.SHADOWS, Requirement.SHADOW_CASTING_HEIGHT_FIELDS) and not casts
+            setting.requirement in (Requirement.SHADOWS, Requirement.SHADOW_CASTING_HEIGHT_FIELDS)
+            and not casts
         )
-        lacks = lacks or (setting.requirement is Requirement.BLOOM and not (scene.bloom and len(scene.list_emitters())))
+        lacks = lacks or (
+            setting.requirement is Requirement.BLOOM and not (scene.bloom and len(scene.list_emitters()))
+        )
         if report.rows and setting.path and setting.unit is ErrorUnit.LEVELS and matters and not lacks:
             effective[setting.name] = report
     return effective
@@ -188,7 +199,9 @@ def search(
     return [dict(zip(values_by_setting, key, strict=True)) for key in best]
 
 
-def _list_neighbours(values_by_setting: Mapping[str, Sequence[str]], key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+def _list_neighbours(
+    values_by_setting: Mapping[str, Sequence[str]], key: tuple[str, ...]
+) -> Iterator[tuple[str, ...]]:
     """Yield the combinations in which one quality setting has the next value, up or down."""
     for number, efficient_values in enumerate(values_by_setting.values()):
         position = efficient_values.index(key[number])
@@ -237,7 +250,8 @@ class CombinationBench(Bench):
         self._references: dict[int, Floats] = {}
 
     def exchange(self, settings: RenderSettings) -> Renderer:
-        """A renderer with these settings. There is one for each kind of texture access, which can't change."""
+        """A renderer with these settings. There is one for each kind of texture access, which can't
+        change."""
         renderer = self._renderers.get(settings.textures)
         if renderer is None:
             renderer = self._renderers[settings.textures] = self.open(settings)
@@ -255,9 +269,12 @@ class CombinationBench(Bench):
         return errors
 
     def walk(
-        self, settings: RenderSettings, frames: Sequence[PathFrame], rounds: int = 1,
+        self,
+        settings: RenderSettings,
+        frames: Sequence[PathFrame],
+        rounds: int = 1,
         clock: Callable[[], float] = perf_counter,
-    ) -> Floats:  # fmt: skip
+    ) -> Floats:
         """The milliseconds (rounds, frames) of frames drawn one after the other, in each of the `rounds`.
         They are drawn once beforehand."""
         renderer, ends = self.exchange(settings), [clock()]
@@ -268,9 +285,11 @@ class CombinationBench(Bench):
         return times
 
     def time(
-        self, combinations: Mapping[str, RenderSettings], frames: Sequence[PathFrame],
+        self,
+        combinations: Mapping[str, RenderSettings],
+        frames: Sequence[PathFrame],
         progress: Callable[[range], Iterable[int]],
-    ) -> dict[str, tuple[float, float, float, float]]:  # fmt: skip
+    ) -> dict[str, tuple[float, float, float, float]]:
         """Time the combinations in turn: the median milliseconds of a frame, and the ratio to the first one
         with its confidence interval. The camera moves from frame to frame."""
         turn = 0
@@ -324,7 +343,9 @@ def compute_pareto_front(
             return max(errors), float(times.min()), float(times.max())
 
         best = search(values_by_setting, list_steps(effective), measure)
-        positions = np.unique(np.linspace(0, len(best) - 1, min(len(best), MAX_POINTS)).round().astype(int)).tolist()
+        positions = np.unique(
+            np.linspace(0, len(best) - 1, min(len(best), MAX_POINTS)).round().astype(int)
+        ).tolist()
         settings = {str(position): combine(base, best[position]) for position in positions}
         errors = {str(position): lost[tuple(best[position].values())] for position in positions}
         times = bench.time(settings, frames, progress)
@@ -422,7 +443,9 @@ def _min_milliseconds(point: ParetoPoint) -> float:
 def leave_to_trials(settings: RenderSettings, original: RenderSettings) -> RenderSettings:
     """The chosen settings, with `auto` again wherever the original settings had it."""
     auto = {
-        path: "auto" for path, value in _PLAIN.items() if original.get(path) == "auto" and settings.get(path) == value
+        path: "auto"
+        for path, value in _PLAIN.items()
+        if original.get(path) == "auto" and settings.get(path) == value
     }
     return settings.change_all(auto)
 
@@ -435,7 +458,9 @@ def expect_error(errors: Sequence[float]) -> float:
     return max(*errors, float(np.mean(errors) + _MARGIN * np.std(errors, ddof=1)))
 
 
-def list_held_out(scene: Scene, setup: SweepSetup, count: int, excluded: Sequence[PathFrame]) -> list[PathFrame]:
+def list_held_out(
+    scene: Scene, setup: SweepSetup, count: int, excluded: Sequence[PathFrame]
+) -> list[PathFrame]:
     """Frames that aren't in `excluded`, spread over the same part of the path; if it has only one view, that
     one."""
     numbers = {frame.number for frame in excluded}

@@ -1,9 +1,9 @@
 """Images of forward shading in float64: what the device's image would be without rounding.
 
 The device tells which triangle it has drawn to each pixel. NumPy computes the rest: the vertex stage for the
-corners of those triangles, their varyings at the pixel's centre, and the fragment stage. A fragment has a quad of its
-own, in which the other three are helpers of the same triangle, so derivatives are those that the device has. Buffers
-hold float32 in both cases. So only arithmetic differs, also at edges.
+corners of those triangles, their varyings at the pixel's centre, and the fragment stage. A fragment has a
+quad of its own, in which the other three are helpers of the same triangle, so derivatives are those that the
+device has. Buffers hold float32 in both cases. So only arithmetic differs, also at edges.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ class ForwardWithTriangleIds:
 
     def __init__(self) -> None:
         self.numbers: NDArray[np.uint32] = np.zeros((0, 0, 2), np.uint32)
-        self.shaders: list[tuple[int, type[Any], dict[str, Any]]] = []  # shaders of materials, by their numbers
+        self.shaders: list[
+            tuple[int, type[Any], dict[str, Any]]
+        ] = []  # shaders of materials, by their numbers
 
     def declare(self, effects: FrameEffects) -> Sequence[FramePass[Frame]]:
         """The passes of forward shading, one that draws the triangles' numbers, and one that reads them."""
@@ -96,10 +98,15 @@ def _draw_triangle_ids(frame: Frame) -> None:
     bindings = {"view": arrays.view, "objects": arrays.objects, "object_positions": arrays.object_positions}
     frame.draw_visible(
         TechniqueDrawer(
-            frame.device, resources, frame.view, [BoundProgram(frame.program(TriangleIdShader), bindings)],
-            color=frame.targets[_TRIANGLES], depth=frame.targets["depth of triangles"], clear=(0, 0, 0, 0),
+            frame.device,
+            resources,
+            frame.view,
+            [BoundProgram(frame.program(TriangleIdShader), bindings)],
+            color=frame.targets[_TRIANGLES],
+            depth=frame.targets["depth of triangles"],
+            clear=(0, 0, 0, 0),
         )
-    )  # fmt: skip
+    )
 
 
 def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
@@ -114,7 +121,8 @@ def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
     assert isinstance(texture, Texture)
     layers = texture.descriptor.layers if texture.descriptor.kind is TextureKind.D2_ARRAY else 1
     levels = [
-        np.stack([texture.read(level, layer) for layer in range(layers)]) for level in range(texture.descriptor.levels)
+        np.stack([texture.read(level, layer) for layer in range(layers)])
+        for level in range(texture.descriptor.levels)
     ]
     if texture.format.components == 1:
         levels = [level[..., None] for level in levels]
@@ -163,7 +171,9 @@ def shade_in_float64(renderer: Renderer, camera: Camera, seconds: float = 0.0) -
     traced = _render_triangle_ids(renderer, camera, seconds)
     image = _make_empty_image(traced.numbers[..., 0].astype(np.int64) - 1)
     rows, columns = np.nonzero(image.objects >= 0)
-    pairs = np.stack([image.objects[rows, columns], traced.numbers[rows, columns, 1]], axis=1)  # object and triangle
+    pairs = np.stack(
+        [image.objects[rows, columns], traced.numbers[rows, columns, 1]], axis=1
+    )  # object and triangle
     triangles, triangle_of_pixel = np.unique(pairs, axis=0, return_inverse=True)
     triangle_of_pixel = triangle_of_pixel.reshape(-1)
     corners = _read_corners(renderer, triangles)
@@ -181,7 +191,8 @@ def shade_in_float64(renderer: Renderer, camera: Camera, seconds: float = 0.0) -
 
 
 def _render_triangle_ids(renderer: Renderer, camera: Camera, seconds: float) -> ForwardWithTriangleIds:
-    """Render a frame with a technique that tells which triangle each pixel shows, and restore the renderer's own."""
+    """Render a frame with a technique that tells which triangle each pixel shows, and restore the renderer's
+    own."""
     technique, traced = renderer.technique, ForwardWithTriangleIds()
     renderer.technique = traced
     try:
@@ -218,7 +229,8 @@ def _read_corners(renderer: Renderer, triangles: NDArray[np.int64]) -> NDArray[A
 
 
 class _Quads:
-    """The quad of 2 × 2 pixels around each of n pixels, as derivatives need it, and one triangle's values there.
+    """The quad of 2 × 2 pixels around each of n pixels, as derivatives need it, and one triangle's values
+    there.
 
     Attributes:
         y, x: (n,) the pixels.
@@ -228,7 +240,12 @@ class _Quads:
     """
 
     def __init__(
-        self, shape: Sequence[int], y: NDArray[np.int64], x: NDArray[np.int64], run: Any, triangle: NDArray[np.int64]
+        self,
+        shape: Sequence[int],
+        y: NDArray[np.int64],
+        x: NDArray[np.int64],
+        run: Any,
+        triangle: NDArray[np.int64],
     ) -> None:
         self.y, self.x = y, x
         quad_y = (y // 2 * 2)[:, None, None] + np.arange(2)[:, None]
@@ -237,7 +254,9 @@ class _Quads:
         self.covered = (quad_x == x[:, None, None]) & (quad_y == y[:, None, None])
         ndc_x = (quad_x + 0.5) / shape[1] * 2.0 - 1.0
         ndc_y = 1.0 - (quad_y + 0.5) / shape[0] * 2.0
-        weights, inverse_w = _solve_weights(run.position[triangle], np.stack([ndc_x, ndc_y, np.ones(ndc_x.shape)], -1))
+        weights, inverse_w = _solve_weights(
+            run.position[triangle], np.stack([ndc_x, ndc_y, np.ones(ndc_x.shape)], -1)
+        )
         self.varyings = {
             name: _interpolate(values[triangle], weights)
             if values.dtype.kind == "f"
@@ -249,7 +268,8 @@ class _Quads:
 
 
 def _solve_weights(corners: Floats, ndc: Floats) -> tuple[Floats, Floats]:
-    """The perspective-correct weights (n, 2, 2, 3) of triangles' corners at points, and 1 / w (n, 2, 2) there.
+    """The perspective-correct weights (n, 2, 2, 3) of triangles' corners at points, and 1 / w (n, 2, 2)
+    there.
 
     Args:
         corners: (n, 3, 4) in clip space.
@@ -297,7 +317,9 @@ def _shade_quads(
 def encode_levels(linear: Floats) -> Floats:
     """Encode linear light as sRGB in levels of 255, not rounded."""
     light = np.clip(linear, 0.0, 1.0)
-    return 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return 255.0 * np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055
+    )
 
 
 def decode_levels(levels: NDArray[Any]) -> Floats:

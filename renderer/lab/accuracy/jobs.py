@@ -1,9 +1,9 @@
 """Sweeps as jobs: they run on any executor, and a sweep that was interrupted continues where it stopped.
 
-A job is a shard of one quality setting's sweep. Its result is a file, named by a hash of all that it depends on: the
-setup, the quality setting as it is declared, the shard, and the scene's file if it is one. A file is complete or isn't
-there: it is written under another name, and then renamed. So a sweep that was interrupted continues where it stopped,
-and after a change of one quality setting only that one is measured again.
+A job is a shard of one quality setting's sweep. Its result is a file, named by a hash of all that it depends
+on: the setup, the quality setting as it is declared, the shard, and the scene's file if it is one. A file is
+complete or isn't there: it is written under another name, and then renamed. So a sweep that was interrupted
+continues where it stopped, and after a change of one quality setting only that one is measured again.
 
 The longest jobs start first, so that no process waits long for another at the end.
 """
@@ -88,7 +88,9 @@ class SweepJob:
 
 def list_jobs(setup: sweep.SweepSetup, quality_settings: Iterable[str]) -> list[SweepJob]:
     """The jobs of the sweeps of quality settings."""
-    return [SweepJob(setup, name, shard) for name in quality_settings for shard in sweep.list_shards(setup, name)]
+    return [
+        SweepJob(setup, name, shard) for name in quality_settings for shard in sweep.list_shards(setup, name)
+    ]
 
 
 def order_jobs(jobs: Iterable[SweepJob]) -> list[SweepJob]:
@@ -141,7 +143,9 @@ def load_or_compute_pareto_front(
     try:
         stored_points = json.loads(path.read_text())
         base = make_plain(setup.settings)
-        return [ParetoPoint(**point | {"settings": combine(base, point["values"])}) for point in stored_points]
+        return [
+            ParetoPoint(**point | {"settings": combine(base, point["values"])}) for point in stored_points
+        ]
     except (OSError, ValueError, TypeError, KeyError):
         points = compute_pareto_front(setup, reports, progress)
         _write_whole(path, json.dumps([asdict(point) | {"settings": None} for point in points]))
@@ -176,7 +180,9 @@ def load_sample(path: Path) -> sweep.SettingSample | None:
     try:
         stored = json.loads(path.read_text())
         values = {value: _read_sample(value_sample) for value, value_sample in stored["values"].items()}
-        return sweep.SettingSample(**stored | {"values": values, "reference_ratios": tuple(stored["reference_ratios"])})
+        return sweep.SettingSample(
+            **stored | {"values": values, "reference_ratios": tuple(stored["reference_ratios"])}
+        )
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -184,4 +190,6 @@ def load_sample(path: Path) -> sweep.SettingSample | None:
 def _read_sample(stored: dict[str, Any]) -> sweep.ValueSample:
     lists = {name: tuple(stored[name]) for name in ("seconds", "processor_seconds", "flips")}
     worst = None if stored["worst"] is None else tuple(stored["worst"])
-    return sweep.ValueSample(**stored | lists | {"worst": worst, "sums": tuple((a, b) for a, b in stored["sums"])})
+    return sweep.ValueSample(
+        **stored | lists | {"worst": worst, "sums": tuple((a, b) for a, b in stored["sums"])}
+    )

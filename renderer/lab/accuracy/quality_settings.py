@@ -35,13 +35,15 @@ class ErrorUnit(Enum):
     DEPTH = "millionths of the distance"
     """The error of the distance computed back from a pixel's depth, relative to the distance."""
     LIGHTS = "lights too many"
-    """Lights that a pixel's shader evaluates although they don't reach its surface: the mean over the image."""
+    """Lights that a pixel's shader evaluates although they don't reach its surface: the mean over the
+    image."""
     OVERDRAW = "% too many triangles"
     """How many more triangles are drawn than the visible objects have, in percent of these."""
     DEGREES = "degrees"
     """The angle between a vector and its decoded value."""
     PERCENT = "%"
-    """The length of the difference between a vector and its decoded value, in percent of the vector's length."""
+    """The length of the difference between a vector and its decoded value, in percent of the vector's
+    length."""
 
     @property
     def is_per_pixel(self) -> bool:
@@ -63,7 +65,9 @@ class Requirement(Enum):
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
-    SHADOW_CASTING_HEIGHT_FIELDS = "a height field that may cast shadows, and whose limit holds all of its triangles"
+    SHADOW_CASTING_HEIGHT_FIELDS = (
+        "a height field that may cast shadows, and whose limit holds all of its triangles"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +78,9 @@ class Reference:
     Attributes:
         name: what it is, in a few words. changes: settings of its image that differ from the value's.
         scale: how many times as wide and high its image is. Pixels are averaged as light.
-        rays: rays along each side of a pixel, if it is ray-traced; 0 if a renderer draws it. `changes` and `scale` are
-            then the nearest that a renderer can draw; combined quality settings, compared in many views, use that.
+        rays: rays along each side of a pixel, if it is ray-traced; 0 if a renderer draws it. `changes` and
+            `scale` are then the nearest that a renderer can draw; combined quality settings, compared in many
+            views, use that.
         is_float64: whether it is computed in float64 from the triangles that were drawn.
     """
 
@@ -91,16 +96,17 @@ class QualitySetting:
     """A choice between accuracy and time.
 
     Attributes:
-        description: what it decides. path: the setting, as `RenderSettings.get` finds it; empty for an encoding, which
-            shaders have for good, and for an option of generated scenes. values: by how tables call them, the least
-            accurate first.
+        description: what it decides. path: the setting, as `RenderSettings.get` finds it; empty for an
+            encoding, which shaders have for good, and for an option of generated scenes. values: by how
+            tables call them, the least accurate first.
         reason: why we chose the default.
         unit: of the error. reference: what values are compared with.
         base_settings: other settings that it needs to matter. requirement: what it needs in the scene.
-        history_frames: the number of earlier frames that a frame depends on, drawn before the first that counts; 0
-            if frames needn't follow each other.
+        history_frames: the number of earlier frames that a frame depends on, drawn before the first that
+            counts; 0 if frames needn't follow each other.
         non_monotonic_reason: why errors needn't fall from each value to the next; empty where they must.
-        option: of a generated scene. Each value has a scene of its own, and that of the last one is the reference.
+        option: of a generated scene. Each value has a scene of its own, and that of the last one is the
+            reference.
     """
 
     name: str
@@ -126,7 +132,12 @@ class QualitySetting:
         """The name of the default value; None if the default isn't among the values."""
         if not self.path:
             return next(
-                (name for name, candidate in self.values.items() if candidate == _FIXED_DEFAULTS.get(self.name)), None
+                (
+                    name
+                    for name, candidate in self.values.items()
+                    if candidate == _FIXED_DEFAULTS.get(self.name)
+                ),
+                None,
             )
         value = RenderSettings().get(self.path)
         return next((name for name, candidate in self.values.items() if candidate == value), None)
@@ -151,8 +162,8 @@ SUPER_SAMPLED: Final = replace(
 FORWARD_SHADING: Final = replace(RAY_TRACED, changes={"technique.name": "forward"})
 NO_CULLING: Final = Reference("no culling", {"algorithm": "none"})
 PIXEL_CENTRE_RAY: Final = Reference("a ray in float64 through the middle of each pixel", rays=1)
-"""The reference of settings that move edges: with one sample a pixel, coarse maps and moved pixels blur edges as
-more samples would."""
+"""The reference of settings that move edges: with one sample a pixel, coarse maps and moved pixels blur edges
+as more samples would."""
 FINE_SHADOW_MAPS: Final = replace(
     PIXEL_CENTRE_RAY,
     changes={
@@ -168,7 +179,9 @@ FINE_SHADOW_MAPS: Final = replace(
 LIGHTS_IN_RANGE: Final = Reference("the lights that reach each pixel, in float64")
 VISIBLE_OBJECTS: Final = Reference("the objects of which a pixel is seen")
 FILTERED_SHADOWS: Final = replace(FINE_SHADOW_MAPS, name=RAY_TRACED.name, rays=4)
-FAR_SHADOWS: Final = replace(FINE_SHADOW_MAPS, changes={**FINE_SHADOW_MAPS.changes, "shadows.distance": 1000.0})
+FAR_SHADOWS: Final = replace(
+    FINE_SHADOW_MAPS, changes={**FINE_SHADOW_MAPS.changes, "shadows.distance": 1000.0}
+)
 SORTED_BLENDING: Final = replace(RAY_TRACED, changes={"blending": Blending.SORTED})
 WIDE_BLOOM: Final = Reference("all scattered light, spread over 8 levels", {"bloom": BloomSettings(levels=8)})
 FINEST_TESSELLATION: Final = replace(RAY_TRACED, changes={"tessellation.edge_pixels": 0.01})
@@ -181,7 +194,9 @@ LAST_VALUE: Final = Reference("the scene with the last value")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _LARGE_ATLAS: Final = {**_FORWARD, "shadows.max_atlas_size": 8192}
-_RANDOM_QUERIES: Final = "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
+_RANDOM_QUERIES: Final = (
+    "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
+)
 _CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
 _QUERY_HISTORY: Final = 24
 """Frames after which CHC++ has queried everything visible in the first frame, if all in view is drawn."""
@@ -199,7 +214,9 @@ _shadows: Final = partial(
     base_settings=_LARGE_ATLAS,
     requirement=Requirement.SHADOWS,
 )
-_inferred: Final = partial(QualitySetting, unit=ErrorUnit.LEVELS, reference=FORWARD_SHADING, base_settings=_INFERRED)
+_inferred: Final = partial(
+    QualitySetting, unit=ErrorUnit.LEVELS, reference=FORWARD_SHADING, base_settings=_INFERRED
+)
 _lists: Final = partial(
     QualitySetting,
     unit=ErrorUnit.LIGHTS,
@@ -207,7 +224,9 @@ _lists: Final = partial(
     base_settings=_CLUSTERED,
     requirement=Requirement.LOCAL_LIGHTS,
 )
-_queries: Final = partial(QualitySetting, unit=ErrorUnit.OVERDRAW, reference=VISIBLE_OBJECTS, base_settings=_CHC)
+_queries: Final = partial(
+    QualitySetting, unit=ErrorUnit.OVERDRAW, reference=VISIBLE_OBJECTS, base_settings=_CHC
+)
 _CHAOTIC_CLOTH: Final = "cloth falls into other folds after the least of changes, and then all are as wrong"
 _cloth: Final = partial(
     _image_quality,
@@ -405,7 +424,8 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
         ),
         _image_quality(
             "light_cutoff",
-            "light of a local light that is too faint to matter, relative to a directional light of intensity 1",
+            "light of a local light that is too faint to matter, relative to a directional light of "
+            "intensity 1",
             "light_cutoff",
             _same(1.0, 0.3, 0.1, 0.03, 0.01, 0.0),
             "lights end where the scene says",

@@ -37,7 +37,12 @@ from renderer.content.fountains import FountainSimulation
 from renderer.inspection.frame_cost import settle
 from renderer.lab.accuracy.bench import Bench, can_ray_trace, read_image_levels
 from renderer.lab.accuracy.float64 import Float64Image, shade_in_float64
-from renderer.lab.accuracy.quality_settings import ErrorUnit, QualitySetting, Requirement, lookup_quality_setting
+from renderer.lab.accuracy.quality_settings import (
+    ErrorUnit,
+    QualitySetting,
+    Requirement,
+    lookup_quality_setting,
+)
 from renderer.lab.measure.encoding_errors import ENCODINGS, ROUND_TRIPS, run_round_trip, time_round_trip
 from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.lab.measure.light_evaluations import count_light_evaluations
@@ -101,7 +106,9 @@ class SweepShard:
 
     def take(self, items: Sequence[T]) -> Sequence[T]:
         """The consecutive items of this shard."""
-        first, last = (shard_number * len(items) // self.count for shard_number in (self.number, self.number + 1))
+        first, last = (
+            shard_number * len(items) // self.count for shard_number in (self.number, self.number + 1)
+        )
         return items[first:last]
 
 
@@ -163,15 +170,18 @@ class ValueRow:
     """The error and the time of a quality setting's value.
 
     Attributes:
-        max_error, mean_error: in the setting's unit: over all pixels of all views with a surface, or over the views.
-        worst: the frame, x and y of the pixel with the greatest error, None if there are no pixels to compare.
-        milliseconds, processor_milliseconds: median times of a frame, by the clock and of the processor in all threads;
-            nanoseconds for each vector, of encodings.
-        ratio, low, high: to the most accurate value, by the clock, with the ends of the 95 % confidence interval.
+        max_error, mean_error: in the setting's unit: over all pixels of all views with a surface, or over the
+            views.
+        worst: the frame, x and y of the pixel with the greatest error, None if there are no pixels to
+            compare.
+        milliseconds, processor_milliseconds: median times of a frame, by the clock and of the processor in
+            all threads; nanoseconds for each vector, of encodings.
+        ratio, low, high: to the most accurate value, by the clock, with the ends of the 95 % confidence
+            interval.
         processor_ratio, processor_low, processor_high: the same by the processor.
         p99: the error that 1 % of a view's pixels exceed, in the view where it is the greatest.
-        flicker: the mean change of a pixel's difference to the reference from one frame of a path to the next, in
-            levels; None if images aren't compared, and where the camera stands.
+        flicker: the mean change of a pixel's difference to the reference from one frame of a path to the
+            next, in levels; None if images aren't compared, and where the camera stands.
         flip: the mean FLIP error (`compute_flip_error`); None if images aren't compared.
     """
 
@@ -201,9 +211,10 @@ class SettingReport:
 
     Attributes:
         left_out: for each value without a row, why it is left out.
-        reference_ratio: the reference's time divided by the most accurate value's, if the renderer draws the reference.
-        images: by value, a crop around the worst pixel as PNG in base64: the reference, the value's image, and their
-            difference.
+        reference_ratio: the reference's time divided by the most accurate value's, if the renderer draws the
+            reference.
+        images: by value, a crop around the worst pixel as PNG in base64: the reference, the value's image,
+            and their difference.
     """
 
     setting: str
@@ -251,7 +262,10 @@ def join_shards(samples: Sequence[SettingSample]) -> SettingReport:
     if not first.values:
         return report((), first.left_out)
     values = {value: _join_samples([sample.values[value] for sample in samples]) for value in first.values}
-    if len(values) > 1 and len({(value_sample.sums, value_sample.flicker) for value_sample in values.values()}) == 1:
+    if (
+        len(values) > 1
+        and len({(value_sample.sums, value_sample.flicker) for value_sample in values.values()}) == 1
+    ):
         return report((), first.left_out | dict.fromkeys(values, NO_EFFECT))
     times = {
         value: Measurement(value, value_sample.seconds, value_sample.processor_seconds)
@@ -260,7 +274,10 @@ def join_shards(samples: Sequence[SettingSample]) -> SettingReport:
     base = times[list(times)[-1]]
     ratios = [ratio for sample in samples for ratio in sample.reference_ratios]
     return report(
-        tuple(_make_row(setting, value, value_sample, times[value], base) for value, value_sample in values.items()),
+        tuple(
+            _make_row(setting, value, value_sample, times[value], base)
+            for value, value_sample in values.items()
+        ),
         first.left_out,
         round(median(ratios), 2) if ratios else None,
         {value: value_sample.image for value, value_sample in values.items() if value_sample.image},
@@ -332,7 +349,9 @@ def find_missing_option(scene: str, setting: QualitySetting) -> str | None:
     return None if has else f"the scene has no option {setting.option}"
 
 
-def list_unsupported_values(device: Device, settings: RenderSettings, setting: QualitySetting) -> dict[str, str]:
+def list_unsupported_values(
+    device: Device, settings: RenderSettings, setting: QualitySetting
+) -> dict[str, str]:
     """The values of a quality setting that the device doesn't support, each with the missing capability."""
     lacks = {value: find_missing_capability(device, setting.set(settings, value)) for value in setting.values}
     return {value: lack for value, lack in lacks.items() if lack is not None}
@@ -388,9 +407,16 @@ class ValueErrors:
     def sample(self, time: Measurement) -> ValueSample:
         """The errors as a sample, with times."""
         return ValueSample(
-            tuple(self._sums), self._greatest, self.worst, self.image, time.seconds, time.processor_seconds,
-            self._p99, self.flicker, tuple(self._flips),
-        )  # fmt: skip
+            tuple(self._sums),
+            self._greatest,
+            self.worst,
+            self.image,
+            time.seconds,
+            time.processor_seconds,
+            self._p99,
+            self.flicker,
+            tuple(self._flips),
+        )
 
 
 def compute_mean_error(sums: Sequence[tuple[float, int]]) -> float:
@@ -404,27 +430,45 @@ def _make_row(
     greatest, mean = max(sample.max_error, 0.0), compute_mean_error(sample.sums)
     scale = 1e9 / _VALUES / ROUND_TRIPS if setting.is_encoding else 1e3
     ratios = (
-        round(number, 4) for is_processor in (False, True)
+        round(number, 4)
+        for is_processor in (False, True)
         for number in astuple(time.compare_to(base, processor=is_processor))
-    )  # fmt: skip
+    )
     ratio, low, high, processor_ratio, processor_low, processor_high = ratios
     return ValueRow(
-        setting.name, value, value == setting.default, setting.unit.value, float(f"{greatest:.5g}"),
+        setting.name,
+        value,
+        value == setting.default,
+        setting.unit.value,
+        float(f"{greatest:.5g}"),
         float(f"{mean:.5g}"),
-        sample.worst, float(f"{scale * time.median:.4g}"), ratio, low, high,
-        float(f"{scale * time.processor_median:.4g}"), processor_ratio, processor_low, processor_high,
-        float(f"{sample.p99:.5g}"), None if sample.flicker is None else float(f"{sample.flicker:.5g}"),
+        sample.worst,
+        float(f"{scale * time.median:.4g}"),
+        ratio,
+        low,
+        high,
+        float(f"{scale * time.processor_median:.4g}"),
+        processor_ratio,
+        processor_low,
+        processor_high,
+        float(f"{sample.p99:.5g}"),
+        None if sample.flicker is None else float(f"{sample.flicker:.5g}"),
         float(f"{fmean(sample.flips):.4g}") if sample.flips else None,
-    )  # fmt: skip
+    )
 
 
 class SettingBench(Bench):
     """The renderers of all values of a quality setting, and their reference."""
 
     def __init__(
-        self, device: Device, scene: Scene, setup: SweepSetup, setting: QualitySetting, values: Sequence[str],
+        self,
+        device: Device,
+        scene: Scene,
+        setup: SweepSetup,
+        setting: QualitySetting,
+        values: Sequence[str],
         shard: SweepShard = WHOLE_SWEEP,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._setting, self._shard = setting, shard
         self._rounds = shard.take(range(setup.rounds))
         self._history, self._views, self._timed = list_frames(scene, setup, setting, shard)
@@ -436,23 +480,39 @@ class SettingBench(Bench):
         if setting.requirement is Requirement.STEREO:
             width, height = setup.size
             rig = compute_rig(scene, best.adapt_camera(self._timed[0].camera).with_aspect(width / height))
-        super().__init__(device, scene, setup.size, best.change_all(setting.reference.changes), setting.reference.scale,
-                         rig, setting.reference.rays)  # fmt: skip
+        super().__init__(
+            device,
+            scene,
+            setup.size,
+            best.change_all(setting.reference.changes),
+            setting.reference.scale,
+            rig,
+            setting.reference.rays,
+        )
         with ExitStack() as self._opened:  # closed if one of them can't be opened
             scenes = {value: self._load(setup, value) for value in values}
             self._renderers = {
-                value: self.open(value_settings, 1, scenes[value]) for value, value_settings in self._settings.items()
+                value: self.open(value_settings, 1, scenes[value])
+                for value, value_settings in self._settings.items()
             }
             if setting.unit is ErrorUnit.OVERDRAW:
                 self._exact = ExactVisibility(device, scene, setup.size)
                 self._opened.callback(self._exact.destroy)
-            elif setting.unit is ErrorUnit.LEVELS and not setting.reference.is_float64 and not setting.reference.rays:
+            elif (
+                setting.unit is ErrorUnit.LEVELS
+                and not setting.reference.is_float64
+                and not setting.reference.rays
+            ):
                 equal_values = [
-                    value for value, settings in self._settings.items() if settings == self._reference_settings
+                    value
+                    for value, settings in self._settings.items()
+                    if settings == self._reference_settings
                 ]
                 is_known = equal_values and setting.reference.scale == 1
                 self._reference_renderer = (
-                    self._renderers[equal_values[-1]] if is_known else self.open(self._reference_settings, self._scale)
+                    self._renderers[equal_values[-1]]
+                    if is_known
+                    else self.open(self._reference_settings, self._scale)
                 )
             self._opened = self._opened.pop_all()
 
@@ -468,7 +528,9 @@ class SettingBench(Bench):
     @property
     def _has_own_reference(self) -> bool:
         """Whether the reference is an image that is none of the values'."""
-        return self._reference_renderer is not None and self._reference_renderer not in self._renderers.values()
+        return (
+            self._reference_renderer is not None and self._reference_renderer not in self._renderers.values()
+        )
 
     def list_views(self) -> Sequence[PathFrame]:
         """The frames to compare."""
@@ -516,7 +578,9 @@ class SettingBench(Bench):
     def _render(self, value: str, view: PathFrame) -> FrameResult:
         return self._settings[value].render(self._renderers[value], view)
 
-    def _compare_images(self, view: PathFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+    def _compare_images(
+        self, view: PathFrame
+    ) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         # The reference is read before values are drawn: its renderer may be one of theirs.
         if self._setting.reference.is_float64:
             exact = self._shade(view)
@@ -526,7 +590,10 @@ class SettingBench(Bench):
             counts = np.isfinite(true[..., 0])
         for value, renderer in self._renderers.items():
             if renderer is self._reference_renderer and self._setting.history_frames:
-                yield value, (np.zeros(true.shape[:2]), None)  # drawn already; drawing again would give another frame
+                yield (
+                    value,
+                    (np.zeros(true.shape[:2]), None),
+                )  # drawn already; drawing again would give another frame
                 continue
             visible_objects = read_image_levels(self._render(value, view))
             errors = np.where(counts, np.abs(visible_objects - true).max(axis=2), np.nan)
@@ -534,7 +601,9 @@ class SettingBench(Bench):
 
     def _shade(self, view: PathFrame) -> Float64Image:
         value = list(self._renderers)[-1]
-        return shade_in_float64(self._renderers[value], self._settings[value].adapt_camera(view.camera), view.seconds)
+        return shade_in_float64(
+            self._renderers[value], self._settings[value].adapt_camera(view.camera), view.seconds
+        )
 
     def _compare_depths(self, view: PathFrame) -> Iterator[tuple[str, Floats]]:
         exact = self._shade(view)
@@ -612,7 +681,9 @@ def find_camera_path(scene: Scene, setup: SweepSetup) -> CameraPath | None:
 def find_next_frame(scene: Scene, setup: SweepSetup, path_frame: PathFrame) -> PathFrame | None:
     """The next frame of the path, None at its end."""
     path = find_camera_path(scene, setup)
-    return None if path is None or path_frame.number + 1 >= len(path) else path.path_frame(path_frame.number + 1)
+    return (
+        None if path is None or path_frame.number + 1 >= len(path) else path.path_frame(path_frame.number + 1)
+    )
 
 
 def list_views(
@@ -623,13 +694,19 @@ def list_views(
     path, view_count = find_camera_path(scene, setup), count or setup.views
     if path is None:
         camera = parse_camera(_name_camera(scene, setup), scene)
-        return [PathFrame(number, camera) for number in range(view_count)] if consecutive else [PathFrame(0, camera)]
+        return (
+            [PathFrame(number, camera) for number in range(view_count)]
+            if consecutive
+            else [PathFrame(0, camera)]
+        )
     last = len(path) - 1 if setup.last is None else min(setup.last, len(path) - 1)
     first = min(setup.first, last)
     if consecutive:
         begin = max(first, min((first + last) // 2, last - view_count + 1))
         return [path.path_frame(number) for number in range(begin, min(begin + view_count, last + 1))]
-    positions = np.linspace(first, last, view_count + 2)[1:-1]  # not the ends, where there may be nothing to see
+    positions = np.linspace(first, last, view_count + 2)[
+        1:-1
+    ]  # not the ends, where there may be nothing to see
     return [path.path_frame(number) for number in dict.fromkeys(int(position) for position in positions)]
 
 
@@ -708,14 +785,21 @@ def _sweep_encodings(
     errors, work = {}, {}
     for value, encoding in encodings.items():
         vectors = encoding.sample(np.random.default_rng(0), _VALUES)
-        errors[value] = encoding.measure(vectors, run_round_trip(device, encoding.shader, vectors, **encoding.uniforms))
+        errors[value] = encoding.measure(
+            vectors, run_round_trip(device, encoding.shader, vectors, **encoding.uniforms)
+        )
         work[value] = time_round_trip(device, encoding.shader, vectors, **encoding.uniforms)
     times = alternate(work, range(setup.rounds), 2)
     samples = {
         value: ValueSample(
-            ((float(error.sum()), error.size),), float(error.max()), None, "", times[value].seconds,
-            times[value].processor_seconds, float(np.percentile(error, 99.0)),
+            ((float(error.sum()), error.size),),
+            float(error.max()),
+            None,
+            "",
+            times[value].seconds,
+            times[value].processor_seconds,
+            float(np.percentile(error, 99.0)),
         )
         for value, error in errors.items()
-    }  # fmt: skip
+    }
     return make_sample({}, samples)

@@ -1,14 +1,15 @@
 """The search for b and n of CHC++ (thesis 6.5.1): trials, and which values to try next.
 
-A trial renders a walk through the scene with one pair (b, n) and, in turn, frame by frame in the same process, with
-the default pair. Its result is the mean of the frames' ratios without the quarter at either end. So other load on the
-machine, above all trials at the same time, slows both alike, and results from different machines can be compared.
-Counters don't depend on the time, except through query results that arrive early or late.
+A trial renders a walk through the scene with one pair (b, n) and, in turn, frame by frame in the same
+process, with the default pair. Its result is the mean of the frames' ratios without the quarter at either
+end. So other load on the machine, above all trials at the same time, slows both alike, and results from
+different machines can be compared. Counters don't depend on the time, except through query results that
+arrive early or late.
 
-The search begins with a grid over both ranges, evenly spaced by ratio, and refines it around the best pair (the
-thesis's binary search, on both axes at once). All trials of a round may run at the same time. Finally, a trial
-compares the best few pairs with each other, in one process with nothing beside it; the best is then tried with leaves
-of several objects.
+The search begins with a grid over both ranges, evenly spaced by ratio, and refines it around the best pair
+(the thesis's binary search, on both axes at once). All trials of a round may run at the same time. Finally, a
+trial compares the best few pairs with each other, in one process with nothing beside it; the best is then
+tried with leaves of several objects.
 """
 
 from __future__ import annotations
@@ -84,8 +85,10 @@ def trimmed_mean_ratio(result: Result, _: str) -> float:
 
 
 COLUMNS: Final[dict[str, Column]] = {
-    "milliseconds": time(), "ratio": trimmed_mean_ratio, **dict.fromkeys(_COUNTED, average()),
-}  # fmt: skip
+    "milliseconds": time(),
+    "ratio": trimmed_mean_ratio,
+    **dict.fromkeys(_COUNTED, average()),
+}
 
 
 def try_pairs(path_frames: PathFrames, pairs: Sequence[ParameterPair], leaf_size: int = 1) -> list[Trial]:
@@ -101,7 +104,8 @@ def try_pairs(path_frames: PathFrames, pairs: Sequence[ParameterPair], leaf_size
         Renderer(device, scene, size=path_frames.size) as renderer,
     ):
         tried = [
-            replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size) for batch, persistence in pairs
+            replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size)
+            for batch, persistence in pairs
         ]
         frames = [
             PathFrame(path_frames.first + frame, path_frames.path.camera(frame))
@@ -115,7 +119,9 @@ def try_pairs(path_frames: PathFrames, pairs: Sequence[ParameterPair], leaf_size
     ]
 
 
-def _make_subject(renderer: Renderer, path_frames: Sequence[PathFrame], settings: VisibilitySettings) -> Subject:
+def _make_subject(
+    renderer: Renderer, path_frames: Sequence[PathFrame], settings: VisibilitySettings
+) -> Subject:
     """The subject that draws frames with settings of CHC++."""
     algorithm = make_visibility("chc_plus_plus", renderer.scene, renderer.device, settings)
 
@@ -134,16 +140,20 @@ def search(
 ) -> Iterator[Trial]:
     """Yield trials of pairs within both ranges, ends included; `try_all` runs the trials of a round.
 
-    The first round is a grid over the ranges. Each further round is centred at the best pair so far and spans the
-    square root of the last round's spans. No pair is tried twice.
+    The first round is a grid over the ranges. Each further round is centred at the best pair so far and spans
+    the square root of the last round's spans. No pair is tried twice.
     """
     trials: dict[ParameterPair, Trial] = {}
     default = VisibilitySettings()
     spans = [high / low for low, high in (batches, persistences)]
     candidates = {
         (b, n) for b in space_evenly(*batches, _FIRST) for n in space_evenly(*persistences, _FIRST)
-    } | {(min(max(default.batch, batches[0]), batches[1]),
-          min(max(default.persistence, persistences[0]), persistences[1]))}  # fmt: skip
+    } | {
+        (
+            min(max(default.batch, batches[0]), batches[1]),
+            min(max(default.persistence, persistences[0]), persistences[1]),
+        )
+    }
     for turn in range(rounds):
         if turn:
             best = select_best(list(trials.values()), 1)[0]
@@ -159,7 +169,8 @@ def search(
 
 
 def select_best(trials: Sequence[Trial], count: int = _FINALISTS) -> list[Trial]:
-    """The `count` trials with the smallest ratios, best first; of equal ones, those with fewer queries first."""
+    """The `count` trials with the smallest ratios, best first; of equal ones, those with fewer queries
+    first."""
     return sorted(trials, key=lambda trial: (trial.ratio, trial.queries))[:count]
 
 

@@ -61,8 +61,8 @@ class FrameCosts:
     """The costs of a scene and of a frame of it.
 
     Attributes:
-        passes: the names of the frame's events. draws, dispatches: the numbers of calls. programs: that of the programs
-            that run. bindings: that of the resources that are bound.
+        passes: the names of the frame's events. draws, dispatches: the numbers of calls. programs: that of
+            the programs that run. bindings: that of the resources that are bound.
         uploads: bytes written in the frame, in which the eye moves. setup: bytes written before.
         images, buffers: bytes of the textures and of the buffers in use.
         steps: of simulations. calls: of Python functions.
@@ -101,7 +101,8 @@ class Leftovers:
     """What remains of an effect that was removed, compared with a scene that never had it.
 
     Attributes:
-        differences: of the frame's commands. calls: of the renderer's functions, of which one of the frames makes more.
+        differences: of the frame's commands. calls: of the renderer's functions, of which one of the frames
+            makes more.
         device_calls: the same of the device's functions: it counts the draws of each program that there is.
         allocated_bytes: additional bytes in use on the device, by name.
     """
@@ -184,13 +185,17 @@ def count_frame(step_renderer: StepRenderer) -> CountedFrame:
         steps=steps,
         calls=call_counts.total(),
     )
-    return CountedFrame(costs, call_counts, commands, {(row.name, row.shape): row.bytes for row in allocated_bytes})
+    return CountedFrame(
+        costs, call_counts, commands, {(row.name, row.shape): row.bytes for row in allocated_bytes}
+    )
 
 
 def count_calls(number: int, counted: CountedFrame) -> int:
     """The number of a frame's calls of functions of a step's own modules."""
     modules = EFFECT_STEPS[number].modules
-    return sum(count for (module, _), count in counted.call_counts.items() if modules and module.startswith(modules))
+    return sum(
+        count for (module, _), count in counted.call_counts.items() if modules and module.startswith(modules)
+    )
 
 
 def _count_bytes(commands: Commands) -> int:
@@ -229,8 +234,8 @@ def open_without_effect(device: rhi.Device, number: int, count: int | None = Non
 def remove_effect(device: rhi.Device, number: int, count: int | None = None) -> StepRenderer:
     """Draw the scene of a step, or of the first `count` steps, and remove the effect.
 
-    What can be switched is switched off in the renderer that has drawn it. What is a part of the scene is left out of
-    another one on the same device, after the renderer of the one with it was destroyed.
+    What can be switched is switched off in the renderer that has drawn it. What is a part of the scene is
+    left out of another one on the same device, after the renderer of the one with it was destroyed.
     """
     step_renderer = StepRenderer(device, count or number + 1)
     step_renderer.render(_WARM)
@@ -274,7 +279,10 @@ def list_faults(number: int, never: CountedFrame, removed: CountedFrame, leftove
     removed."""
     step, faults = EFFECT_STEPS[number], []
     if step.markers is not None:
-        for frames_of, frame in (("a scene that never had it", never), ("a scene from which it was removed", removed)):
+        for frames_of, frame in (
+            ("a scene that never had it", never),
+            ("a scene from which it was removed", removed),
+        ):
             try:
                 assert_free(step.markers, frame.commands)
             except AssertionError as error:

@@ -49,10 +49,11 @@ class EffectStep:
 
     Attributes:
         description: what the scene has more than the one before, in a few words.
-        markers: the pattern that recognises the effect's commands in a stream; None if the step adds no effect.
+        markers: the pattern that recognises the effect's commands in a stream; None if the step adds no
+            effect.
         add_to_scene: adds what the effect needs to a scene; returns the index of its own material, or -1.
-        switch: switches the effect on and off at run time; None for what is a part of a scene and removed by leaving it
-            out.
+        switch: switches the effect on and off at run time; None for what is a part of a scene and removed by
+            leaving it out.
         modules: prefixes of the names of modules in which nothing runs in a frame without the effect.
     """
 
@@ -216,7 +217,9 @@ EFFECT_STEPS: Final = (
         "point light",
         "a point light",
         EffectPattern(
-            "point light", words=("PointLight",), bindings=("point_lights", "light_list"),
+            "point light",
+            words=("PointLight",),
+            bindings=("point_lights", "light_list"),
             resources=("point lights", "light rows"),
         ),
         switch=partial(_switch_light, "point", ((1.3, 1.3, 1.1), 5.0, (1.0, 0.55, 0.2), 3.5)),
@@ -231,8 +234,11 @@ EFFECT_STEPS: Final = (
         "shadow",
         "the sun casts shadows",
         EffectPattern(
-            "shadow", programs=("DepthOnly",), bindings=("cascade_table", "shadow_[ac]*"),
-            resources=("shadow atlas", "CascadeTable"), events=("shadow maps",),
+            "shadow",
+            programs=("DepthOnly",),
+            bindings=("cascade_table", "shadow_[ac]*"),
+            resources=("shadow atlas", "CascadeTable"),
+            events=("shadow maps",),
         ),
         switch=partial(_switch_light_field, ("directional",), "casts_shadow", True),
         modules=("renderer.shadows",),
@@ -241,7 +247,8 @@ EFFECT_STEPS: Final = (
         "local shadows",
         "both local lights cast shadows",
         EffectPattern(
-            "local shadows", bindings=("local_shadow_table", "shadow_slots", "local_shadow_maps"),
+            "local shadows",
+            bindings=("local_shadow_table", "shadow_slots", "local_shadow_maps"),
             resources=("LocalShadowTable", "shadow slots", "local shadow maps"),
         ),
         switch=partial(_switch_light_field, ("point", "spot"), "casts_shadow", True),
@@ -273,7 +280,11 @@ EFFECT_STEPS: Final = (
         EffectPattern(
             "marble", words=("value_noise",), bindings=("parameters",), resources=("parameters of Marble",)
         ),
-        partial(_add_ball, (-0.55, 0.45, 1.9), {"shader": Marble, "base_color": (0.8, 0.82, 0.9), "frequency": 3.0}),
+        partial(
+            _add_ball,
+            (-0.55, 0.45, 1.9),
+            {"shader": Marble, "base_color": (0.8, 0.82, 0.9), "frequency": 3.0},
+        ),
     ),
     EffectStep(
         "emission",
@@ -286,7 +297,9 @@ EFFECT_STEPS: Final = (
         "bloom",
         "what is brighter than white blooms",
         EffectPattern(
-            "bloom", words=("finite_light",), bindings=("smaller_level", "bloom"),
+            "bloom",
+            words=("finite_light",),
+            bindings=("smaller_level", "bloom"),
             events=("bloom", "tone mapping"),
         ),
         switch=partial(_switch_air, "bloom", Bloom(0.1), None),
@@ -309,14 +322,18 @@ EFFECT_STEPS: Final = (
     EffectStep(
         "fog",
         "fog that lies on the ground",
-        EffectPattern("fog", words=("apply_fog_to_background", "FogConstants"), bindings=("fog",), events=("sky",)),
+        EffectPattern(
+            "fog", words=("apply_fog_to_background", "FogConstants"), bindings=("fog",), events=("sky",)
+        ),
         switch=partial(_switch_air, "fog", Fog(0.25, falloff=1.2), None),
     ),
     EffectStep(
         "terrain",
         "hills whose triangles are chosen for the view",
         EffectPattern(
-            "terrain", programs=("BeginBisection", "Bisect", "FinishBisection"), resources=("height field*",),
+            "terrain",
+            programs=("BeginBisection", "Bisect", "FinishBisection"),
+            resources=("height field*",),
             events=("tessellation",),
         ),
         _add_terrain,
@@ -332,7 +349,10 @@ EFFECT_STEPS: Final = (
         "particles",
         "the fountain's drops as sprites",
         EffectPattern(
-            "particles", programs=("*Particle*",), bindings=("particles",), events=("particles",),
+            "particles",
+            programs=("*Particle*",),
+            bindings=("particles",),
+            events=("particles",),
         ),
         switch=partial(_switch_layer, Particles),
         modules=("renderer.layers.particles",),
@@ -371,7 +391,7 @@ EFFECT_STEPS: Final = (
         switch=partial(_switch_layer, Overlay),
         modules=("renderer.layers.overlay", "renderer.layers.canvas"),
     ),
-)  # fmt: skip
+)
 """The steps, each with all that those before it have."""
 
 

@@ -34,8 +34,8 @@ class EffectRow:
         passes: names of passes that the step adds. replaced: names of passes that it removes.
         leftovers: what remains once the effect is removed; None for the first step.
         faults: costs of the effect in scenes without it, and unexplained leftovers.
-        times: by backend, milliseconds of the processor. ratios: by backend, the time of a frame from which the effect
-            was removed as a multiple of one that never had it.
+        times: by backend, milliseconds of the processor. ratios: by backend, the time of a frame from which
+            the effect was removed as a multiple of one that never had it.
     """
 
     name: str
@@ -95,7 +95,8 @@ def time_effect_costs(
     """Time what steps add on a device, and what remains of each once it is removed.
 
     Args:
-        rounds: in which all steps are timed; their removal is timed in five times as many. watch: shows progress.
+        rounds: in which all steps are timed; their removal is timed in five times as many. watch: shows
+            progress.
     """
     backend = device.backend_name
     numbers = {EFFECT_STEPS[number].name: number for number in range(len(EFFECT_STEPS))}
@@ -109,10 +110,17 @@ def time_effect_costs(
 
 
 _TITLES: Final[Mapping[str, str]] = {
-    "draws": "draws", "dispatches": "dispatches", "programs": "programs", "bindings": "bindings",
-    "uploads": "bytes a frame", "setup": "bytes at first", "images": "image bytes", "buffers": "buffer bytes",
-    "steps": "steps", "calls": "calls",
-}  # fmt: skip
+    "draws": "draws",
+    "dispatches": "dispatches",
+    "programs": "programs",
+    "bindings": "bindings",
+    "uploads": "bytes a frame",
+    "setup": "bytes at first",
+    "images": "image bytes",
+    "buffers": "buffer bytes",
+    "steps": "steps",
+    "calls": "calls",
+}
 
 
 def format_added(rows: Sequence[EffectRow], *, markdown: bool = False) -> str:
@@ -132,14 +140,20 @@ def format_removed(rows: Sequence[EffectRow], *, markdown: bool = False) -> str:
     """Format the leftovers of removed effects as a table."""
     backends = list(dict.fromkeys(name for row in rows for name in row.ratios))
     header = [
-        "without", "commands that differ", "calls that differ", "calls of the device that differ", "bytes still held",
+        "without",
+        "commands that differ",
+        "calls that differ",
+        "calls of the device that differ",
+        "bytes still held",
         *(f"time on {name}" for name in backends),
-    ]  # fmt: skip
+    ]
     cells: list[list[object]] = []
     for row in rows:
         if row.leftovers is None:
             continue
-        allocated_bytes = ", ".join(f"{size:,} ({name})" for name, size in row.leftovers.allocated_bytes.items()) or "0"
+        allocated_bytes = (
+            ", ".join(f"{size:,} ({name})" for name, size in row.leftovers.allocated_bytes.items()) or "0"
+        )
         ratios = [_format_ratio(row.ratios.get(name)) for name in backends]
         cells.append(
             [

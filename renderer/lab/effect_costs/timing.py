@@ -1,6 +1,7 @@
 """Times that each effect step adds to a frame, and that remain once it is removed.
 
-All renderers alternate in one process, and times are those of the processor in all threads, with 95 % intervals.
+All renderers alternate in one process, and times are those of the processor in all threads, with 95 %
+intervals.
 """
 
 from __future__ import annotations
@@ -45,10 +46,14 @@ def time_steps(device: rhi.Device, numbers: Sequence[int], rounds: Iterable[int]
         for number in drawn:
             step_renderers[str(number)] = step_renderer = StepRenderer(device, number + 1)
             stack.callback(step_renderer.destroy)
-        times = {int(name): time.in_milliseconds() for name, time in _alternate(step_renderers, rounds).items()}
+        times = {
+            int(name): time.in_milliseconds() for name, time in _alternate(step_renderers, rounds).items()
+        }
     added = {number: times[number] - times[number - 1] for number in numbers if number - 1 in times}
     return {
-        number: EffectTime(Interval.of(times[number]), Interval.of(added[number]) if number in added else None)
+        number: EffectTime(
+            Interval.of(times[number]), Interval.of(added[number]) if number in added else None
+        )
         for number in numbers
     }
 
@@ -88,7 +93,8 @@ def _alternate(step_renderers: dict[str, StepRenderer], rounds: Iterable[int]) -
 
 @dataclass(frozen=True, slots=True)
 class EffectCollectionTime:
-    """The cost of collecting a frame's effects: microseconds, and the fraction of the frame's processor time."""
+    """The cost of collecting a frame's effects: microseconds, and the fraction of the frame's processor
+    time."""
 
     microseconds: Interval
     fraction: Interval

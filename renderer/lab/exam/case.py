@@ -19,7 +19,8 @@ from rhi import Capabilities, Device
 DRAWS, COMPUTES, NOTHING = "draws", "computes", "no device"
 """How cases use a device."""
 CaseImage = NDArray[Any]
-"""An image (height, width, 4) uint8 of sRGB colours, or errors (height, width) of another type, shown by brightness."""
+"""An image (height, width, 4) uint8 of sRGB colours, or errors (height, width) of another type, shown by
+brightness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,8 @@ class Case:
         number: selects the case; those up to 51 are known from the literature on the techniques.
         description: what is hard, in a few words.
         reference: what the device is compared with.
-        tolerance: the greatest error that passes, in `unit`. why: the reason why it may be that large, and no larger.
+        tolerance: the greatest error that passes, in `unit`. why: the reason why it may be that large, and no
+            larger.
         measure: measures the error on a device.
         requires: names of the capabilities without which the case doesn't apply.
         is_long: whether it takes so long that it only runs if it is named.

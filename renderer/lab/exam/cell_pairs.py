@@ -50,14 +50,19 @@ PROJECTIONS: dict[str, Projection] = {
 REACH = 150.0
 
 
-def make_test_grid(name: str, size: tuple[int, int] = (1366, 768), tile: int = 8, slices: int = 1) -> ClusterGrid:
+def make_test_grid(
+    name: str, size: tuple[int, int] = (1366, 768), tile: int = 8, slices: int = 1
+) -> ClusterGrid:
     """Make the grid of a projection by its name."""
     projection = PROJECTIONS[name].with_aspect(size[0] / size[1])
     return make_grid(projection, size, tile, slices=slices, reach=REACH)
 
 
-def choose_cells(grid: ClusterGrid, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int32], Floats, Floats]:
-    """Choose tiles (n, 2) and depths from near to far: shallow ones, flat ones, and the whole depth of the view."""
+def choose_cells(
+    grid: ClusterGrid, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int32], Floats, Floats]:
+    """Choose tiles (n, 2) and depths from near to far: shallow ones, flat ones, and the whole depth of the
+    view."""
     tiles = np.column_stack([rng.integers(0, (grid.count.x, grid.count.y)[axis], count) for axis in range(2)])
     near = grid.near + (grid.far - grid.near) * rng.random(count) ** 3 * 0.9
     far = near + (grid.far - near) * rng.choice([0.0, 1e-4, 0.01, 0.1, 1.0], count) * rng.random(count)
@@ -68,7 +73,8 @@ def choose_cells(grid: ClusterGrid, count: int, rng: np.random.Generator) -> tup
 def cell_corners(
     projection: Projection, grid: ClusterGrid, tiles: NDArray[np.int32], near: Floats, far: Floats
 ) -> Floats:
-    """Compute the corners (n, 8, 3) in eye space with the inverse of the projection; right is bit 0, top 1, far 2."""
+    """Compute the corners (n, 8, 3) in eye space with the inverse of the projection; right is bit 0, top 1,
+    far 2."""
     inverse = np.linalg.inv(projection.matrix)
     count, size = len(tiles), np.array([grid.size.x, grid.size.y])
     first = tiles * grid.tile
@@ -79,7 +85,9 @@ def cell_corners(
         clip = 2.0 * pixel / size - 1.0
         line = []
         for depth in (0.25, 0.75):  # two points of the line that projects to the pixel
-            position = np.column_stack([clip * (1.0, -1.0), np.full(count, depth), np.ones(count)]) @ inverse.T
+            position = (
+                np.column_stack([clip * (1.0, -1.0), np.full(count, depth), np.ones(count)]) @ inverse.T
+            )
             line.append(position[:, :3] / position[:, 3:])
         z = -(far if index & 4 else near)
         share = (z - line[0][:, 2]) / (line[1][:, 2] - line[0][:, 2])
@@ -91,8 +99,8 @@ _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), 
 
 
 def distances(corners: Floats, points: Floats) -> Floats:
-    """Compute the distance of points (n, 3) from hexahedra (n, 8, 3): 0 inside, otherwise the least one from the sides
-    and the faces."""
+    """Compute the distance of points (n, 3) from hexahedra (n, 8, 3): 0 inside, otherwise the least one from
+    the sides and the faces."""
     nearest = np.full(len(points), np.inf)
     inside = np.ones(len(points), bool)
     median_of = corners.mean(1)
@@ -152,9 +160,13 @@ def make_pairs(projection: str, count: int, seed: int = 0, size: tuple[int, int]
     away /= np.linalg.norm(away, axis=1)[:, None]
     scale = 10.0 ** rng.uniform(-2.0, 1.5, count)
     # Shaders read float32.
-    centres = ((weights[:, :, None] * corners).sum(1) + away * scale[:, None]).astype(np.float32).astype(np.float64)
+    centres = (
+        ((weights[:, :, None] * corners).sum(1) + away * scale[:, None]).astype(np.float32).astype(np.float64)
+    )
     exact = distances(corners, centres)
-    factor = np.where(rng.random(count) < 1 / 3, 1.0 + rng.uniform(-1e-6, 1e-6, count), rng.uniform(0.3, 1.7, count))
+    factor = np.where(
+        rng.random(count) < 1 / 3, 1.0 + rng.uniform(-1e-6, 1e-6, count), rng.uniform(0.3, 1.7, count)
+    )
     radii = np.where(exact > 0.0, exact, scale) * factor
     radii = radii.astype(np.float32).astype(np.float64)
     return Pairs(grid, tiles, near, far, corners, centres, radii, exact)

@@ -52,7 +52,9 @@ def nearest_points_in_cells(corners: Floats, points: Floats) -> Floats:
 
     def beside(z: Floats) -> Floats:
         share = ((z - near) / length)[:, None]
-        low, high = (corners[:, corner, :2] * (1.0 - share) + corners[:, corner + 4, :2] * share for corner in (0, 3))
+        low, high = (
+            corners[:, corner, :2] * (1.0 - share) + corners[:, corner + 4, :2] * share for corner in (0, 3)
+        )
         return np.column_stack([np.clip(points[:, :2], low, high), z])
 
     def square(z: Floats) -> Floats:
@@ -79,7 +81,9 @@ def nearest_points_in_cones(cones: Cones, points: Floats) -> Floats:
     onto = on_side[:, None] * (cosine[:, None] * cones["axis"] + sine[:, None] * unit)
     offset = np.where(inside[:, None], away, onto)
     length = np.linalg.norm(offset, axis=1)
-    return np.asarray(cones["apex"] + offset * np.minimum(1.0, cones["range"] / np.maximum(length, 1e-300))[:, None])
+    return np.asarray(
+        cones["apex"] + offset * np.minimum(1.0, cones["range"] / np.maximum(length, 1e-300))[:, None]
+    )
 
 
 def are_in_cones(cones: Cones, points: Floats) -> NDArray[np.bool_]:
@@ -113,8 +117,11 @@ def make_cone_pairs(name: str) -> ConePairs:
     axis = (aim - apex) / scale[:, None] + rng.normal(size=(COUNT, 3)) * sideways[:, None]
     axis *= (np.where(angle > 1.7, -1.0, 1.0) / np.linalg.norm(axis, axis=1))[:, None]
     cones = {
-        "apex": apex, "range": scale * rng.uniform(0.5, 2.0, COUNT), "axis": axis, "cosine": np.cos(angle)
-    }  # fmt: skip
+        "apex": apex,
+        "range": scale * rng.uniform(0.5, 2.0, COUNT),
+        "axis": axis,
+        "cosine": np.cos(angle),
+    }
     cones = {name: values.astype(np.float32).astype(np.float64) for name, values in cones.items()}
     cones["axis"] /= np.linalg.norm(cones["axis"], axis=1)[:, None]
     inner = cones | {"range": 0.999 * cones["range"], "cosine": np.cos(0.999 * np.arccos(cones["cosine"]))}

@@ -1,9 +1,9 @@
 """Cracks: surfaces without gaps, whose background must not show between their triangles.
 
-Rasterisation promises that triangles with the same edge, both of its ends, leave no pixel out. It promises nothing
-where an edge is split by a vertex on one side only (a T-junction): corners are rounded to parts of a pixel, the vertex
-moves off the edge, and a pixel whose centre lies between shows what is behind. So such pixels must be close to the
-edge, closer than corners are rounded; and terrain must not have such edges.
+Rasterisation promises that triangles with the same edge, both of its ends, leave no pixel out. It promises
+nothing where an edge is split by a vertex on one side only (a T-junction): corners are rounded to parts of a
+pixel, the vertex moves off the edge, and a pixel whose centre lies between shows what is behind. So such
+pixels must be close to the edge, closer than corners are rounded; and terrain must not have such edges.
 """
 
 from __future__ import annotations
@@ -60,7 +60,9 @@ def make_hills() -> Scene:
     """Make hills whose triangles are chosen for the view, below all eyes but the last."""
     builder = _make_builder("hills")
     along = np.linspace(0.0, 9.0, 129)
-    heights = 6.0 * np.sin(2.0 * along)[:, None] * np.cos(2.6 * along) + np.random.default_rng(1).random((129, 129))
+    heights = 6.0 * np.sin(2.0 * along)[:, None] * np.cos(2.6 * along) + np.random.default_rng(1).random(
+        (129, 129)
+    )
     field = builder.add_height_field(make_height_field(heights, _FIELD))
     builder.add_objects(builder.add_node(), field, builder.add_material(base_color=(0.5, 0.5, 0.5)))
     return builder.build()
@@ -81,15 +83,21 @@ def background_pixels(image: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def distances_to_seams(camera: Camera, pixels: NDArray[np.bool_]) -> Floats:
-    """The distances (k,) of the centres of `pixels` (h, w) from the nearest line between strips, in pixels."""
+    """The distances (k,) of the centres of `pixels` (h, w) from the nearest line between strips, in
+    pixels."""
     width, height = SIZE
     matrix = camera.projection.matrix[[0, 1, 3], :3] @ camera.rotation
-    screen = np.array([[0.5 * width, 0.0, 0.5 * width], [0.0, -0.5 * height, 0.5 * height], [0.0, 0.0, 1.0]]) @ matrix
+    screen = (
+        np.array([[0.5 * width, 0.0, 0.5 * width], [0.0, -0.5 * height, 0.5 * height], [0.0, 0.0, 1.0]])
+        @ matrix
+    )
     ends = [[points_on_seam(number, _COLUMNS[[at]])[0] for at in (0, -1)] for number in range(_STRIPS + 1)]
     first, last = np.moveaxis((np.array(ends) - camera.position) @ screen.T, 1, 0)
     lines = np.cross(first, last)
     y, x = np.nonzero(pixels)
-    away = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], axis=1) @ lines.T / np.hypot(lines[:, 0], lines[:, 1])
+    away = (
+        np.stack([x + 0.5, y + 0.5, np.ones(len(x))], axis=1) @ lines.T / np.hypot(lines[:, 0], lines[:, 1])
+    )
     return np.asarray(np.abs(away).min(axis=1))
 
 
@@ -131,8 +139,12 @@ def measure_terrain_levels(device: Device) -> CaseResult:
             renderer.tessellator.settings = TessellationSettings(edge_pixels=(6.0, 24.0)[number % 2])
             image = images[f"eye {number}"] = renderer.render(camera).image.read()
             counts.append(int(background_pixels(image).sum()))
-            selected_indices = renderer.resources.indices.read(0, 3 * renderer.tessellator.fields[0].read_count())
-            corners = scene.meshes.vertices["position"][selected_indices.reshape(-1, 3), ::2].astype(np.float64)
+            selected_indices = renderer.resources.indices.read(
+                0, 3 * renderer.tessellator.fields[0].read_count()
+            )
+            corners = scene.meshes.vertices["position"][selected_indices.reshape(-1, 3), ::2].astype(
+                np.float64
+            )
             sizes.append(len(np.unique(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).round(3))))
     holds = {
         "triangles are of four sizes or more": min(sizes) >= 4,

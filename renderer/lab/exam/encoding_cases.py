@@ -48,7 +48,9 @@ class EveryEncoding(sl.Shader):
         first = self.values[row].first
         second = self.values[row].second
         frame = encodings.decode_frame(
-            encodings.encode_frame(encodings.TangentFrame(normal=first.xyz, tangent=second.xyz, side=second.w))
+            encodings.encode_frame(
+                encodings.TangentFrame(normal=first.xyz, tangent=second.xyz, side=second.w)
+            )
         )
         fine = encodings.decode_normal(encodings.encode_normal(first.xyz))
         coarse = encodings.decode_octahedral(encodings.encode_octahedral(first.xyz, 127.0), 127.0)
@@ -56,7 +58,9 @@ class EveryEncoding(sl.Shader):
         read = encodings.decode_uv(encodings.encode_uv(first.xy))
         x = encodings.decode_gradient(encodings.encode_gradient(first.xy))
         y = encodings.decode_gradient(encodings.encode_gradient(first.zw))
-        self.results[4 * row] = StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
+        self.results[4 * row] = StoredValue(
+            first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side)
+        )
         self.results[4 * row + 1] = StoredValue(first=sl.vec4(fine, 0.0), second=sl.vec4(coarse, 0.0))
         self.results[4 * row + 2] = StoredValue(first=sl.vec4(best, 0.0), second=sl.vec4(x, y))
         bitangent = encodings.compute_bitangent(frame)
@@ -70,7 +74,9 @@ def _normalize(vectors: Floats) -> Floats:
 _AXES: Final = np.concatenate([np.eye(3), -np.eye(3)])
 _SIDES: Final = (-1, 0, 1)
 _SEAMS: Final = _normalize(
-    np.array([(x, y, z) for x in _SIDES for y in _SIDES for z in _SIDES if abs(x) + abs(y) + abs(z) > 1], float)
+    np.array(
+        [(x, y, z) for x in _SIDES for y in _SIDES for z in _SIDES if abs(x) + abs(y) + abs(z) > 1], float
+    )
 )
 NORMALS: Final = np.concatenate(
     [
@@ -78,7 +84,9 @@ NORMALS: Final = np.concatenate(
         np.where(_AXES == 0.0, -0.0, _AXES),
         _SEAMS,
         _normalize(_SEAMS + np.array([1e-6, -1e-6, 1e-6])),
-        _normalize(np.array([[1e-7, -1e-7, -1.0], [-1e-7, 0.0, -1.0], [1.0, 1e-8, -1e-8], [0.6, -0.8, -1e-9]])),
+        _normalize(
+            np.array([[1e-7, -1e-7, -1.0], [-1e-7, 0.0, -1.0], [1.0, 1e-8, -1e-8], [0.6, -0.8, -1e-9]])
+        ),
     ]
 )
 DERIVATIVES: Final = np.array(
@@ -135,10 +143,16 @@ def measure_normals(read: Floats) -> CaseResult:
     """The greatest angle of normals in 2 × 16 bits, 2 × 8 bits, the best of 4 and the frame's, each relative
     to what its bits allow."""
     values = list_values()[:_FRAMES, :3]
-    bounds = {"2 × 16 bits": 0.0038, "2 × 8 bits": 0.951, "2 × 8 bits, best of 4": 0.640, "in a tangent frame": 0.08}
+    bounds = {
+        "2 × 16 bits": 0.0038,
+        "2 × 8 bits": 0.951,
+        "2 × 8 bits, best of 4": 0.640,
+        "in a tangent frame": 0.08,
+    }
     stored = (read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3], read[:_FRAMES, 0, :3])
     angles = {
-        title: float(angles_in_degrees(values, decoded).max()) for title, decoded in zip(bounds, stored, strict=True)
+        title: float(angles_in_degrees(values, decoded).max())
+        for title, decoded in zip(bounds, stored, strict=True)
     }
     numbers = {f"{title}, of {bounds[title]}°": f"{angle:.4f}°" for title, angle in angles.items()}
     return CaseResult(largest_error(*(angles[title] / bounds[title] for title in bounds)), dict(numbers))
@@ -152,7 +166,9 @@ def measure_axes(read: Floats) -> CaseResult:
     stored = (read[:_FRAMES, 0, :3], read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3])
     error = largest_error(*(float(np.abs(decoded[axes] - values[axes]).max()) for decoded in stored))
     up = np.array([0.0, 0.0, 1.0], np.float32)
-    x, y, _ = sl.evaluate(decode_octahedral_truncated, sl.evaluate(encode_octahedral_truncated, up, 255.0), 255.0)
+    x, y, _ = sl.evaluate(
+        decode_octahedral_truncated, sl.evaluate(encode_octahedral_truncated, up, 255.0), 255.0
+    )
     holds = {"numbers without a middle miss the axis": bool(x == y and abs(x + 0.0039) < 1e-4)}
     return CaseResult(error, {"axes": int(axes.sum())}, holds)
 
@@ -172,7 +188,10 @@ def measure_derivatives(read: Floats) -> CaseResult:
     }
     return CaseResult(
         error,
-        {f"{derivatives}": errors.tolist() for derivatives, errors in zip(DERIVATIVES.tolist(), changes, strict=True)},
+        {
+            f"{derivatives}": errors.tolist()
+            for derivatives, errors in zip(DERIVATIVES.tolist(), changes, strict=True)
+        },
         holds,
     )
 

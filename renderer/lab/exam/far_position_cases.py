@@ -41,11 +41,17 @@ def make_pillars(offset: float) -> Scene:
     return builder.build()
 
 
-def draw_pillars(device: Device, offset: float, technique: str, stereo: Stereo | None = None) -> list[NDArray[Any]]:
+def draw_pillars(
+    device: Device, offset: float, technique: str, stereo: Stereo | None = None
+) -> list[NDArray[Any]]:
     """The images of all eyes."""
     scene = make_pillars(offset)
-    camera = Camera.look_at((offset, 1.0, offset + 2.0), (offset, 0.5, offset - 8.0), projection=Perspective())
-    with Renderer(device, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility="frustum") as renderer:
+    camera = Camera.look_at(
+        (offset, 1.0, offset + 2.0), (offset, 0.5, offset - 8.0), projection=Perspective()
+    )
+    with Renderer(
+        device, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility="frustum"
+    ) as renderer:
         renderer.stereo = stereo
         return [eye_image.read() for eye_image in renderer.render(camera).eye_images]
 
@@ -59,7 +65,8 @@ def measure_far_scene(offset: float, techniques: tuple[str, ...], device: Device
         technique = "forward" if stereo else name
         here, there = (draw_pillars(device, where, technique, stereo) for where in (0.0, offset))
         wrong[name] = sum(
-            int((near_image != far_image).any(2).sum()) for near_image, far_image in zip(here, there, strict=True)
+            int((near_image != far_image).any(2).sum())
+            for near_image, far_image in zip(here, there, strict=True)
         )
         frames |= {f"{name}, at the origin": here[0], f"{name}, far": there[0]}
     off = float(np.float32(offset + 1 / 1024)) - (offset + 1 / 1024)

@@ -69,11 +69,20 @@ def list_camera_values() -> Inputs:
     yield "look_at.position", lambda x: scenes.Camera.look_at((0, x, 5), (0, 0, 0))
     yield "look_at.target", lambda x: scenes.Camera.look_at((0, 0, 5), (0, x, 0))
     yield "look_at.up", lambda x: scenes.Camera.look_at((0, 0, 5), (0, 0, 0), (x, 1, 0))
-    yield "CameraPath.record", lambda x: scenes.CameraPath.record([replace(CAMERA, position=np.array((x, 0, 0)))])
+    yield (
+        "CameraPath.record",
+        lambda x: scenes.CameraPath.record([replace(CAMERA, position=np.array((x, 0, 0)))]),
+    )
     yield "StereoRig.eye_distance", lambda x: scenes.StereoRig(eye_distance=x)
     yield "StereoRig.convergence", lambda x: scenes.StereoRig(convergence=x)
-    yield "StereoRig.comfortable.nearest", lambda x: scenes.StereoRig.comfortable(scenes.Perspective(), x, 10.0)
-    yield "StereoRig.comfortable.farthest", lambda x: scenes.StereoRig.comfortable(scenes.Perspective(), 1.0, x)
+    yield (
+        "StereoRig.comfortable.nearest",
+        lambda x: scenes.StereoRig.comfortable(scenes.Perspective(), x, 10.0),
+    )
+    yield (
+        "StereoRig.comfortable.farthest",
+        lambda x: scenes.StereoRig.comfortable(scenes.Perspective(), 1.0, x),
+    )
 
 
 def list_settings_values() -> Inputs:
@@ -82,7 +91,10 @@ def list_settings_values() -> Inputs:
         yield f"ShadowSettings.{field}", lambda x, field=field: ShadowSettings(**{field: x})
     for field in ("batch", "persistence", "threshold", "leaf_size"):
         yield f"VisibilitySettings.{field}", lambda x, field=field: VisibilitySettings(**{field: x})
-    yield "make_grid.first_slice", lambda x: make_grid(scenes.Perspective(far=9.0), (8, 8), 8, slices=4, first_slice=x)
+    yield (
+        "make_grid.first_slice",
+        lambda x: make_grid(scenes.Perspective(far=9.0), (8, 8), 8, slices=4, first_slice=x),
+    )
 
 
 def list_material_values() -> Inputs:
@@ -108,10 +120,16 @@ def list_geometry_values() -> Inputs:
     corners = np.eye(3)
     yield "make_geometry.positions", lambda x: scenes.make_geometry(corners * x, np.arange(3))
     yield "make_geometry.normals", lambda x: scenes.make_geometry(corners, np.arange(3), normals=corners * x)
-    yield "make_geometry.uvs", lambda x: scenes.make_geometry(corners, np.arange(3), corners, corners[:, :2] + x)
+    yield (
+        "make_geometry.uvs",
+        lambda x: scenes.make_geometry(corners, np.arange(3), corners, corners[:, :2] + x),
+    )
     yield "add_node", lambda x: make_box().add_node(scenes.translation((0.0, x, 0.0)))
     yield "add_mesh.bounds", lambda x: make_box().add_mesh(box(), bounds=(np.full(3, -x), np.full(3, x)))
-    yield "animate.bounds", lambda x: make_box().animate([0], lambda _: np.eye(4)[None], ((0, 0, x), (1, 1, x)))
+    yield (
+        "animate.bounds",
+        lambda x: make_box().animate([0], lambda _: np.eye(4)[None], ((0, 0, x), (1, 1, x))),
+    )
 
 
 def list_light_values() -> Inputs:
@@ -141,11 +159,15 @@ def list_cloth_values() -> Inputs:
     pins = np.eye(2, dtype=bool)
     yield "make_cloth_grid.points", lambda x: make_cloth_grid(grid + x, pins)
     yield "make_cloth_grid.flat", lambda x: make_cloth_grid(grid, pins, flat=grid + x)
-    yield "make_cloth_grid.room", lambda x: make_cloth_grid(grid, pins, bounds=((-1.0, -1.0, x), (2.0, 2.0, 2.0)))
+    yield (
+        "make_cloth_grid.room",
+        lambda x: make_cloth_grid(grid, pins, bounds=((-1.0, -1.0, x), (2.0, 2.0, 2.0))),
+    )
 
 
 def list_assignments(scene: scenes.Scene) -> Iterator[tuple[str, Callable[..., None]]]:
-    """Yield the values of a scene that may change between frames, each with a function that sets it to a number."""
+    """Yield the values of a scene that may change between frames, each with a function that sets it to a
+    number."""
     lights = scene.lights
     for kind in ("directional", "point", "spot"):
         for field in getattr(lights, kind).dtype.names:
@@ -171,8 +193,14 @@ def list_frames() -> Iterator[tuple[str, Callable[[Renderer, float], object]]]:
     """Yield the arguments of `render`, each with a function that renders with a number for it."""
     yield "render.seconds", lambda renderer, x: renderer.render(CAMERA, x)
     position = np.array((0.0, 1.0, 0.0))
-    yield "render.camera.position", lambda renderer, x: renderer.render(replace(CAMERA, position=position * x))
-    yield "render.camera.rotation", lambda renderer, x: renderer.render(replace(CAMERA, rotation=np.eye(3) * x))
+    yield (
+        "render.camera.position",
+        lambda renderer, x: renderer.render(replace(CAMERA, position=position * x)),
+    )
+    yield (
+        "render.camera.rotation",
+        lambda renderer, x: renderer.render(replace(CAMERA, rotation=np.eye(3) * x)),
+    )
 
 
 def measure_non_finite_inputs(_: Device) -> CaseResult:

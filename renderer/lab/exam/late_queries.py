@@ -59,4 +59,8 @@ def _delay(kind: Any, begins: str, looks: int, left: dict[int, int]) -> list[tup
         left[query.id] = 0
         return wait(query)
 
-    return [(kind, begins, begin_late), (kind, "is_finished", property(is_finished)), (kind, "wait", wait_late)]
+    return [
+        (kind, begins, begin_late),
+        (kind, "is_finished", property(is_finished)),
+        (kind, "wait", wait_late),
+    ]

@@ -1,7 +1,7 @@
 """Light culling: no test may drop a pair of a cell and a light that overlap.
 
-Cells are looked up and tested in float32 on the device. What is right is known in float64, mostly by formulas that
-shaders don't use: the inverse of a projection gives the corners of cells.
+Cells are looked up and tested in float32 on the device. What is right is known in float64, mostly by formulas
+that shaders don't use: the inverse of a projection gives the corners of cells.
 """
 
 from __future__ import annotations
@@ -60,17 +60,24 @@ def measure_sphere_decisions(spheres: dict[str, Sphere], device: Device) -> Case
     grid = make_grid(Perspective(fov=2.0 * np.arctan(HALF), aspect=1.0), (1, 1), 1)
     passed = run_sphere_tests(device, grid, rows)
     overlaps = np.array([sphere.overlaps for sphere in spheres.values()])
-    cells, centres = make_frustums(rows["near"], rows["far"]), np.array([sphere.centre for sphere in spheres.values()])
+    cells, centres = (
+        make_frustums(rows["near"], rows["far"]),
+        np.array([sphere.centre for sphere in spheres.values()]),
+    )
     radii = np.array([sphere.radius for sphere in spheres.values()])
     wrong = np.zeros(len(rows), np.int64)
     for name, test in SPHERE_TESTS.items():
-        plain = (sl.evaluate(test.function, cells, centres, radii, dtype=dtype) for dtype in (np.float64, np.float32))
+        plain = (
+            sl.evaluate(test.function, cells, centres, radii, dtype=dtype)
+            for dtype in (np.float64, np.float32)
+        )
         for passes in (passed[name], *plain):
             wrong += overlaps & ~passes
             if test.is_exact:
                 wrong += passes & ~overlaps
     return CaseResult(
-        int(wrong.sum()), {title: f"{count} wrong" for title, count in zip(spheres, wrong.tolist(), strict=True)}
+        int(wrong.sum()),
+        {title: f"{count} wrong" for title, count in zip(spheres, wrong.tolist(), strict=True)},
     )
 
 
@@ -78,9 +85,13 @@ def make_frustums(near: Floats, far: Floats) -> dict[str, Floats]:
     """The cells of the whole view between depths (n,), as shaders have them."""
     slope = np.full((len(near), 2), HALF)
     return {
-        "low": 0.0 * slope, "low_slope": -slope, "high": 0.0 * slope, "high_slope": slope,
-        "near": np.asarray(near, np.float64), "far": np.asarray(far, np.float64),
-    }  # fmt: skip
+        "low": 0.0 * slope,
+        "low_slope": -slope,
+        "high": 0.0 * slope,
+        "high_slope": slope,
+        "near": np.asarray(near, np.float64),
+        "far": np.asarray(far, np.float64),
+    }
 
 
 WHOLE_DEPTH_RANGE: Final = (1.0, 10.0)
@@ -114,9 +125,12 @@ def measure_sphere_beside_corner(device: Device) -> CaseResult:
         {"beside a corner": FIGURE_2, "a larger one": FIGURE_2._replace(radius=2.4, overlaps=True)}, device
     )
     planes = sl.evaluate(
-        SPHERE_TESTS["planes"].function, make_frustums(*np.atleast_2d(WHOLE_DEPTH_RANGE).T),
-        np.array([FIGURE_2.centre]), 1.6, dtype=np.float64,
-    )  # fmt: skip
+        SPHERE_TESTS["planes"].function,
+        make_frustums(*np.atleast_2d(WHOLE_DEPTH_RANGE).T),
+        np.array([FIGURE_2.centre]),
+        1.6,
+        dtype=np.float64,
+    )
     return CaseResult(result.error, result.numbers, {"it is behind no plane": bool(planes.all())})
 
 
@@ -143,7 +157,8 @@ def measure_tangent_spheres(device: Device) -> CaseResult:
     wrong = np.zeros(count, np.int64)
     for test in SPHERE_TESTS.values():
         larger, smaller = (
-            sl.evaluate(test.function, cells, centres, radii * (1.0 + off), dtype=np.float64) for off in (1e-6, -1e-6)
+            sl.evaluate(test.function, cells, centres, radii * (1.0 + off), dtype=np.float64)
+            for off in (1e-6, -1e-6)
         )
         wrong += ~larger
         if test.is_exact:
@@ -156,7 +171,8 @@ def measure_tangent_spheres(device: Device) -> CaseResult:
     for passed in run_sphere_tests(device, grid, rows).values():
         wrong += ~passed
     numbers = {
-        f"{title}, radius {radius:g}": f"{n} wrong" for (title, _, radius), n in zip(spheres, wrong, strict=True)
+        f"{title}, radius {radius:g}": f"{n} wrong"
+        for (title, _, radius), n in zip(spheres, wrong, strict=True)
     }
     return CaseResult(int(wrong.sum()), numbers)
 
@@ -222,9 +238,15 @@ class QueryCells(sl.Shader):
 def query_cells(device: Device, grid: ClusterGrid, queries: NDArray[Any]) -> NDArray[Any]:
     """The results of a device for queries (n,) of `CellQuery`."""
     count = len(queries)
-    buffers = (device.uniform(grid), device.storage(CellQuery, queries), device.storage(CellQueryResult, count))
+    buffers = (
+        device.uniform(grid),
+        device.storage(CellQuery, queries),
+        device.storage(CellQueryResult, count),
+    )
     uniform, asked, results = buffers
-    device.dispatch(device.program(QueryCells), -(-count // GROUP), grid=uniform, queries=asked, results=results)
+    device.dispatch(
+        device.program(QueryCells), -(-count // GROUP), grid=uniform, queries=asked, results=results
+    )
     cells: NDArray[Any] = results.read()
     for buffer in buffers:
         buffer.destroy()
@@ -255,9 +277,9 @@ def measure_flat_tiles(device: Device) -> CaseResult:
     for low, high in ((z, z), (z - 1, z), (z, z + 1), (z - 9, z + 99)):
         light = query_cells(device, grid, make_queries(5000, near=near, far=far, low=low, high=high))["bits"]
         lost += int((surface & light == 0).sum())
-    ends = query_cells(device, grid, make_queries(32, near=0.0, far=32.0, low=np.arange(32), high=np.arange(32) + 0.5))[
-        "bits"
-    ]
+    ends = query_cells(
+        device, grid, make_queries(32, near=0.0, far=32.0, low=np.arange(32), high=np.arange(32) + 0.5)
+    )["bits"]
     part = query_cells(device, grid, make_queries(1, near=0.0, far=32.0, low=2.5, high=4.5))["bits"]
     holds = {
         "a mask has a bit for each slice": ends.tolist() == [1 << bit for bit in range(32)],
@@ -294,7 +316,10 @@ def measure_pixel_cells(device: Device) -> CaseResult:
         for tile in (1, 8, 41, 64):
             projection = Perspective(aspect=size[0] / size[1], far=50.0)
             grid, rng = make_grid(projection, size, tile), np.random.default_rng(4)
-            x, y = (np.maximum(np.append(rng.integers(0, n, 500), [0, n - 1, n // tile * tile - 1]), 0) for n in size)
+            x, y = (
+                np.maximum(np.append(rng.integers(0, n, 500), [0, n - 1, n // tile * tile - 1]), 0)
+                for n in size
+            )
             results = query_cells(device, grid, make_queries(len(x), pixel=np.column_stack([x, y]), z=7.0))
             columns, rows = -(-size[0] // tile), -(-size[1] // tile)
             valid = (results["cell"] >= 0) & (results["cell"] < columns * rows)
@@ -349,7 +374,9 @@ def measure_outer_slices(device: Device) -> CaseResult:
         slices = query_cells(device, grid, make_queries(len(depths), z=depths))["slice"]
         total += int((slices != [0, 0, 0, 0, last, last, last]).sum())
         numbers[name] = slices.tolist()
-    between = query_cells(device, SLICED_GRIDS["filament"], make_queries(4, z=[0.1, 1.0, 4.999, 5.001]))["slice"]
+    between = query_cells(device, SLICED_GRIDS["filament"], make_queries(4, z=[0.1, 1.0, 4.999, 5.001]))[
+        "slice"
+    ]
     numbers["0.1, 1, 4.999 and 5.001 m, where the second slice begins at 5"] = between.tolist()
     return CaseResult(total + int((between != [0, 0, 0, 1]).sum()), numbers)
 
@@ -362,7 +389,9 @@ def measure_tile_division(device: Device) -> CaseResult:
     cells = query_cells(device, grid, make_queries(count, pixel=pixels))["cell"]
     wrong = int((cells != np.arange(count)).sum())
     rounded = np.floor(np.float32(41) * (np.float32(1) / np.float32(41)))
-    return CaseResult(wrong, {"wrong tiles": wrong}, {"a product with the reciprocal is wrong": rounded == 0.0})
+    return CaseResult(
+        wrong, {"wrong tiles": wrong}, {"a product with the reciprocal is wrong": rounded == 0.0}
+    )
 
 
 def measure_slice_boundaries(device: Device) -> CaseResult:
@@ -445,7 +474,9 @@ def measure_overfull_lists(device: Device) -> CaseResult:
     for capacity in (every.pairs, every.pairs - 1, 1):
         grid = collect(capacity)
         lists = grid.read()
-        off = int((lists.full != (every.ends > capacity)).sum()) + int(not np.array_equal(lists.lights, every.lights))
+        off = int((lists.full != (every.ends > capacity)).sum()) + int(
+            not np.array_equal(lists.lights, every.lights)
+        )
         for _ in range(4):  # a frame asks for the need of the one before, and the next learns it
             grid.collect(device, camera, _OVERFULL_SIZE, lights)
             device.finish()
@@ -461,7 +492,10 @@ def measure_overfull_lists(device: Device) -> CaseResult:
 def measure_off_axis_sides(device: Device) -> CaseResult:
     """Compute the sides of tiles of an off-axis eye, and compare them with the inverse of the projection."""
     size = (1366, 768)
-    grid, projection = make_test_grid("off-axis", size), PROJECTIONS["off-axis"].with_aspect(size[0] / size[1])
+    grid, projection = (
+        make_test_grid("off-axis", size),
+        PROJECTIONS["off-axis"].with_aspect(size[0] / size[1]),
+    )
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 171, 10), np.arange(0, 96, 5)))
     tiles, z = np.column_stack([x, y]).astype(np.int32), np.full(len(x), 7.0)
     results = query_cells(device, grid, make_queries(len(x), pixel=8 * tiles, z=z))
@@ -483,8 +517,12 @@ def measure_sphere_tests(device: Device) -> CaseResult:
         pairs = make_pairs(projection, PAIRS)
         passed = run_sphere_tests(device, pairs.grid, pack_pairs(pairs))
         beyond = exceeds_padding(pairs)
-        wrong[f"{projection}: dropped"] = sum(int((pairs.overlap & ~passes).sum()) for passes in passed.values())
-        wrong[f"{projection}: kept by exact tests"] = sum(int((passed[name] & beyond).sum()) for name in EXACT)
+        wrong[f"{projection}: dropped"] = sum(
+            int((pairs.overlap & ~passes).sum()) for passes in passed.values()
+        )
+        wrong[f"{projection}: kept by exact tests"] = sum(
+            int((passed[name] & beyond).sum()) for name in EXACT
+        )
         holds[f"{projection}: some pairs are beyond what padding keeps"] = bool(beyond.mean() > 0.2)
     return CaseResult(sum(wrong.values()), wrong, holds)
 

@@ -1,4 +1,5 @@
-"""Long times and large numbers: 10⁸ s, a million objects, 100,000 frames, images of 16,384 pixels and of one."""
+"""Long times and large numbers: 10⁸ s, a million objects, 100,000 frames, images of 16,384 pixels and of
+one."""
 
 from __future__ import annotations
 
@@ -125,7 +126,9 @@ def measure_tiny_images(device: Device) -> CaseResult:
         camera = Camera.look_at((0.5, 1.5, -4.0), (0.5, 0.6, -6.5), projection=Perspective(fov=1.2))
         images = {}
         for name in ("forward", "deferred"):
-            with Renderer(device, scene, technique=TECHNIQUES[name](), size=size, visibility="frustum") as renderer:
+            with Renderer(
+                device, scene, technique=TECHNIQUES[name](), size=size, visibility="frustum"
+            ) as renderer:
                 images[name] = renderer.render(camera).image.read().astype(int)
         off = float(np.abs(images["forward"] - images["deferred"])[..., :3].max())
         lit += int(images["forward"][..., :3].max() > 100)
@@ -135,7 +138,8 @@ def measure_tiny_images(device: Device) -> CaseResult:
 
 
 _STORM: Final = Wind(
-    (60.0, -20.0, 5.0), (Gust((0.0, 40.0, 900.0), (0.3, 0.4, 0.0), 0.7), Gust((90.0, 0.0, 80.0), (1.1, 0.3, 0.0), 0.4))
+    (60.0, -20.0, 5.0),
+    (Gust((0.0, 40.0, 900.0), (0.3, 0.4, 0.0), 0.7), Gust((90.0, 0.0, 80.0), (1.1, 0.3, 0.0), 0.4)),
 )
 _CHAIN_ROOT: Final = 1.2024128  # half of the first root of the Bessel function of order 0
 _REPEAT: Final = 168  # steps after which both gusts repeat
@@ -147,7 +151,9 @@ def measure_cloth_after_years(device: Device) -> CaseResult:
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(0.0, -1.0, 6))
     pinned = np.zeros(x.shape, bool)
     pinned[0] = True
-    cloth_grid = make_cloth_grid(np.stack([x, y, 0.0 * x], 2), pinned, bounds=((-0.7, -1.1, -0.2), (0.7, 0.3, 0.9)))
+    cloth_grid = make_cloth_grid(
+        np.stack([x, y, 0.0 * x], 2), pinned, bounds=((-0.7, -1.1, -0.2), (0.7, 0.3, 0.9))
+    )
     members = np.arange(2)
     (low, high), calm = cloth_grid.bounds, Wind((0.0, 0.0, 2.0), _STORM.gusts[:1])
     numbers: dict[str, object] = {}
@@ -163,7 +169,9 @@ def measure_cloth_after_years(device: Device) -> CaseResult:
             there.deform(device, members, vertices, members * len(cloth_grid.points), 6)
             positions = vertices.read().reshape(-1, 6)[:, :3].astype(np.float64)
         there.release(device)
-        numbers[f"metres off in {name}, after {steps} steps"] = off = float(np.abs(positions - expected).max())
+        numbers[f"metres off in {name}, after {steps} steps"] = off = float(
+            np.abs(positions - expected).max()
+        )
         outside += int(((positions < low) | (positions > high)).any(1).sum())
         moved = max(moved, float(np.abs(positions - np.tile(cloth_grid.points, (2, 1))).max()))
         error = largest_error(error, off)
@@ -172,11 +180,16 @@ def measure_cloth_after_years(device: Device) -> CaseResult:
 
 
 def measure_cloth_period(device: Device) -> CaseResult:
-    """Let strips of cloth hang and swing without wind, drag and damping, as a hanging chain does at its slowest:
-    ω = 1.2024 √(g / L), in the shape of a Bessel function (Bernoulli 1732). Steps of first order leave 92 %."""
+    """Let strips of cloth hang and swing without wind, drag and damping, as a hanging chain does at its
+    slowest: ω = 1.2024 √(g / L), in the shape of a Bessel function (Bernoulli 1732). Steps of first order
+    leave 92 %."""
     rows, down = 17, np.linspace(0.0, 1.0, 17)
-    flat = np.stack([np.tile([-0.05, 0.05], (rows, 1)), np.tile(-down[:, None], (1, 2)), np.zeros((rows, 2))], 2)
-    powers = [(-1) ** k * (_CHAIN_ROOT * np.sqrt(1.0 - down)) ** (2 * k) / factorial(k) ** 2 for k in range(18)]
+    flat = np.stack(
+        [np.tile([-0.05, 0.05], (rows, 1)), np.tile(-down[:, None], (1, 2)), np.zeros((rows, 2))], 2
+    )
+    powers = [
+        (-1) ** k * (_CHAIN_ROOT * np.sqrt(1.0 - down)) ** (2 * k) / factorial(k) ** 2 for k in range(18)
+    ]
     start = flat + 0.02 * np.sum(powers, 0)[:, None, None] * (0.0, 0.0, 1.0)
     start[0, :, 2] = 0.0
     pinned, fabric = start[..., 1] == 0.0, Fabric(stretch=0.0, shear=0.0, bend=1e6, drag=0.0, damping=0.0)
@@ -206,18 +219,24 @@ def measure_cloth_period(device: Device) -> CaseResult:
 
 
 def measure_million_objects(device: Device) -> CaseResult:
-    """Cull a million boxes, and compare with all six planes of each; on devices that draw, also with pixels."""
+    """Cull a million boxes, and compare with all six planes of each; on devices that draw, also with
+    pixels."""
     count = 1_000_000
     rng = np.random.default_rng(61)
     object_positions = rng.uniform(-2000.0, 2000.0, (count, 3)) * (1.0, 0.05, 1.0)
     builder = SceneBuilder("a million boxes")
     mesh, material = builder.add_mesh(box()), builder.add_material()
-    nodes = builder.add_nodes(multiply(translation(object_positions), scaling(rng.uniform(0.2, 2.0, (count, 3)))))
+    nodes = builder.add_nodes(
+        multiply(translation(object_positions), scaling(rng.uniform(0.2, 2.0, (count, 3))))
+    )
     builder.add_objects(nodes, mesh, material)
     builder.lights.add_directional((-0.4, -1.0, -0.3))
     scene = builder.build()
     camera = Camera.look_at((0, 20, 0), (10, 15, -30), projection=Perspective(fov=0.6, far=900.0))
-    with create_device("null") as null, Renderer(null, scene, size=(64, 36), visibility="frustum") as renderer:
+    with (
+        create_device("null") as null,
+        Renderer(null, scene, size=(64, 36), visibility="frustum") as renderer,
+    ):
         drawn = renderer.render(camera).visible
     planes = camera.with_aspect(64 / 36).frustum.planes
     expected = np.flatnonzero(select_visible(planes, scene.objects.lower, scene.objects.upper))
@@ -239,7 +258,10 @@ def measure_many_frames(_: Device) -> CaseResult:
     command."""
     scene = load_scene("hall:columns=4,flags=2,fountains=0")
     path = scene.paths["ground"]
-    with create_device("null") as null, Renderer(null, scene, size=(32, 18), visibility="frustum") as renderer:
+    with (
+        create_device("null") as null,
+        Renderer(null, scene, size=(32, 18), visibility="frustum") as renderer,
+    ):
 
         def draw_lap() -> None:
             for frame in range(len(path)):
@@ -257,13 +279,21 @@ def measure_many_frames(_: Device) -> CaseResult:
         laps = -(-_MANY_FRAMES // len(path))
         for lap in range(laps):
             draw_lap()
-            if null.statistics.creations > creations or _count_memory_blocks() - blocks > (lap + 1) * len(path):
+            if null.statistics.creations > creations or _count_memory_blocks() - blocks > (lap + 1) * len(
+                path
+            ):
                 laps = lap + 1
                 break  # it goes on like this
         last = describe()
         created, leaked_blocks = null.statistics.creations - creations, _count_memory_blocks() - blocks
-    numbers = {"frames": laps * len(path), "commands of a frame": len(first), "blocks of memory kept": leaked_blocks}
-    holds = {"Python's memory grows by less than a block in ten frames": leaked_blocks < laps * len(path) // 10}
+    numbers = {
+        "frames": laps * len(path),
+        "commands of a frame": len(first),
+        "blocks of memory kept": leaked_blocks,
+    }
+    holds = {
+        "Python's memory grows by less than a block in ten frames": leaked_blocks < laps * len(path) // 10
+    }
     return CaseResult(created + (first != last), {**numbers, "resources created": created}, holds)
 
 

@@ -37,11 +37,16 @@ def make_passes(rng: np.random.Generator) -> list[FramePass[object]]:
         reads = tuple(name for name in read_names if name not in over)
         passes.append(
             FramePass(
-                f"p{number}", _run_nothing, "it is declared", reads=reads,
-                writes=() if over else (Target(f"c{number}", Format.R8),), changes=over, reads_previous=last,
+                f"p{number}",
+                _run_nothing,
+                "it is declared",
+                reads=reads,
+                writes=() if over else (Target(f"c{number}", Format.R8),),
+                changes=over,
+                reads_previous=last,
                 has_side_effects=bool(rng.random() < 0.15),
             )
-        )  # fmt: skip
+        )
         intact = [name for name in intact if name not in over] + [f"c{number}"]
     reads = tuple(name for name in intact if rng.random() < 0.4)
     passes.append(FramePass("image", _run_nothing, "it is declared", reads=reads, writes=_IMAGE))
@@ -104,9 +109,13 @@ def _count_unrefused(make: Callable[[], object], rule: str) -> int:
 
 def _refuse_circle() -> int:
     def step(name: str, reads: str) -> FramePass[object]:
-        return FramePass(name, _run_nothing, "it is declared", reads=(reads,), writes=(Target(name, Format.R8),))
+        return FramePass(
+            name, _run_nothing, "it is declared", reads=(reads,), writes=(Target(name, Format.R8),)
+        )
 
-    final: FramePass[object] = FramePass("final", _run_nothing, "it is declared", reads=("hen",), writes=_IMAGE)
+    final: FramePass[object] = FramePass(
+        "final", _run_nothing, "it is declared", reads=("hen",), writes=_IMAGE
+    )
     return _count_unrefused(lambda: make_plan([step("egg", "hen"), step("hen", "egg"), final]), "plan-cycle")
 
 
@@ -125,12 +134,14 @@ def _list_light_passes(device: Device, name: str, scene: Scene) -> list[str]:
     with Renderer(device, scene, technique=technique, visibility="none", size=(64, 32)) as renderer:
         renderer.render(camera)
         _, plan = renderer.plan(camera)
-    return [frame_pass.name for frame_pass in plan.passes if any(word in frame_pass.name for word in _LIGHT_WORDS)]
+    return [
+        frame_pass.name for frame_pass in plan.passes if any(word in frame_pass.name for word in _LIGHT_WORDS)
+    ]
 
 
 def measure_plans(_: Device) -> CaseResult:
-    """Plan random frames and compare with brute force; refuse a circle; and plan scenes without lights and with one,
-    with each technique on a null device."""
+    """Plan random frames and compare with brute force; refuse a circle; and plan scenes without lights and
+    with one, with each technique on a null device."""
     rng = np.random.default_rng(51)
     faults, dropped, has_history = 0, 0, 0
     for _turn in range(COUNT):

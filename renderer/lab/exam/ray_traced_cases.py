@@ -78,11 +78,17 @@ def trace_all(make: Callable[[], TestViews]) -> dict[str, tuple[Scene, Camera, s
 
 
 def draw(
-    device: Device, scene: Scene, camera: Camera, size: tuple[int, int] = SIZE, technique: str = "forward",
+    device: Device,
+    scene: Scene,
+    camera: Camera,
+    size: tuple[int, int] = SIZE,
+    technique: str = "forward",
     changes: Mapping[str, Any] | None = None,
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """Render a frame without culling, with changes of settings by their paths."""
-    settings = RenderSettings().change_all({"technique.name": technique, "algorithm": "none", **(changes or {})})
+    settings = RenderSettings().change_all(
+        {"technique.name": technique, "algorithm": "none", **(changes or {})}
+    )
     with settings.open(device, scene, size) as renderer:
         return renderer.render(settings.adapt_camera(camera)).image.read()
 
@@ -99,7 +105,9 @@ def measure_traced_views(make: Callable[[], TestViews], device: Device) -> CaseR
         numbers[f"{title}: levels off"] = round(float(off.max()), 3)
         numbers[f"{title}: pixels compared"] = int(traced.is_smooth.sum())
         error = largest_error(error, float(off.max()))
-        holds |= {f"{title}: {description}": is_true for description, is_true in shows_something([image]).items()}
+        holds |= {
+            f"{title}: {description}": is_true for description, is_true in shows_something([image]).items()
+        }
         holds[f"{title}: most pixels are compared"] = bool(traced.is_smooth.mean() > 0.5)
         images |= {title: image, f"{title}, traced": _to_image(traced.levels), f"{title}, off": off}
     return CaseResult(error, numbers, holds, lambda: images)
@@ -136,23 +144,55 @@ def make_lit_views() -> TestViews:
     _add_object(builder, "sphere", (-1.6, 0.8, 0.0), (1.6,) * 3, base_color=(0.7, 0.2, 0.1),
            specular_color=(0.6, 0.6, 0.6), shininess=40.0, rim_strength=0.5, rim_power=3.0)  # fmt: skip
     _add_object(
-        builder, "sphere", (0.3, 0.8, -0.4), (1.6,) * 3, base_color=(0.9, 0.7, 0.3), metallic=1.0, roughness=0.4
+        builder,
+        "sphere",
+        (0.3, 0.8, -0.4),
+        (1.6,) * 3,
+        base_color=(0.9, 0.7, 0.3),
+        metallic=1.0,
+        roughness=0.4,
     )
-    _add_object(builder, "sphere", (2.0, 0.6, 0.6), (1.2,) * 3, base_color=(0.2, 0.4, 0.8), metallic=0.2, roughness=0.6)
+    _add_object(
+        builder,
+        "sphere",
+        (2.0, 0.6, 0.6),
+        (1.2,) * 3,
+        base_color=(0.2, 0.4, 0.8),
+        metallic=0.2,
+        roughness=0.6,
+    )
     _add_object(builder, "box", (-3.2, 0.7, -1.0), (0.5, 1.4, 0.5), base_color=(0.3, 0.9, 0.4), emission=0.7)
     plain = SamplerDescriptor(mip=None)
     image, bumps = (TextureMap(builder.add_image(texels), sampler=plain) for texels in (_CHECKS, _BUMPS))
     turned = replace(image, offset=(0.2, 0.1), rotation=0.4, scale=(0.5, 0.7))
-    _add_object(builder, "box", (0.9, 0.75, 2.0), (0.9, 1.5, 0.4), texture=turned, specular_color=(0.0, 0.0, 0.0))
-    _add_object(builder, "box", (-0.6, 0.5, 2.1), (0.9, 1.0, 0.4), normal_texture=bumps, emissive_texture=image,
-           emissive=(0.2, 0.1, 0.3), occlusion_texture=image, metallic_roughness_texture=bumps)  # fmt: skip
+    _add_object(
+        builder, "box", (0.9, 0.75, 2.0), (0.9, 1.5, 0.4), texture=turned, specular_color=(0.0, 0.0, 0.0)
+    )
+    _add_object(
+        builder,
+        "box",
+        (-0.6, 0.5, 2.1),
+        (0.9, 1.0, 0.4),
+        normal_texture=bumps,
+        emissive_texture=image,
+        emissive=(0.2, 0.1, 0.3),
+        occlusion_texture=image,
+        metallic_roughness_texture=bumps,
+    )
     _add_object(builder, "box", (3.4, 1.0, -0.6), (1.2, 2.0, 0.4), texture=image, alpha_mode=AlphaMode.MASK)
     builder.lights.add_directional((-0.5, -1.0, -0.4), (1.0, 0.9, 0.8), 0.8)
     builder.lights.add_point((0.5, 2.5, 1.8), 5.0, (0.4, 0.6, 1.0), 3.0)
     builder.lights.add_spot((-2.5, 3.0, 2.0), (0.3, -1.0, -0.4), 7.0, 0.3, 0.6, (1.0, 0.5, 0.3), 9.0)
     scene = builder.build()
-    near, wide = make_camera((1.0, 1.6, 6.0), (0.0, 0.7, 0.0)), make_camera((-2.0, 1.0, 3.2), (0.5, 0.8, 0.0), fov=1.9)
-    return {"near": (scene, near, "forward"), "wide": (scene, wide, "forward"), "after": (scene, near, "deferred")}
+    near, wide = (
+        make_camera((1.0, 1.6, 6.0), (0.0, 0.7, 0.0)),
+        make_camera((-2.0, 1.0, 3.2), (0.5, 0.8, 0.0), fov=1.9),
+    )
+    return {
+        "near": (scene, near, "forward"),
+        "wide": (scene, wide, "forward"),
+        "after": (scene, near, "deferred"),
+    }
 
 
 def make_bright_views() -> TestViews:
@@ -177,13 +217,23 @@ def make_glass_views() -> TestViews:
     """Make panes behind each other, and two that cross, cut in two where they do."""
     rows = SceneBuilder("panes")
     _add_object(rows, *_FLOOR, base_color=(0.6, 0.6, 0.6))
-    for number, (color, alpha) in enumerate((((0.9, 0.2, 0.1), 0.4), ((0.1, 0.3, 0.9), 0.6), ((0.2, 0.9, 0.3), 0.8))):
-        _add_object(rows, "box", (-0.8 + 0.8 * number, 1.0, -2.0 + 2.0 * number), (2.4, 2.0, 0.05),
-               base_color=(*color, alpha), alpha_mode=AlphaMode.BLEND)  # fmt: skip
+    for number, (color, alpha) in enumerate(
+        (((0.9, 0.2, 0.1), 0.4), ((0.1, 0.3, 0.9), 0.6), ((0.2, 0.9, 0.3), 0.8))
+    ):
+        _add_object(
+            rows,
+            "box",
+            (-0.8 + 0.8 * number, 1.0, -2.0 + 2.0 * number),
+            (2.4, 2.0, 0.05),
+            base_color=(*color, alpha),
+            alpha_mode=AlphaMode.BLEND,
+        )
     rows.lights.add_directional((-0.3, -0.8, -0.6))
     crossing = cross_panes(is_cut=True)
-    return {"in rows": (rows.build(), make_camera((0.5, 1.6, 6.0), (0.0, 0.8, 0.0)), "forward"),
-            "crossing": (crossing, CROSSED, "forward")}  # fmt: skip
+    return {
+        "in rows": (rows.build(), make_camera((0.5, 1.6, 6.0), (0.0, 0.8, 0.0)), "forward"),
+        "crossing": (crossing, CROSSED, "forward"),
+    }
 
 
 CROSSED: Final = make_camera((0.6, 1.5, 4.5), (0.0, 1.0, 0.0))
@@ -215,7 +265,8 @@ def measure_panes(make: Callable[[], TestViews], device: Device) -> CaseResult:
 
 
 def make_fog_views() -> TestViews:
-    """Make a road to the horizon with fog on the ground, seen along it, from above and from below; and in haze."""
+    """Make a road to the horizon with fog on the ground, seen along it, from above and from below; and in
+    haze."""
     views = {}
     for title, fog, haze in (
         ("low fog", Fog(0.12, (0.5, 0.55, 0.6), falloff=0.8, base=0.2), 0.0),
@@ -229,7 +280,9 @@ def make_fog_views() -> TestViews:
         for z in (-4.0, -12.0, -30.0):
             _add_object(builder, "box", (0.3 * z, 1.5, z), (1.5, 3.0, 1.5), base_color=(0.1, 0.6, 0.2))
         views[title] = builder.build(), make_camera((0.0, 1.2, 3.0), (-1.5, 1.25, -9.0)), "forward"
-    return views | {"from above": (views["low fog"][0], make_camera((0.0, 9.0, 3.0), (-1.5, 0.0, -9.0)), "deferred")}
+    return views | {
+        "from above": (views["low fog"][0], make_camera((0.0, 9.0, 3.0), (-1.5, 0.0, -9.0)), "deferred")
+    }
 
 
 def make_transformed_views() -> TestViews:
@@ -242,10 +295,14 @@ def make_transformed_views() -> TestViews:
     twice = builder.add_node(multiply(translation((-2.0, 0.0, 0.5)), scaling((1.2, -0.5, 0.8))), mirrored)
     bumps = builder.add_image(_BUMPS)
     for node, shape, normals in (
-        (skewed, "sphere", -1), (mirrored, "torus", -1), (twice, "cone", -1),
+        (skewed, "sphere", -1),
+        (mirrored, "torus", -1),
+        (twice, "cone", -1),
         (mirrored, "box", bumps),
-    ):  # fmt: skip
-        metal = builder.add_material(base_color=(0.8, 0.6, 0.4), metallic=0.6, roughness=0.5, normal_texture=normals)
+    ):
+        metal = builder.add_material(
+            base_color=(0.8, 0.6, 0.4), metallic=0.6, roughness=0.5, normal_texture=normals
+        )
         builder.add_objects(node, builder.add_mesh(_SHAPES[shape]), metal)
     leaf = builder.add_node(
         multiply(translation((2.4, 1.0, 0.5)), multiply(rotation((1, 0, 0), 1.2), scaling((-1, 1, 1))))
@@ -258,22 +315,32 @@ def make_transformed_views() -> TestViews:
 
 
 _MAPS: Final = {
-    "shadows.cascades": 1, "shadows.cascade_size": 128, "shadows.distance": 20.0, "shadows.min_size": 512,
-}  # fmt: skip
+    "shadows.cascades": 1,
+    "shadows.cascade_size": 128,
+    "shadows.distance": 20.0,
+    "shadows.min_size": 512,
+}
 """Settings with texels of 1 cm for local lights, and of 16 cm for the sun."""
 SUN: Final = (0.45, -1.0, 0.3)
 _HEIGHT: Final = 5.0  # of the image, in metres
 
 
 def make_shadow_scene(offset: float) -> Scene:
-    """Make a plate above a floor in red sunlight, in green light of a spot and in blue light of a point, all at
-    `offset` metres from the origin along x and z."""
+    """Make a plate above a floor in red sunlight, in green light of a spot and in blue light of a point, all
+    at `offset` metres from the origin along x and z."""
     builder = SceneBuilder("shade")
     builder.lights.sky = builder.lights.ground = (0.05, 0.05, 0.05)
     _add_object(
-        builder, "box", (offset, -0.25, offset), _FLOOR[2], base_color=(0.6, 0.6, 0.6), specular_color=(0.0, 0.0, 0.0)
+        builder,
+        "box",
+        (offset, -0.25, offset),
+        _FLOOR[2],
+        base_color=(0.6, 0.6, 0.6),
+        specular_color=(0.0, 0.0, 0.0),
     )
-    plate = multiply(translation((offset, 1.6, offset)), multiply(rotation((0, 1, 0), 0.5), scaling((1.1, 0.05, 0.8))))
+    plate = multiply(
+        translation((offset, 1.6, offset)), multiply(rotation((0, 1, 0), 0.5), scaling((1.1, 0.05, 0.8)))
+    )
     grey = builder.add_material(base_color=(0.6, 0.6, 0.6), specular_color=(0.0, 0.0, 0.0))
     builder.add_objects(builder.add_node(plate), builder.add_mesh(_SHAPES["box"]), grey)
     builder.lights.add_directional(SUN, (1, 0, 0), 0.8, casts_shadow=True)
@@ -301,8 +368,8 @@ def measure_shadow_edges(offset: float, device: Device) -> CaseResult:
     """Draw shadows at an offset, and compare with rays the middles of the shadows in each colour, and the
     whole image.
 
-    The reference is of the origin. Edges of maps are blurred as far to one side as to the other, so the middle doesn't
-    move; a map that is read half a texel beside its place moves by that.
+    The reference is of the origin. Edges of maps are blurred as far to one side as to the other, so the
+    middle doesn't move; a map that is read half a texel beside its place moves by that.
     """
     scene, (traced, bare) = make_shadow_scene(offset), trace_shadows()
     image = draw(device, scene, make_top_camera(offset), WIDE, changes=_MAPS)
@@ -316,9 +383,12 @@ def measure_shadow_edges(offset: float, device: Device) -> CaseResult:
         middles = []
         for compared in (levels, traced):
             light, all_light = (
-                inverse_tone_map(decode_srgb(image_levels[..., channel] / 255.0)) for image_levels in (compared, bare)
+                inverse_tone_map(decode_srgb(image_levels[..., channel] / 255.0))
+                for image_levels in (compared, bare)
             )
-            dark = np.where(all_light - light > 0.02 * all_light.max(), all_light - light, 0.0)  # the rest is rounding
+            dark = np.where(
+                all_light - light > 0.02 * all_light.max(), all_light - light, 0.0
+            )  # the rest is rounding
             middles.append(np.array([(dark * x).sum(), (dark * y).sum()]) / dark.sum() * pixel)
         off = float(np.abs(middles[0] - middles[1]).max())
         numbers[f"metres between the middles, {name}"] = round(off, 5)

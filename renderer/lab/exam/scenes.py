@@ -1,7 +1,7 @@
 """Scenes of boxes, cameras, and frames without culling to compare with: the parts of visibility cases.
 
-`CULLING_SCENARIOS` are scenes and cameras in which a visibility algorithm goes wrong easily. Every algorithm takes
-them all, and so does the next one that is registered.
+`CULLING_SCENARIOS` are scenes and cameras in which a visibility algorithm goes wrong easily. Every algorithm
+takes them all, and so does the next one that is registered.
 """
 
 from __future__ import annotations
@@ -74,7 +74,8 @@ def make_flag() -> Scene:
     red = builder.add_material(base_color=(0.8, 0.1, 0.1), double_sided=True)
     flag = builder.add_objects(builder.add_node(translation((0.0, 0.4, -5.0))), mesh, red)
     builder.simulate(
-        flag, ClothSimulation(1, cloth_grid, Wind((3.0, 0.0, 0.6), (Gust((0.5, 0.0, 2.5), (1.2, 0.2, 0.0), 1.3),)))
+        flag,
+        ClothSimulation(1, cloth_grid, Wind((3.0, 0.0, 0.6), (Gust((0.5, 0.0, 2.5), (1.2, 0.2, 0.0), 1.3),))),
     )
     wall = builder.add_node(multiply(translation((4.0, 0.0, -3.0)), scaling((7.9, 14.0, 0.2))))
     builder.add_objects(wall, builder.add_mesh(box()), builder.add_material(base_color=(0.3, 0.4, 0.3)))
@@ -92,7 +93,9 @@ def walk(scene: Scene, path: str, frames: Iterable[int]) -> Shots:
     return [(scene.paths[path].camera(frame), frame / 60) for frame in frames]
 
 
-def draw_with(renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0) -> FrameResult:
+def draw_with(
+    renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0
+) -> FrameResult:
     """Render one frame with this algorithm."""
     renderer.visibility = algorithm
     return renderer.render(camera, seconds)
@@ -193,7 +196,8 @@ def make_views() -> dict[str, tuple[Scene, Camera]]:
         ),
         "boxes without thickness": (
             make_boxes(
-                [WALL_POSITION, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)], [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)]
+                [WALL_POSITION, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)],
+                [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)],
             ),
             make_camera(ORIGIN, WALL_POSITION),
         ),
@@ -267,7 +271,11 @@ def along(path: str, *frames: int) -> Callable[[Scene], Shots]:
 
 def teleport(scene: Scene) -> Shots:
     """Jump to and fro between two paths."""
-    return [(scene.paths[path].camera(frame), 0.0) for frame in (0, 900, 1799) for path in ("ground", "sky", "ground")]
+    return [
+        (scene.paths[path].camera(frame), 0.0)
+        for frame in (0, 900, 1799)
+        for path in ("ground", "sky", "ground")
+    ]
 
 
 def _stay(title: str) -> Callable[[Scene], Shots]:
@@ -275,7 +283,9 @@ def _stay(title: str) -> Callable[[Scene], Shots]:
 
     def list_shots(_: Scene) -> Shots:
         camera = make_views()[title][1]
-        behind = Camera.look_at(camera.position, camera.position - camera.forward, projection=camera.projection)
+        behind = Camera.look_at(
+            camera.position, camera.position - camera.forward, projection=camera.projection
+        )
         return [(view, 0.0) for view in (camera, camera, behind, camera, camera)]
 
     return list_shots
@@ -292,12 +302,18 @@ def leave(_: Scene) -> Shots:
 
 def _fly_past(_: Scene) -> Shots:
     """Move forward past what was in view, so that it is behind the eye in the next frame."""
-    return [(make_camera((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)]
+    return [
+        (make_camera((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0)
+        for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)
+    ]
 
 
 def _slide(_: Scene) -> Shots:
     """Move sideways a little in each frame, so that hidden objects appear at an edge."""
-    return [(make_camera((x, 0.0, 0.0), (x, 0.0, -1.0), near=0.1), 0.0) for x in np.linspace(-0.4, 0.4, 9).tolist()]
+    return [
+        (make_camera((x, 0.0, 0.0), (x, 0.0, -1.0), near=0.1), 0.0)
+        for x in np.linspace(-0.4, 0.4, 9).tolist()
+    ]
 
 
 def _make_wall_with_hole() -> Scene:

@@ -41,7 +41,10 @@ def make_slope(degrees: float, normal_map: NDArray[np.uint8] | None = None) -> S
 
 
 def render_slope(
-    device: Device, degrees: float, settings: ShadowSettings | None, normal_map: NDArray[np.uint8] | None = None
+    device: Device,
+    degrees: float,
+    settings: ShadowSettings | None,
+    normal_map: NDArray[np.uint8] | None = None,
 ) -> NDArray[Any]:
     """Render the floor, with shadows if there are settings."""
     scene = make_slope(degrees, normal_map)
@@ -62,7 +65,8 @@ def measure_shadow_acne(device: Device, settings: ShadowSettings = SETTINGS) -> 
     holds = {}
     for degrees in (45.0, 75.0):
         expected, image = (
-            render_slope(device, degrees, map_settings) for map_settings in (None, replace(settings, bias=0.0))
+            render_slope(device, degrees, map_settings)
+            for map_settings in (None, replace(settings, bias=0.0))
         )
         darker = (image[..., :3].astype(int) < expected[..., :3].astype(int) - 8).any(-1)
         holds[f"without bias the floor shades itself at {degrees:g}°"] = bool(darker.mean() > 0.1)
@@ -75,7 +79,9 @@ def _fit(camera: Camera, direction: Floats, settings: ShadowSettings) -> list[Ca
 
 
 def _look_ahead(position: Floats) -> Camera:
-    return Camera.look_at(position, np.add(position, (0.0, 0.0, -1.0)), projection=Perspective(fov=1.0, near=0.2))
+    return Camera.look_at(
+        position, np.add(position, (0.0, 0.0, -1.0)), projection=Perspective(fov=1.0, near=0.2)
+    )
 
 
 def measure_light_along_up(_: Device) -> CaseResult:
@@ -88,7 +94,9 @@ def measure_light_along_up(_: Device) -> CaseResult:
         for cascade in _fit(_look_ahead(np.zeros(3)), np.array(direction, float), ShadowSettings()):
             axes = cascade.camera.rotation
             along = cascade.camera.forward - np.array(direction) / np.linalg.norm(direction)
-            off = largest_error(off, float(np.abs(axes @ axes.T - np.eye(3)).max()), float(np.abs(along).max()))
+            off = largest_error(
+                off, float(np.abs(axes @ axes.T - np.eye(3)).max()), float(np.abs(along).max())
+            )
         numbers[str(direction)] = off
         error = largest_error(error, off)
     return CaseResult(error, numbers)

@@ -26,7 +26,8 @@ PROJECTIONS: Final[dict[str, Projection]] = {
 
 
 def measure_parallaxes(_: Device) -> CaseResult:
-    """Measure parallax in float64 by placing points, and compare it with its formula: P00 · e · (1/c - 1/z)."""
+    """Measure parallax in float64 by placing points, and compare it with its formula: P00 · e · (1/c -
+    1/z)."""
     numbers: dict[str, object] = {}
     error = 0.0
     for name, projection in PROJECTIONS.items():
@@ -94,7 +95,9 @@ def measure_grey_anaglyphs(_: Device) -> CaseResult:
     off = {name: float(np.abs(mix_anaglyph(name, grey, grey) - grey).max()) for name in ANAGLYPHS}
     levels = np.round(_to_levels(grey))
     holds = {
-        f"{name}: the same levels": bool((np.round(_to_levels(mix_anaglyph(name, grey, grey))) == levels).all())
+        f"{name}: the same levels": bool(
+            (np.round(_to_levels(mix_anaglyph(name, grey, grey))) == levels).all()
+        )
         for name in ANAGLYPHS
     }
     return CaseResult(largest_error(*off.values()), dict(off), holds)
@@ -125,7 +128,9 @@ def measure_two_eyes_in_one_frame(device: Device) -> CaseResult:
         both = [eye_image.read() for eye_image in renderer.render(camera, 10.0).eye_images]
         renderer.stereo = None
         alone = [renderer.render(eye, 10.0).image.read() for eye in RIG.place_eyes(camera)]
-    wrong = [int((eye_image != expected).any(2).sum()) for eye_image, expected in zip(both, alone, strict=True)]
+    wrong = [
+        int((eye_image != expected).any(2).sum()) for eye_image, expected in zip(both, alone, strict=True)
+    ]
     holds = {"eyes see differently": not np.array_equal(both[0], both[1])}
     return CaseResult(sum(wrong), {"left": wrong[0], "right": wrong[1]}, holds)
 

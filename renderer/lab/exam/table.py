@@ -37,7 +37,9 @@ _CASE_MODULES: Final = (
     ray_traced_cases,
     crack_cases,
 )
-MEASURES: Final = {number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()}
+MEASURES: Final = {
+    number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()
+}
 
 
 def _read_cases() -> Iterator[Case]:
@@ -50,7 +52,9 @@ def _read_cases() -> Iterator[Case]:
             yield Case(int(number), measure=MEASURES[int(number)], **fields)
 
 
-CASES: Final[dict[int, Case]] = {case.number: case for case in sorted(_read_cases(), key=lambda case: case.number)}
+CASES: Final[dict[int, Case]] = {
+    case.number: case for case in sorted(_read_cases(), key=lambda case: case.number)
+}
 """All cases, in the order of their numbers."""
 
 

@@ -45,7 +45,9 @@ def measure_culled_images(number: int, device: Device) -> CaseResult:
         numbers |= {f"{title}, {name}": sum(count) for name, count in wrong.items()}
         name = max(wrong, key=lambda name: max(wrong[name]))
         worst = max(worst, (title, name, max(wrong[name])), key=lambda candidate: candidate[2])
-    return CaseResult(sum(numbers.values()), numbers, holds, partial(_worst_images, device, worst[0], worst[1]))
+    return CaseResult(
+        sum(numbers.values()), numbers, holds, partial(_worst_images, device, worst[0], worst[1])
+    )
 
 
 def _compare(device: Device, scenario: CullingScenario) -> tuple[dict[str, list[int]], dict[str, bool]]:
@@ -135,7 +137,9 @@ def measure_query_persistence(device: Device) -> CaseResult:
                 algorithm = ChcPlusPlus(city, device, VisibilitySettings(persistence=persistence))
                 total += sum(uncut.count_wrong_pixels(algorithm))
                 with Renderer(device, city, size=SIZE) as renderer:
-                    queries = [draw_with(renderer, algorithm, camera).statistics.queries for camera, _ in shots]
+                    queries = [
+                        draw_with(renderer, algorithm, camera).statistics.queries for camera, _ in shots
+                    ]
                 algorithm.destroy()
             most.append(max(queries[4:]))
     numbers = {"wrong pixels": total, "most queries of a frame, n = 1": most[0], "n = 20": most[1]}

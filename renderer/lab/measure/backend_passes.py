@@ -1,8 +1,8 @@
 """The same passes on several backends: the cost of a scene's depth, lighting, textures and queries on each.
 
-Each pass does one kind of work, the same on all backends: all objects, without culling, front to back, one fixed
-camera. The CPU's part is only to record the commands; scene and camera are uploaded before. A time is from the first
-command until the device is finished.
+Each pass does one kind of work, the same on all backends: all objects, without culling, front to back, one
+fixed camera. The CPU's part is only to record the commands; scene and camera are uploaded before. A time is
+from the first command until the device is finished.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class DepthShader(Shader):
     def vertex(self, v: Vertex) -> vec4:
         object_index = instance_index()
         thing = self.objects[object_index]
-        position = thing.linear @ v.position + relative_position(self.object_positions[object_index], self.view)
+        position = thing.linear @ v.position + relative_position(
+            self.object_positions[object_index], self.view
+        )
         return self.view.relative_view_projection @ vec4(position, 1.0)
 
     def fragment(self) -> None:
@@ -88,7 +90,8 @@ class BackendPasses:
     """The passes of one scene on one device, seen by one camera.
 
     Attributes:
-        targets: the targets. resources: the scene. camera: the camera, with the targets' aspect. view: its view.
+        targets: the targets. resources: the scene. camera: the camera, with the targets' aspect. view: its
+            view.
     """
 
     def __init__(self, device: Device, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:
@@ -113,7 +116,8 @@ class BackendPasses:
         self._queries: QuerySet | None = None
 
     def work(self, name: str) -> Callable[[int], object]:
-        """The function that runs a pass of `PASSES` once and waits for the device; it takes a round's number."""
+        """The function that runs a pass of `PASSES` once and waits for the device; it takes a round's
+        number."""
         if name in ("lit", "textured"):
             return lambda _: self._draw_lit(images=name == "textured")
         if name == "depth":
@@ -125,7 +129,11 @@ class BackendPasses:
     def draw_depth(self) -> None:
         """Draw the depth of all objects."""
         arrays = self.resources.scene_arrays(self.view.buffer)
-        bindings = {"view": arrays.view, "objects": arrays.objects, "object_positions": arrays.object_positions}
+        bindings = {
+            "view": arrays.view,
+            "objects": arrays.objects,
+            "object_positions": arrays.object_positions,
+        }
         with TechniqueDrawer(
             self.device,
             self.resources,

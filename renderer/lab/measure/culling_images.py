@@ -1,8 +1,8 @@
 """Images of what was culled and why (thesis, Figures 6.1 and 6.3): from the camera, and from above.
 
-Each object's bounding box is coloured by the object's outcome. The image from the camera is the frame that the
-algorithm drew, with the edges of the boxes; those of hidden objects are drawn over what hides them. In the image
-from above the boxes are solid, and white lines mark the edges of the camera's view.
+Each object's bounding box is coloured by the object's outcome. The image from the camera is the frame that
+the algorithm drew, with the edges of the boxes; those of hidden objects are drawn over what hides them. In
+the image from above the boxes are solid, and white lines mark the edges of the camera's view.
 """
 
 from __future__ import annotations
@@ -54,7 +54,10 @@ MEANINGS: Final = {
     CullingOutcome.NEAR: "too near for a query, drawn",
 }
 
-_TRANSLUCENT: Final = (CullingOutcome.OCCLUDED, CullingOutcome.NEAR)  # their edges are drawn without a depth test
+_TRANSLUCENT: Final = (
+    CullingOutcome.OCCLUDED,
+    CullingOutcome.NEAR,
+)  # their edges are drawn without a depth test
 _MAX_COVERAGE: Final = 0.05  # fraction of the image from above: larger boxes, such as streets, aren't drawn
 
 
@@ -96,7 +99,9 @@ class MarkShader(Shader):
         mark = self.marks[instance_index()]
         position = mark.centre + 2.0 * mark.half * v.position
         lit = 0.7 + 0.3 * dot(v.normal, vec3(0.36, 0.80, 0.48))
-        return MarkVarying(clip=self.camera.relative_view_projection @ vec4(position, 1.0), color=mark.color * lit)
+        return MarkVarying(
+            clip=self.camera.relative_view_projection @ vec4(position, 1.0), color=mark.color * lit
+        )
 
     def fragment(self, v: MarkVarying) -> vec4:
         return vec4(v.color, 1.0)
@@ -126,14 +131,22 @@ def render_culling_from_camera(
         device.render_pass(result.image, result.depth),
         device.states(CullMode.NONE, DepthWrite.OFF, nearer),
     ):
-        for outcome in (CullingOutcome.OCCLUDED, CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR):
+        for outcome in (
+            CullingOutcome.OCCLUDED,
+            CullingOutcome.CROSSING,
+            CullingOutcome.INSIDE,
+            CullingOutcome.NEAR,
+        ):
             with device.states(DepthTest.OFF if outcome in _TRANSLUCENT else DepthTest.ON):
                 marks.draw_boxes(scene, camera, np.flatnonzero(outcomes == outcome), outcomes, solid=False)
     return np.asarray(result.image.read())
 
 
-def render_culling_from_above(renderer: Renderer, camera: Camera, outcomes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Draw all boxes from above, except those that cover more than a twentieth of the image: (h, w, 4) sRGB."""
+def render_culling_from_above(
+    renderer: Renderer, camera: Camera, outcomes: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Draw all boxes from above, except those that cover more than a twentieth of the image: (h, w, 4)
+    sRGB."""
     device, scene, (width, height) = renderer.device, renderer.scene, renderer.size
     rows, above = make_overhead_camera(scene, width / height)
     with (
@@ -194,7 +207,9 @@ def view_outline(camera: Camera, above: Camera) -> NDArray[np.float64]:
     projection = above.projection
     assert isinstance(projection, Orthographic)
     far = near + away * 2.0 * projection.height * max(projection.aspect, 1.0)
-    lines = np.concatenate([np.stack([near, far], axis=1), np.stack([near, np.roll(near, 1, axis=0)], axis=1)])
+    lines = np.concatenate(
+        [np.stack([near, far], axis=1), np.stack([near, np.roll(near, 1, axis=0)], axis=1)]
+    )
     lines[:, :, 1] = above.position[1] - 0.5 * projection.far
     return lines
 
@@ -215,10 +230,18 @@ class _Marks:
 
     def _lines_of(self, points: NDArray[np.float32], indices: NDArray[np.uint16] | None = None) -> Mesh:
         up = np.tile(np.array([0.36, 0.80, 0.48], np.float32), (len(points), 1))  # fully lit
-        return self._device.mesh({"position": points, "normal": up}, indices, primitive=Primitive.LINES, label="edges")
+        return self._device.mesh(
+            {"position": points, "normal": up}, indices, primitive=Primitive.LINES, label="edges"
+        )
 
     def draw_boxes(
-        self, scene: Scene, camera: Camera, object_indices: Indices, outcomes: NDArray[np.uint8], *, solid: bool
+        self,
+        scene: Scene,
+        camera: Camera,
+        object_indices: Indices,
+        outcomes: NDArray[np.uint8],
+        *,
+        solid: bool,
     ) -> None:
         """Draw the boxes of the objects `object_indices`."""
         if not len(object_indices):

@@ -1,10 +1,10 @@
 """State changes between draws, as a device sees them: programs, materials and meshes (Russell, 6.3 and
 6.7.2).
 
-A renderer that draws objects one by one sets a program, a material and a mesh wherever they aren't those of the object
-before, so it sorts objects by these. Here the materials and the meshes of a scene are tables, so one draw takes all
-objects that need the same states, and their order is free. Both are counted: the first for the objects of a frame in
-several orders, the second in the commands of the frame.
+A renderer that draws objects one by one sets a program, a material and a mesh wherever they aren't those of
+the object before, so it sorts objects by these. Here the materials and the meshes of a scene are tables, so
+one draw takes all objects that need the same states, and their order is free. Both are counted: the first for
+the objects of a frame in several orders, the second in the commands of the frame.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ def count_changes(commands: Iterable[Command]) -> StateChanges:
     )
 
 
-def compare_orders(scene: Scene, camera: Camera, object_indices: Indices, draws: Commands) -> list[DrawOrderRow]:
+def compare_orders(
+    scene: Scene, camera: Camera, object_indices: Indices, draws: Commands
+) -> list[DrawOrderRow]:
     """Count the state changes between objects `object_indices` (k,) drawn one by one, and between the draws
     that draw them all.
 

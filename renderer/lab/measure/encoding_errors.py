@@ -1,7 +1,8 @@
 """Encodings to compare: the error of each, and the time to encode and decode a value on a device.
 
 Values are stored and read back by a compute shader, once for the errors, compared with the values in float64,
-and many times in a loop for the time. A compiler can't shorten the loop: each round starts with the last one's result.
+and many times in a loop for the time. A compiler can't shorten the loop: each round starts with the last
+one's result.
 """
 
 from __future__ import annotations
@@ -86,7 +87,9 @@ class BestNormal(RoundedNormal):
 
     def store(self, value: StoredValue) -> StoredValue:
         steps = float((1 << self.bits - 1) - 1)
-        normal = encodings.decode_octahedral(encodings.encode_octahedral_nearest(value.first.xyz, steps), steps)
+        normal = encodings.decode_octahedral(
+            encodings.encode_octahedral_nearest(value.first.xyz, steps), steps
+        )
         return StoredValue(first=sl.vec4(normal, 0.0), second=value.second)
 
 
@@ -138,7 +141,8 @@ class StoredTextureCoordinates(RoundTrip):
 
     def store(self, value: StoredValue) -> StoredValue:
         return StoredValue(
-            first=sl.vec4(encodings.decode_uv(encodings.encode_uv(value.first.xy)), 0.0, 0.0), second=value.second
+            first=sl.vec4(encodings.decode_uv(encodings.encode_uv(value.first.xy)), 0.0, 0.0),
+            second=value.second,
         )
 
 
@@ -232,7 +236,9 @@ class Encoding:
 
 def pack_values(values: Floats) -> NDArray[Any]:
     """Values (k, 8) as `StoredValue` structs."""
-    packed: NDArray[Any] = np.ascontiguousarray(values, np.float32).view(StoredValue.dtype).reshape(len(values))
+    packed: NDArray[Any] = (
+        np.ascontiguousarray(values, np.float32).view(StoredValue.dtype).reshape(len(values))
+    )
     return packed
 
 
@@ -240,7 +246,9 @@ def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats, **un
     """Store values (k, 8) on a device, and return what it reads back."""
     buffers = _make_buffers(device, values, 1, uniforms)
     device.dispatch(device.program(shader), -(-len(values) // GROUP), **buffers)
-    read: Floats = np.ascontiguousarray(buffers["results"].read()).view(np.float32).reshape(-1, 8).astype(np.float64)
+    read: Floats = (
+        np.ascontiguousarray(buffers["results"].read()).view(np.float32).reshape(-1, 8).astype(np.float64)
+    )
     for buffer in buffers.values():
         buffer.destroy()
     return read
@@ -287,7 +295,9 @@ def vector_errors(expected: Floats, decoded: Floats) -> Floats:
     """The differences of vectors (k, n) in percent of their lengths; for a vector of length 0, the length
     that was read."""
     lengths = np.linalg.norm(expected, axis=-1)
-    errors: Floats = 100.0 * np.linalg.norm(decoded - expected, axis=-1) / np.where(lengths > 0.0, lengths, 1.0)
+    errors: Floats = (
+        100.0 * np.linalg.norm(decoded - expected, axis=-1) / np.where(lengths > 0.0, lengths, 1.0)
+    )
     return errors
 
 
@@ -316,11 +326,14 @@ def sample_texture_coordinates(rng: np.random.Generator, count: int) -> Floats:
 
 def derivative_errors(expected: Floats, decoded: Floats) -> Floats:
     """The larger error of both derivatives in percent."""
-    return np.maximum(vector_errors(expected[:, :2], decoded[:, :2]), vector_errors(expected[:, 2:4], decoded[:, 2:4]))
+    return np.maximum(
+        vector_errors(expected[:, :2], decoded[:, :2]), vector_errors(expected[:, 2:4], decoded[:, 2:4])
+    )
 
 
 def texture_coordinate_errors(expected: Floats, decoded: Floats) -> Floats:
-    """The larger error of the texture coordinates, ignoring whole repetitions, in millionths of a repetition."""
+    """The larger error of the texture coordinates, ignoring whole repetitions, in millionths of a
+    repetition."""
     off = decoded[:, :2] - expected[:, :2]
     errors: Floats = 1e6 * np.abs(off - np.round(off)).max(1)
     return errors

@@ -41,7 +41,8 @@ class ObjectIndexShader(Shader):
 
 
 class ExactVisibility:
-    """Finds the objects that a camera sees, pixel by pixel; where two surfaces have equal depth, one of them."""
+    """Finds the objects that a camera sees, pixel by pixel; where two surfaces have equal depth, one of
+    them."""
 
     def __init__(self, device: Device, scene: Scene, size: tuple[int, int]) -> None:
         """`size` is (width, height) in pixels."""
@@ -60,12 +61,21 @@ class ExactVisibility:
         self._view.aim(camera)
         resources.update(camera)
         arrays = resources.scene_arrays(self._view.buffer)
-        bindings = {"view": arrays.view, "objects": arrays.objects, "object_positions": arrays.object_positions}
+        bindings = {
+            "view": arrays.view,
+            "objects": arrays.objects,
+            "object_positions": arrays.object_positions,
+        }
         program = self._device.program(ObjectIndexShader)
         with TechniqueDrawer(
-            self._device, resources, self._view, [BoundProgram(program, bindings)],
-            color=self._numbers, depth=self._depth, clear=(0, 0, 0, 0),
-        ) as scene_drawer:  # fmt: skip
+            self._device,
+            resources,
+            self._view,
+            [BoundProgram(program, bindings)],
+            color=self._numbers,
+            depth=self._depth,
+            clear=(0, 0, 0, 0),
+        ) as scene_drawer:
             scene_drawer.draw(np.arange(len(self._scene.objects)))
         return set((np.unique(self._numbers.read()).astype(np.int64) - 1).tolist()) - {-1}
 

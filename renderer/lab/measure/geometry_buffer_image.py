@@ -22,13 +22,18 @@ _LEVELS = 14.0
 """Octaves of derivatives between black and white."""
 
 
-def render_geometry_buffer_image(device: Device, scene: Scene, camera: Camera, size: tuple[int, int]) -> Pixels:
+def render_geometry_buffer_image(
+    device: Device, scene: Scene, camera: Camera, size: tuple[int, int]
+) -> Pixels:
     """Render a frame and the buffers of its Deferred+ geometry pass as one image (2 h, 3 w, 4).
 
-    Above: the image, normals, materials. Below: texture coordinates, the logarithm of their derivatives (bright where a
-    texture is far away), and the rectangles of materials. Without textures the texture coordinates are black.
+    Above: the image, normals, materials. Below: texture coordinates, the logarithm of their derivatives
+    (bright where a texture is far away), and the rectangles of materials. Without textures the texture
+    coordinates are black.
     """
-    with Renderer(device, scene, technique=DeferredPlus(multi_pass=True), visibility="frustum", size=size) as renderer:
+    with Renderer(
+        device, scene, technique=DeferredPlus(multi_pass=True), visibility="frustum", size=size
+    ) as renderer:
         targets = renderer.render(camera).targets
         image, depth, words = targets["image"].read(), targets["depth"].read(), targets["packed"].read()
         rectangles = renderer.view.workspace(MaterialRectangles).read()

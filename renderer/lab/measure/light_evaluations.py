@@ -1,13 +1,13 @@
 """The number of light evaluations of a frame, counted by the device.
 
-An evaluation is a light that a shader evaluates for a surface: an entry of a fragment's light list, or a fragment
-of a light's volume. If the light is out of range, it ends at a comparison of distances; otherwise it is the whole
-lighting equation.
+An evaluation is a light that a shader evaluates for a surface: an entry of a fragment's light list, or a
+fragment of a light's volume. If the light is out of range, it ends at a comparison of distances; otherwise it
+is the whole lighting equation.
 
-A counted frame has the technique's own passes and one more, which repeats the lighting: the same fragments, the same
-lists, the same volumes. Instead of light each evaluation adds 1 to a texture of 32-bit floats. So the order of objects
-counts, too: forward shading evaluates fragments that are hidden later. Counts are right for visibility algorithms that
-draw one batch, as frustum culling does.
+A counted frame has the technique's own passes and one more, which repeats the lighting: the same fragments,
+the same lists, the same volumes. Instead of light each evaluation adds 1 to a texture of 32-bit floats. So
+the order of objects counts, too: forward shading evaluates fragments that are hidden later. Counts are right
+for visibility algorithms that draw one batch, as frustum culling does.
 """
 
 from __future__ import annotations
@@ -30,10 +30,20 @@ from renderer.techniques.forward_multipass import LightPairs, draw_pairs
 from renderer.techniques.light_indexed import LIT_BY_INDICES
 from renderer.techniques.parts.deferred_lighting import LitByLists
 from renderer.techniques.parts.geometry_buffer import geometry_buffer_switches
-from renderer.techniques.parts.light_list_reader import CLUSTERS, LightListReader, bind_light_lists, lit_by_cells
+from renderer.techniques.parts.light_list_reader import (
+    CLUSTERS,
+    LightListReader,
+    bind_light_lists,
+    lit_by_cells,
+)
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.resolve import LIGHT_FORMAT
-from renderer.techniques.parts.variants import Lighting, draw_full_screen, local_light_effects, make_scene_drawer
+from renderer.techniques.parts.variants import (
+    Lighting,
+    draw_full_screen,
+    local_light_effects,
+    make_scene_drawer,
+)
 from renderer.techniques.technique import WrappedTechnique
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import Shader, Texture2D, floor, fragment_coordinate, ivec2, vec3, vec4
@@ -229,7 +239,9 @@ def _count_pixels(frame: Frame) -> None:
 
 
 def _count_clusters(frame: Frame) -> None:
-    draw_full_screen(frame, ClusterLightCounter, frame.targets[EVALUATIONS], bind_light_lists(frame, CLUSTERS))
+    draw_full_screen(
+        frame, ClusterLightCounter, frame.targets[EVALUATIONS], bind_light_lists(frame, CLUSTERS)
+    )
 
 
 def _count_tiles(frame: Frame) -> None:
@@ -239,7 +251,13 @@ def _count_tiles(frame: Frame) -> None:
 def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
     for number, effect in enumerate(local_light_effects(frame.effects)):
         draw_volumes(
-            frame, effect, VolumeFragmentCounter, [EVALUATIONS], depth=depth, clears=not number, is_masked=stencil
+            frame,
+            effect,
+            VolumeFragmentCounter,
+            [EVALUATIONS],
+            depth=depth,
+            clears=not number,
+            is_masked=stencil,
         )
 
 

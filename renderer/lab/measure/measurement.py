@@ -57,22 +57,25 @@ class Interval:
     def of(cls, values: Floats) -> Interval:
         """The median of samples with its limits.
 
-        The limits are a bootstrap: the medians of samples drawn from the sample itself, with replacement. The same
-        values have the same limits.
+        The limits are a bootstrap: the medians of samples drawn from the sample itself, with replacement. The
+        same values have the same limits.
         """
         drawn = np.random.default_rng(0).choice(values, (_RESAMPLES, len(values)))
         return cls(float(np.median(values)), *np.quantile(np.median(drawn, axis=1), (0.025, 0.975)).tolist())
 
 
 def alternate(
-    work: Mapping[str, Callable[[int], object]], rounds: Iterable[int], warm_ups: int = 1,
+    work: Mapping[str, Callable[[int], object]],
+    rounds: Iterable[int],
+    warm_ups: int = 1,
     before: Callable[[str], object] = lambda name: None,
     after: Callable[[str], object] = lambda name: None,
-) -> dict[str, Measurement]:  # fmt: skip
+) -> dict[str, Measurement]:
     """Time each entry of `work` once per round; each round starts with the next one.
 
     Args:
-        work: the functions to time, by name; called with the round's number. They must wait for what they start.
+        work: the functions to time, by name; called with the round's number. They must wait for what they
+            start.
         rounds: the rounds' numbers, at least one: a `range`, or a progress bar around one.
         warm_ups: how often all are run beforehand, untimed, with the number 0.
         before: called before each run with its name, untimed. after: called after each run that is timed.

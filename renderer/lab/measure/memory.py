@@ -52,10 +52,15 @@ def describe_memory(commands: Iterable[Command], images: SceneImages | None) -> 
         elif command.op is Op.CREATE_TEXTURE:
             descriptor = command["descriptor"]
             parts = [
-                (*descriptor.level_size(level), descriptor.level_layers(level)) for level in range(descriptor.levels)
+                (*descriptor.level_size(level), descriptor.level_layers(level))
+                for level in range(descriptor.levels)
             ]
             texels = sum(width * height * layers for width, height, layers in parts) * descriptor.samples
-            numbers = {"layers": descriptor.layers, "levels": descriptor.levels, "samples": descriptor.samples}
+            numbers = {
+                "layers": descriptor.layers,
+                "levels": descriptor.levels,
+                "samples": descriptor.samples,
+            }
             described = [
                 "{} × {}".format(*descriptor.size),
                 *(f"{count} {what}" for what, count in numbers.items() if count > 1),
@@ -72,5 +77,8 @@ def describe_memory(commands: Iterable[Command], images: SceneImages | None) -> 
     counts = Counter((name, shape) for name, shape, _ in allocations.values())
     rows = [MemoryRow(*key, counts[key], size) for key, size in sizes.most_common()]
     return MemoryReport(
-        rows, sum(sizes.values()), 0 if images is None else images.bytes, 0 if images is None else images.image_bytes
+        rows,
+        sum(sizes.values()),
+        0 if images is None else images.bytes,
+        0 if images is None else images.image_bytes,
     )

@@ -71,8 +71,8 @@ class PlanReport:
 
     Attributes:
         passes: in their order. effects: the frame's effects, with the reasons.
-        left_out: effects that the frame lacks, passes that were dropped, and what the scene's file has and the scene
-            hasn't. texture_bytes: the size of all textures that passes write.
+        left_out: effects that the frame lacks, passes that were dropped, and what the scene's file has and
+            the scene hasn't. texture_bytes: the size of all textures that passes write.
         textures: the resources that share each texture. shadow_maps: the state of each shadow map.
         memory: what the renderer holds on the device, the scene included.
         orders: state changes between the objects of the first pass over the scene, drawn in several orders.

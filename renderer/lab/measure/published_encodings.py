@@ -1,4 +1,5 @@
-"""Encodings as Deferred+ publishes them (Doghramachi and Bucci 2017, Listings 1.5 and 1.6), to compare ours with.
+"""Encodings as Deferred+ publishes them (Doghramachi and Bucci 2017, Listings 1.5 and 1.6), to compare ours
+with.
 
 All of them truncate. An angle is stored as its cosine, which is coarse where the cosine is near 1.
 """

@@ -1,12 +1,12 @@
 """The canvas: collects what is drawn in 2D, and draws it through the device's transient memory.
 
-Everything is a parallelogram with a piece of the font's atlas on it: a glyph has its own, a rectangle or a line the
-corner of full coverage. So whatever is drawn between two changes of the clip rectangle is one draw, in the order of
-the calls. A parallelogram is 48 bytes, which the vertex stage reads by its index: a third of what four vertices and
-their indices would take.
+Everything is a parallelogram with a piece of the font's atlas on it: a glyph has its own, a rectangle or a
+line the corner of full coverage. So whatever is drawn between two changes of the clip rectangle is one draw,
+in the order of the calls. A parallelogram is 48 bytes, which the vertex stage reads by its index: a third of
+what four vertices and their indices would take.
 
-The arrays are kept from frame to frame and grow by doubling; a frame is one upload to the device's rings, and 16
-bytes of constants.
+The arrays are kept from frame to frame and grow by doubling; a frame is one upload to the device's rings, and
+16 bytes of constants.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Clip = tuple[int, int, int, int]
 class CanvasQuad(sl.Struct):
     """A parallelogram in pixels: a corner and the edges from there, a rectangle of the atlas, and a colour.
 
-    `texels` is its top left and its size, each with x in the lower 16 bits and y in the upper ones. The colour is
-    linear and premultiplied.
+    `texels` is its top left and its size, each with x in the lower 16 bits and y in the upper ones. The
+    colour is linear and premultiplied.
     """
 
     corner: sl.vec2
@@ -91,8 +91,8 @@ class Canvas:
     """Collects rectangles, outlines, lines and text, and draws them in the order in which they were added.
 
     Coordinates are pixels from the top left; pixel (0, 0) is the square from 0 to 1. Colours are linear and
-    premultiplied: (4,), or one for each element. `srgb` makes them. Edges are not smoothed, so what lies on whole
-    pixels is crisp.
+    premultiplied: (4,), or one for each element. `srgb` makes them. Edges are not smoothed, so what lies on
+    whole pixels is crisp.
 
     Attributes:
         font: the font of `text`.
@@ -110,7 +110,9 @@ class Canvas:
         self._clips: list[Clip | None] = [None]
         self._runs: list[tuple[int, Clip | None]] = [(0, None)]  # where each begins, and its clip rectangle
         origins, extents = font.atlas_position.astype(np.uint32), font.extent.astype(np.uint32)
-        self._glyph_texels = np.stack([pair[:, 0] | pair[:, 1] << np.uint32(16) for pair in (origins, extents)], axis=1)
+        self._glyph_texels = np.stack(
+            [pair[:, 0] | pair[:, 1] << np.uint32(16) for pair in (origins, extents)], axis=1
+        )
         self._glyph_sizes = font.extent.astype(np.float32)
 
     def __len__(self) -> int:
@@ -130,7 +132,8 @@ class Canvas:
         rows[:, 4], rows[:, 5] = 0.0, boxes[:, 3]
 
     def outlines(self, boxes: ArrayLike, color: ArrayLike, line: float = 1.0) -> None:
-        """Add the edges of rectangles (n, 4): four strips of the width `line` inside of each, which don't overlap."""
+        """Add the edges of rectangles (n, 4): four strips of the width `line` inside of each, which don't
+        overlap."""
         boxes = np.asarray(boxes, np.float32).reshape(-1, 4)
         x, y, wide, high = boxes.T
         across, down = np.minimum(line, wide), np.minimum(line, 0.5 * high)
@@ -157,7 +160,8 @@ class Canvas:
     def text(self, x: float, y: float, text: str, color: ArrayLike, scale: int = 1) -> tuple[int, int]:
         """Add text with its top left at the whole pixel nearest to (x, y), and return its (width, height).
 
-        `scale` enlarges each texel of the atlas to a square of pixels. A text may have several lines, and tabs.
+        `scale` enlarges each texel of the atlas to a square of pixels. A text may have several lines, and
+        tabs.
         """
         layout = lay_out(self.font, text)
         self.glyphs(round(x), round(y), layout, color, scale)

@@ -1,15 +1,16 @@
 """Fonts: the glyphs of Latin-1 at one size, in an atlas of coverage that Pillow has rasterised.
 
-- All measures are whole pixels: glyphs are hinted, and their advances with them. So text is crisp wherever it is
-  drawn at whole pixels and at a whole scale, and its layout at scale 2 is that of scale 1, doubled.
-- Characters are numbered by their code. What a font has no glyph for, control characters included, is `BOX`, which
-  is drawn here and not by the font.
-- Kerning is asked for when a pair is first used, since a font has 36,481 pairs and a text few of them. Pillow kerns
-  by HarfBuzz; a Pillow without it doesn't kern.
+- All measures are whole pixels: glyphs are hinted, and their advances with them. So text is crisp wherever it
+  is drawn at whole pixels and at a whole scale, and its layout at scale 2 is that of scale 1, doubled.
+- Characters are numbered by their code. What a font has no glyph for, control characters included, is `BOX`,
+  which is drawn here and not by the font.
+- Kerning is asked for when a pair is first used, since a font has 36,481 pairs and a text few of them. Pillow
+  kerns by HarfBuzz; a Pillow without it doesn't kern.
 - The default font is DejaVu Sans, cut down to Latin-1, which lies beside this file with its licence:
-  `pyftsubset DejaVuSans.ttf --unicodes=20-7E,A0-FF,FFFD --legacy-kern --layout-features=kern --notdef-outline`.
-- DejaVu Sans Mono, cut down in the same way without kerning, is for text whose columns mean something: source code with
-  marks below it, tables of errors.
+  `pyftsubset DejaVuSans.ttf --unicodes=20-7E,A0-FF,FFFD --legacy-kern --layout-features=kern
+  --notdef-outline`.
+- DejaVu Sans Mono, cut down in the same way without kerning, is for text whose columns mean something: source
+  code with marks below it, tables of errors.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ GLYPHS: Final = 259
 WHITE: Final = 1
 """The texel, in both directions, in the middle of the atlas's corner of full coverage."""
 
-_CORNER: Final = 3  # width and height of that corner: interpolation that rounds to a neighbour finds it white, too
+_CORNER: Final = (
+    3  # width and height of that corner: interpolation that rounds to a neighbour finds it white, too
+)
 _GAP: Final = 1  # texels between glyphs
 _WIDTH: Final = 256  # of the atlas
 _UNKNOWN: Final = 127  # kerning of a pair that wasn't asked for
@@ -53,7 +56,8 @@ class Font:
         line_height: from one line's top to the next. tab: the width between tab stops.
         coverage: (h, w) uint8, the atlas; its corner at the top left is full.
         advance: (GLYPHS,) from a glyph to the next.
-        place: (GLYPHS, 2) from the pen, at the line's top, to a glyph's top left. extent: (GLYPHS, 2) its size.
+        place: (GLYPHS, 2) from the pen, at the line's top, to a glyph's top left. extent: (GLYPHS, 2) its
+            size.
         texel: (GLYPHS, 2) its top left in the atlas.
         is_kerned: whether pairs are kerned, for which Pillow needs HarfBuzz (on Debian `libfribidi0`).
     """
@@ -66,10 +70,14 @@ class Font:
             self._font = ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
             self.is_kerned = bool(features.check("raqm"))
             self._kerned = (
-                ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.RAQM) if self.is_kerned else self._font
+                ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.RAQM)
+                if self.is_kerned
+                else self._font
             )
         except (OSError, ImportError) as error:  # of a file that is no font, or a Pillow without FreeType
-            refuse(rules.FONT_FILE, "Font.load", f"{file.name}: {error}", "a file that Pillow reads as a font")
+            refuse(
+                rules.FONT_FILE, "Font.load", f"{file.name}: {error}", "a file that Pillow reads as a font"
+            )
         self._pair_options: dict[str, Any] = {"features": ["-liga", "-clig"]} if self.is_kerned else {}
         self.size = size
         ascender, descent = self._font.getmetrics()

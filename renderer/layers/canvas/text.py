@@ -1,8 +1,9 @@
-"""The layout of text: from an array of characters to an array of glyphs with positions, without a loop over them.
+"""The layout of text: from an array of characters to an array of glyphs with positions, without a loop over
+them.
 
-A tab or a line end closes a segment. Each tab stop is a multiple of one width, and so is what a segment with its tab
-advances by, because it begins at a stop. So the segments of a line begin at a running sum, and no segment has to
-wait for the one before it.
+A tab or a line end closes a segment. Each tab stop is a multiple of one width, and so is what a segment with
+its tab advances by, because it begins at a stop. So the segments of a line begin at a running sum, and no
+segment has to wait for the one before it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The overlay: frame times, counters, the timer tree and the walk of the culling, drawn over each frame.
 
-Its own cost is part of what it shows: as an event of the timer tree, and as the foot of each bar of the graph. The
-counters are those of the frame before the overlay is drawn. Nothing waits for the device: times are those of the
-latest frame whose timestamps are available, and what only the device knows isn't shown.
+Its own cost is part of what it shows: as an event of the timer tree, and as the foot of each bar of the
+graph. The counters are those of the frame before the overlay is drawn. Nothing waits for the device: times
+are those of the latest frame whose timestamps are available, and what only the device knows isn't shown.
 
 Over a small image there is only what takes a quarter of it: times and counters.
 """
@@ -41,8 +41,14 @@ _NAMES: Final = 130  # width of the names of counters
 _EVENTS: Final = 90  # width of the names of events
 _MAP: Final = 280  # width and height
 _SMALL: Final = (900, 500)  # images that aren't wider and higher than this have times and counters alone
-_COUNTERS: Final = ("draws", "queries", "upload_bytes", "creations", "software_state_changes",
-                    "hardware_state_changes")  # fmt: skip
+_COUNTERS: Final = (
+    "draws",
+    "queries",
+    "upload_bytes",
+    "creations",
+    "software_state_changes",
+    "hardware_state_changes",
+)
 
 
 class Overlay:
@@ -68,8 +74,8 @@ class Overlay:
             device.timing = True
 
     def render(self, device: Device, frame: Frame) -> None:
-        """Draw the overlay to the frame's image. The right eye is shown what the left one sees, as far as the screen
-        is away."""
+        """Draw the overlay to the frame's image. The right eye is shown what the left one sees, as far as the
+        screen is away."""
         began = perf_counter()
         if frame.first is None:
             self._begin_frame(began, device.statistics)
@@ -176,7 +182,9 @@ def _list_counters(frame: Frame, counters: dict[str, int]) -> list[tuple[str, st
     if culling is not None:
         if frame.draw_result.is_on_cpu:
             rows.insert(0, ("triangles", f"{frame.draw_result.triangles:,}"))
-            rows.insert(0, ("objects drawn", f"{len(frame.draw_result.object_indices):,} of {culling.objects:,}"))
+            rows.insert(
+                0, ("objects drawn", f"{len(frame.draw_result.object_indices):,} of {culling.objects:,}")
+            )
         rows += [
             ("nodes tested", f"{culling.nodes_tested:,}"),
             ("queries", f"{culling.queries:,} of {culling.boxes:,} boxes"),

@@ -63,7 +63,9 @@ class Rectangle(NamedTuple):
         return Rectangle(self.x + by, self.y + by, self.width - 2 * by, self.height - 2 * by)
 
 
-def draw_graph(canvas: Canvas, box: Rectangle, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int) -> None:
+def draw_graph(
+    canvas: Canvas, box: Rectangle, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int
+) -> None:
     """Draw a bar for each frame, the latest at the right edge; its foot is the overlay's own time.
 
     The graph's height is 1/60 s, doubled until the longest time fits; lines stand for 1/60 s and 1/30 s.
@@ -86,7 +88,9 @@ def draw_graph(canvas: Canvas, box: Rectangle, frames: NDArray[np.float64], own:
     canvas.rects([(box.x, under - each, box.width, 1) for each in heights], RULE)
 
 
-def draw_objects(canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int) -> int:
+def draw_objects(
+    canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int
+) -> int:
     """Draw names and values in two columns, `second` pixels apart; return the height."""
     canvas.text(x, y, "\n".join(name for name, _ in rows), DIM, scale)
     return canvas.text(x + second, y, "\n".join(value for _, value in rows), TEXT, scale)[1]
@@ -100,12 +104,14 @@ def list_events(roots: Sequence[TimerNode], depth: int = 0) -> Iterator[tuple[in
 
 
 def draw_timers(canvas: Canvas, box: Rectangle, roots: Sequence[TimerNode], second: int, scale: int) -> int:
-    """Draw the timer tree, an event a row: its name, two bars (above the time of the GPU, below that of the CPU) and
-    both times. Return the height."""
+    """Draw the timer tree, an event a row: its name, two bars (above the time of the GPU, below that of the
+    CPU) and both times. Return the height."""
     events = list(list_events(roots))
     listed_events = events[:MAX_EVENTS]
     row = canvas.font.line_height * scale
-    longest = max((max(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in listed_events), default=0.0)
+    longest = max(
+        (max(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in listed_events), default=0.0
+    )
     names = "\n".join("  " * depth + node.name for depth, node in listed_events)
     more = f"\n... {len(events) - len(listed_events)} more" if len(events) > len(listed_events) else ""
     canvas.text(box.x, box.y, names + more, TEXT, scale)
@@ -120,8 +126,15 @@ def draw_timers(canvas: Canvas, box: Rectangle, roots: Sequence[TimerNode], seco
         wide = np.ceil(times * (max(reach, 0) / max(longest, 1e-9)))
         y = box.y + row * np.arange(len(listed_events)) + 2 * scale
         for number, color in enumerate((GPU, CPU)):
-            boxes = np.stack([np.full(len(listed_events), left), y + number * bar, wide[:, number],
-                              np.full(len(listed_events), bar)], axis=1)  # fmt: skip
+            boxes = np.stack(
+                [
+                    np.full(len(listed_events), left),
+                    y + number * bar,
+                    wide[:, number],
+                    np.full(len(listed_events), bar),
+                ],
+                axis=1,
+            )
             canvas.rects(boxes, color)
     return row * (len(listed_events) + bool(more))
 
@@ -175,8 +188,8 @@ def draw_map(
 
 
 def compute_ground_bounds(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners (2,), x and z, of the ground to show: that of all objects but those that cover more than a
-    twentieth of it, such as streets and the land around a city."""
+    """Return the corners (2,), x and z, of the ground to show: that of all objects but those that cover more
+    than a twentieth of it, such as streets and the land around a city."""
     lower, upper = scene.objects.lower[:, ::2], scene.objects.upper[:, ::2]
     area = np.prod(upper - lower, axis=1)
     rows = np.arange(len(lower))
@@ -189,7 +202,8 @@ def compute_ground_bounds(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def view_edges(camera: Camera) -> NDArray[np.float64]:
-    """Return directions (2, 3) from the eye to the left and the right edge of the image, at half its height."""
+    """Return directions (2, 3) from the eye to the left and the right edge of the image, at half its
+    height."""
     inverse = np.linalg.inv(camera.projection.matrix)
     points = np.array([(-1.0, 0.0, 0.5, 1.0), (1.0, 0.0, 0.5, 1.0)]) @ inverse.T
     return np.asarray(points[:, :3] / points[:, 3:] @ camera.rotation)

@@ -1,12 +1,13 @@
 """Cells: the parts into which a grid divides a view, and the shapes that lights are tested against.
 
-A cell is what a rectangle of pixels sees between two depths: a tile of the image, or a cluster, which is one depth
-slice of a tile. All of it is in *eye space*: x to the right, y up, z ahead, in metres from the eye. So z is a
-distance, where view space would have it negative.
+A cell is what a rectangle of pixels sees between two depths: a tile of the image, or a cluster, which is one
+depth slice of a tile. All of it is in *eye space*: x to the right, y up, z ahead, in metres from the eye. So
+z is a distance, where view space would have it negative.
 
-Whatever the projection, the four sides of a cell are straight in z: its left side is at `low.x + low_slope.x · z`.
-For a perspective projection the offsets are 0, for a parallel one the slopes are; an off-axis eye only shifts the
-slopes. So ten numbers are a cell, no projection is a special case, and neighbours share their sides to the last bit.
+Whatever the projection, the four sides of a cell are straight in z: its left side is at `low.x + low_slope.x
+· z`. For a perspective projection the offsets are 0, for a parallel one the slopes are; an off-axis eye only
+shifts the slopes. So ten numbers are a cell, no projection is a special case, and neighbours share their
+sides to the last bit.
 
 The functions run in float32 on every device, and in float64 on NumPy with `evaluate`.
 """
@@ -41,13 +42,14 @@ class Cell(sl.Struct):
 class ClusterGrid(sl.Struct):
     """A view that is divided into cells.
 
-    The side of an image at pixel p, counted from the top left corner, is `offset + offset_step · p` at the eye, and
-    changes by `slope + slope_step · p` for each metre of depth. `count` is the number of columns, rows and slices,
-    `tile` the side of a tile in pixels; `near` and `far` are the ends of the first and the last slice.
+    The side of an image at pixel p, counted from the top left corner, is `offset + offset_step · p` at the
+    eye, and changes by `slope + slope_step · p` for each metre of depth. `count` is the number of columns,
+    rows and slices, `tile` the side of a tile in pixels; `near` and `far` are the ends of the first and the
+    last slice.
 
-    Slice i of n begins at `slice_end · 2^((i - n) · slice_rate)`; if the rate is 0, all slices are equally long.
-    A depth d in a texture is a distance of `(depth.x - depth.y · d) / (depth.z - depth.w · d)`; `background` is the
-    depth of pixels where nothing is drawn.
+    Slice i of n begins at `slice_end · 2^((i - n) · slice_rate)`; if the rate is 0, all slices are equally
+    long. A depth d in a texture is a distance of `(depth.x - depth.y · d) / (depth.z - depth.w · d)`;
+    `background` is the depth of pixels where nothing is drawn.
     """
 
     offset: sl.vec2
@@ -67,8 +69,8 @@ class ClusterGrid(sl.Struct):
 
 @sl.function
 def block_cell(grid: ClusterGrid, tile: sl.ivec2, across: int, near: float, far: float) -> Cell:
-    """Return the cell of a block of `across` × `across` tiles, the first of which is `tile`, between two depths. At the
-    image's right and lower edge it ends with the image."""
+    """Return the cell of a block of `across` × `across` tiles, the first of which is `tile`, between two
+    depths. At the image's right and lower edge it ends with the image."""
     first = tile * grid.tile
     last = sl.min(first + across * grid.tile, grid.size)
     lower = sl.vec2(sl.ivec2(first.x, last.y))  # pixel rows count downwards
@@ -85,8 +87,8 @@ def block_cell(grid: ClusterGrid, tile: sl.ivec2, across: int, near: float, far:
 
 @sl.function
 def slice_start(grid: ClusterGrid, index: int) -> float:
-    """Return the depth at which a slice begins. The first one begins at the near plane, and where an index is the
-    number of slices, that is the end of the grid."""
+    """Return the depth at which a slice begins. The first one begins at the near plane, and where an index is
+    the number of slices, that is the end of the grid."""
     if index <= 0:
         return grid.near
     if index >= grid.count.z:
@@ -100,8 +102,8 @@ def slice_start(grid: ClusterGrid, index: int) -> float:
 def slice_index(grid: ClusterGrid, z: float) -> int:
     """Return the slice that a depth is in; before the first and behind the last slice, that one.
 
-    The formula gives a first guess, `slice_start` decides. So what a shader looks up is what was culled, whatever a
-    device's logarithm is.
+    The formula gives a first guess, `slice_start` decides. So what a shader looks up is what was culled,
+    whatever a device's logarithm is.
     """
     count = grid.count.z
     guess = 0.0
@@ -119,15 +121,16 @@ def slice_index(grid: ClusterGrid, z: float) -> int:
 
 @sl.function
 def cell_index(grid: ClusterGrid, pixel: sl.ivec2, z: float) -> int:
-    """Return the index of the cell that a pixel's surface at depth `z` is in. Cells are counted row by row, then
-    slice by slice."""
+    """Return the index of the cell that a pixel's surface at depth `z` is in. Cells are counted row by row,
+    then slice by slice."""
     tile = pixel // grid.tile
     return (slice_index(grid, z) * grid.count.y + tile.y) * grid.count.x + tile.x
 
 
 @sl.function
 def depth_to_distance(grid: ClusterGrid, depth: float) -> float:
-    """Return the distance, along the view, of a depth in a texture; within the grid's ends, also at infinity."""
+    """Return the distance, along the view, of a depth in a texture; within the grid's ends, also at
+    infinity."""
     below = grid.depth.z - grid.depth.w * depth
     if below == 0.0:
         return grid.far
@@ -136,7 +139,8 @@ def depth_to_distance(grid: ClusterGrid, depth: float) -> float:
 
 @sl.function
 def rounded_distance_range(grid: ClusterGrid, depth: float) -> sl.vec2:
-    """Return the least and the greatest distance of a surface whose depth, as the texture holds it, is rounded."""
+    """Return the least and the greatest distance of a surface whose depth, as the texture holds it, is
+    rounded."""
     slack = DEPTH_SLACK * (depth + 0.25)
     first = depth_to_distance(grid, sl.clamp(depth - slack, 0.0, 1.0))
     other = depth_to_distance(grid, sl.clamp(depth + slack, 0.0, 1.0))
@@ -145,8 +149,9 @@ def rounded_distance_range(grid: ClusterGrid, depth: float) -> sl.vec2:
 
 @sl.function
 def distance_range(grid: ClusterGrid, least: float, greatest: float) -> sl.vec2:
-    """Return the least and the greatest distance of surfaces whose depths lie between two depths of a texture; if
-    `least` is above `greatest` there are none, and the range is empty, as that of an empty cell."""
+    """Return the least and the greatest distance of surfaces whose depths lie between two depths of a
+    texture; if `least` is above `greatest` there are none, and the range is empty, as that of an empty
+    cell."""
     if least > greatest:
         return sl.vec2(1.0, 0.0)
     first = rounded_distance_range(grid, least)
@@ -158,23 +163,26 @@ def distance_range(grid: ClusterGrid, least: float, greatest: float) -> sl.vec2:
 def depth_bits(near: float, far: float, low: float, high: float) -> sl.uint:
     """Return the slices between the depths `low` and `high`, a bit for each of the 32 slices of a range.
 
-    All slices of a flat range, `near` = `far`, are the first one. Rounding can't separate what touches: a slice's
-    number never falls as depth grows.
+    All slices of a flat range, `near` = `far`, are the first one. Rounding can't separate what touches: a
+    slice's number never falls as depth grows.
     """
     scale = float(MASK_SLICES) / (far - near) if far > near else 0.0
     last = float(MASK_SLICES - 1)
     first_bit = int(sl.clamp(sl.floor((low - near) * scale), 0.0, last))
     last_bit = int(sl.clamp(sl.floor((high - near) * scale), 0.0, last))
-    return (sl.uint(0xFFFFFFFF) << sl.uint(first_bit)) & (sl.uint(0xFFFFFFFF) >> sl.uint(MASK_SLICES - 1 - last_bit))
+    return (sl.uint(0xFFFFFFFF) << sl.uint(first_bit)) & (
+        sl.uint(0xFFFFFFFF) >> sl.uint(MASK_SLICES - 1 - last_bit)
+    )
 
 
 @sl.function
 def padded_radius(cell: Cell, centre: sl.vec3, radius: float) -> float:
-    """Return a radius with which tests in float32 find all that they would find without rounding: larger by 2^-20 of
-    the greatest coordinates."""
+    """Return a radius with which tests in float32 find all that they would find without rounding: larger by
+    2^-20 of the greatest coordinates."""
     reach = sl.max(sl.abs(cell.near), sl.abs(cell.far))
     sides = (
-        sl.max(sl.abs(cell.low), sl.abs(cell.high)) + sl.max(sl.abs(cell.low_slope), sl.abs(cell.high_slope)) * reach
+        sl.max(sl.abs(cell.low), sl.abs(cell.high))
+        + sl.max(sl.abs(cell.low_slope), sl.abs(cell.high_slope)) * reach
     )
     away = sl.abs(centre)
     return radius + PADDING * (radius + reach + sides.x + sides.y + away.x + away.y + away.z)
@@ -226,10 +234,11 @@ def extent_along(cell: Cell, axis: sl.vec3) -> sl.vec2:
 def squared_distance(cell: Cell) -> float:
     """Return the squared distance of a cell that isn't empty from the origin.
 
-    At depth z the cell is a rectangle, at a squared distance of `x² + y² + z²`, where x and y are 0 if the rectangle
-    spans 0 there. That is convex in z and smooth. With each of none, the low and the high side nearest in x and in y it
-    is a parabola, and its least value lies at the lowest point of one of the nine, or at an end. Every value is the
-    distance of some point of the cell, so the least is exact and never too small.
+    At depth z the cell is a rectangle, at a squared distance of `x² + y² + z²`, where x and y are 0 if the
+    rectangle spans 0 there. That is convex in z and smooth. With each of none, the low and the high side
+    nearest in x and in y it is a parabola, and its least value lies at the lowest point of one of the nine,
+    or at an end. Every value is the distance of some point of the cell, so the least is exact and never too
+    small.
     """
     low = cell.low * cell.low_slope
     high = cell.high * cell.high_slope

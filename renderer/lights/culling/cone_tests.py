@@ -1,9 +1,9 @@
 """Tests of the cones of lights, such as spot lights, against cells, all with one signature.
 
-A light's cone is the part of the sphere of its range within an angle of its axis; with more than 90° it isn't convex,
-and with 180° it is the sphere. Its *reach* along an axis is how far its points go: an axis along which the whole cell
-lies beyond it separates the two. The tests come after one of the
-sphere around the cone. `padding` enlarges the cone, for the rounding of float32.
+A light's cone is the part of the sphere of its range within an angle of its axis; with more than 90° it isn't
+convex, and with 180° it is the sphere. Its *reach* along an axis is how far its points go: an axis along
+which the whole cell lies beyond it separates the two. The tests come after one of the sphere around the cone.
+`padding` enlarges the cone, for the rounding of float32.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ def cone_overlaps_always(cell: Cell, cone: Cone, padding: float) -> bool:
 
 @function
 def cone_overlaps_sphere(cell: Cell, cone: Cone, padding: float) -> bool:
-    """Return whether a cone overlaps the sphere around a cell (Wronski 2017): good for clusters, poor for long
-    tiles."""
+    """Return whether a cone overlaps the sphere around a cell (Wronski 2017): good for clusters, poor for
+    long tiles."""
     seen = relative_cell(cell, cone.apex)
     centre = vec3(0.0)
     for index in range(8):
@@ -46,9 +46,9 @@ def cone_overlaps_planes(cell: Cell, cone: Cone, padding: float) -> bool:
 
 @function
 def cone_overlaps_tightly(cell: Cell, cone: Cone, padding: float) -> bool:
-    """Return whether no plane of a cell separates it from a cone, nor the axis to its nearest vertex, nor the cone's
-    tangent planes towards that vertex and towards the middle. What a cone of more than 90° leaves out is convex: a cell
-    with all corners there is outside."""
+    """Return whether no plane of a cell separates it from a cone, nor the axis to its nearest vertex, nor the
+    cone's tangent planes towards that vertex and towards the middle. What a cone of more than 90° leaves out
+    is convex: a cell with all corners there is outside."""
     seen = relative_cell(cell, cone.apex)
     if cone.cosine < 0.0:
         least = cone.range

@@ -25,19 +25,19 @@ def make_grid(
     first_slice: float | None = None,
     reach: float = np.inf,
 ) -> ClusterGrid:
-    """Return the grid of cells for an image of `size` pixels, whose tiles have `tile` × `tile` pixels; fewer at the
-    right and lower edge.
+    """Return the grid of cells for an image of `size` pixels, whose tiles have `tile` × `tile` pixels; fewer
+    at the right and lower edge.
 
     Args:
         slices: number of depth slices.
-        first_slice: where the second slice begins, in metres. The slices from there on are equally long in the
-            logarithm of depth (as Filament's froxels). By default all slices of a perspective projection are
-            (Olsson, Billeter and Assarsson 2012), and those of a parallel one are equally long.
+        first_slice: where the second slice begins, in metres. The slices from there on are equally long in
+            the logarithm of depth (as Filament's froxels). By default all slices of a perspective projection
+            are (Olsson, Billeter and Assarsson 2012), and those of a parallel one are equally long.
         reach: the farthest depth that a light reaches. Cells end there.
 
     Raises:
-        ValidationError `lights-bad-grid`: a number isn't positive, slices don't increase, or the projection turns or
-            mirrors the image.
+        ValidationError `lights-bad-grid`: a number isn't positive, slices don't increase, or the projection
+            turns or mirrors the image.
     """
     for name, value in (("size", min(size)), ("tile", tile), ("slices", slices)):
         if value < 1:
@@ -45,11 +45,14 @@ def make_grid(
     m = np.asarray(projection.matrix, np.float64)
     turns = any((m[0, 1], m[1, 0], m[2, 0], m[2, 1], m[3, 0], m[3, 1]))
     if turns or not (m[0, 0] > 0.0 and m[1, 1] > 0.0):
-        refuse(rules.BAD_GRID, "make_grid(projection=...)", m.tolist(), "x to the right and y up in the image")
+        refuse(
+            rules.BAD_GRID, "make_grid(projection=...)", m.tolist(), "x to the right and y up in the image"
+        )
     nearest = 1.0 if projection.depth is Depth.REVERSED else 0.0
     near, far = distance_at_depth(m, nearest), distance_at_depth(m, 1.0 - nearest)
     slice_end, slice_rate = _slice_distribution(slices, first_slice, near, far, reach, bool(m[3, 2]))
-    # With z ahead: scale · x - shift · z + constant = clip · (w + w_slope · z), where clip runs over the pixels.
+    # With z ahead: scale · x - shift · z + constant = clip · (w + w_slope · z), where clip runs over the
+    # pixels.
     scale, shift, constant = m[[0, 1], [0, 1]], m[:2, 2], m[:2, 3]
     w, w_slope = m[3, 3], -m[3, 2]
     clip, step = np.array([-1.0, 1.0]), np.array([2.0, -2.0]) / np.asarray(size)

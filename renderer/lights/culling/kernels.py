@@ -1,16 +1,16 @@
 """The compute shaders that list the lights of each cell.
 
 1. Where there is a depth texture, `ReduceTileDepths` computes each tile's nearest and farthest surface, and
-   `ReduceTileMasks` adds a mask of the depths between them that have a surface (Harada, McKee and Yang 2013: 2.5D
-   culling).
-2. `CollectLights`: a work-group has a block of 8 × 8 tiles of one slice. First, as a pre-filter, it tests each light
-   against the whole block, then each tile against the lights that the block has kept. The result is a bit for each cell
-   and light.
+   `ReduceTileMasks` adds a mask of the depths between them that have a surface (Harada, McKee and Yang 2013:
+   2.5D culling).
+2. `CollectLights`: a work-group has a block of 8 × 8 tiles of one slice. First, as a pre-filter, it tests
+   each light against the whole block, then each tile against the lights that the block has kept. The result
+   is a bit for each cell and light.
 3. `PrefixSum` turns the number of lights of each cell into the index where its list begins.
 4. `WriteLists` writes the bits as lists.
 
-A bit has the same position whichever invocation sets it, so lists are in ascending order, the same in every run and
-on every device. All lanes of a work-group read the same light at the same time.
+A bit has the same position whichever invocation sets it, so lists are in ascending order, the same in every
+run and on every device. All lanes of a work-group read the same light at the same time.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class LightMaskWords(sl.Struct):
 
 
 class LightMaskSize(LightMaskWords):
-    """The number of words with a bit for each light, and the end of the words of each kind of light but the last
-    (`WORD_FIELDS`)."""
+    """The number of words with a bit for each light, and the end of the words of each kind of light but the
+    last (`WORD_FIELDS`)."""
 
     if TYPE_CHECKING:
         first_cone_word: int
@@ -59,8 +59,8 @@ class LightMaskSize(LightMaskWords):
 
 
 class TileDepths(sl.Struct):
-    """The depths of a tile's nearest and farthest surface, and a bit for each of 32 slices between them that has
-    one."""
+    """The depths of a tile's nearest and farthest surface, and a bit for each of 32 slices between them that
+    has one."""
 
     near: float
     far: float
@@ -113,8 +113,8 @@ class ReduceTileMasks(ReduceTileDepths):
 
 
 class CollectLights(sl.Shader):
-    """Marks and counts the lights of each cell. Subclasses add tests of cones, depths and masks; `collect_variant`
-    combines them."""
+    """Marks and counts the lights of each cell. Subclasses add tests of cones, depths and masks;
+    `collect_variant` combines them."""
 
     work_group = (BLOCK, BLOCK)
     grid: sl.Uniform[ClusterGrid]
@@ -181,7 +181,9 @@ class CollectLights(sl.Shader):
     def tile_depths(self, tile: int) -> TileDepths:
         return TileDepths(near=self.grid.near, far=self.grid.far, mask=sl.uint(0xFFFFFFFF))
 
-    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> sl.vec2:
+    def block_depths(
+        self, lane: int, near: float, far: float, slice_near: float, slice_far: float
+    ) -> sl.vec2:
         return sl.vec2(slice_near, slice_far)
 
     def overlaps_sphere(self, block: Cell, sphere: sl.vec4) -> bool:
@@ -236,7 +238,9 @@ class CollectByDepth(CollectLights):
     def tile_depths(self, tile: int) -> TileDepths:
         return self.depths[tile]
 
-    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> sl.vec2:
+    def block_depths(
+        self, lane: int, near: float, far: float, slice_near: float, slice_far: float
+    ) -> sl.vec2:
         self.nears[lane] = near if near <= far else slice_far
         self.fars[lane] = far if near <= far else slice_near
         sl.barrier()
@@ -310,7 +314,8 @@ class WriteLists(ListWriter):
         for name in WORD_FIELDS
     )
     + "".join(
-        f"        self.lists[{KIND_COUNT} * cell + {number}] = {name}\n" for number, name in enumerate(WORD_FIELDS, 1)
+        f"        self.lists[{KIND_COUNT} * cell + {number}] = {name}\n"
+        for number, name in enumerate(WORD_FIELDS, 1)
     ),
     "WriteLists",
     __name__,
@@ -318,8 +323,9 @@ class WriteLists(ListWriter):
     WORD=WORD,
     sl=sl,
 )
-"""Writes the lists of lights: for each cell its begin and the end of the lights of each kind, then the end of all, then
-the lists. A light behind the buffer's end isn't written; the bounds of a list that ends there say so."""
+"""Writes the lists of lights: for each cell its begin and the end of the lights of each kind, then the end of
+all, then the lists. A light behind the buffer's end isn't written; the bounds of a list that ends there say
+so."""
 
 
 @cache
@@ -329,7 +335,8 @@ def collect_variant(
     block_test: SphereTest,
     features: tuple[type[CollectLights], ...],
 ) -> type[CollectLights]:
-    """Return the `CollectLights` shader that combines these tests of cells and blocks and these feature classes."""
+    """Return the `CollectLights` shader that combines these tests of cells and blocks and these feature
+    classes."""
     methods: dict[str, Any] = {
         "overlaps": staticmethod(sphere_test.function.python),
         "overlaps_cone": staticmethod(cone_test.function.python),

@@ -72,13 +72,14 @@ class LightListData:
 class LightLists:
     """Lists the local lights that reach each tile or cluster of a view, on the device.
 
-    `collect` issues the commands that make the lists of a frame; shaders then read `lists` with the index that
-    `cell_index` gives: for cell c and k kinds of lights, `lists[k c]` is the index in `lists` where its lights begin,
-    and `lists[k c + n]` where those of the nth kind end.
+    `collect` issues the commands that make the lists of a frame; shaders then read `lists` with the index
+    that `cell_index` gives: for cell c and k kinds of lights, `lists[k c]` is the index in `lists` where its
+    lights begin, and `lists[k c + n]` where those of the nth kind end.
 
-    The lists have room for 64 lights a cell, or for as many as earlier frames needed. If a frame needs more, shaders
-    read the lights of the cells that are left over from bits in `light_masks`: they miss none, but look at a bit for
-    each light of the scene. A later `collect` learns the need without waiting, and enlarges the lists.
+    The lists have room for 64 lights a cell, or for as many as earlier frames needed. If a frame needs more,
+    shaders read the lights of the cells that are left over from bits in `light_masks`: they miss none, but
+    look at a bit for each light of the scene. A later `collect` learns the need without waiting, and enlarges
+    the lists.
 
     Attributes:
         capacity: number of lights that fit in all lists together.
@@ -102,14 +103,15 @@ class LightLists:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`).
 
         Args:
-            sphere_test, cone_test: names of the tests of cells, of `SPHERE_TESTS` and `CONE_TESTS`. With the exact
-                test, collecting takes 17 % more processor time than with the hybrid one on cl, 22 % more on gl, and
-                the lists are up to a fifth shorter.
-            block_test: the name of the test of blocks of cells; with "none" all cells are tested against all lights.
+            sphere_test, cone_test: names of the tests of cells, of `SPHERE_TESTS` and `CONE_TESTS`. With the
+                exact test, collecting takes 17 % more processor time than with the hybrid one on cl, 22 %
+                more on gl, and the lists are up to a fifth shorter.
+            block_test: the name of the test of blocks of cells; with "none" all cells are tested against all
+                lights.
             depth_mask: whether, with a depth texture, 32 slices of a tile's depths are told apart.
             counted: whether to count tests, for `read`.
-            capacity: number of lights for which lists have room at first; by default 64 for each cell, also of later
-                frames with more cells.
+            capacity: number of lights for which lists have room at first; by default 64 for each cell, also
+                of later frames with more cells.
 
         Raises:
             ValidationError `lights-unknown-test`: a test has another name.
@@ -144,8 +146,8 @@ class LightLists:
 
     @property
     def bindings(self) -> dict[str, Any]:
-        """The lists of the last frame for shaders: `grid`, `light_list`, `light_masks` and `light_counts`. Another
-        `collect` may replace them."""
+        """The lists of the last frame for shaders: `grid`, `light_list`, `light_masks` and `light_counts`.
+        Another `collect` may replace them."""
         return {
             "grid": self.parameters,
             "light_list": self.lists,
@@ -172,10 +174,12 @@ class LightLists:
         lights: Lights,
         depth: Texture | None = None,
     ) -> None:
-        """List the lights that reach each cell of an image of `size` pixels. Must be called outside of passes.
+        """List the lights that reach each cell of an image of `size` pixels. Must be called outside of
+        passes.
 
         Args:
-            depth: the depth of all that is lit through the lists; cells then end at the surfaces of their tile.
+            depth: the depth of all that is lit through the lists; cells then end at the surfaces of their
+                tile.
         """
         for program, groups, bindings in self.prepare(camera, size, lights, depth):
             encoder.dispatch(program, groups, **bindings)
@@ -183,8 +187,8 @@ class LightLists:
     def prepare(
         self, camera: Camera, size: tuple[int, int], lights: Lights, depth: Texture | None = None
     ) -> list[tuple[Program[...], int | tuple[int, ...], dict[str, Any]]]:
-        """Upload the grid and the lights of a frame. Return the dispatches that make the lists, to be run once: compute
-        programs, the numbers of their groups, and bindings."""
+        """Upload the grid and the lights of a frame. Return the dispatches that make the lists, to be run
+        once: compute programs, the numbers of their groups, and bindings."""
         self._learn()
         self._uploads.write(camera, size, lights)
         self._make_room()
@@ -198,7 +202,9 @@ class LightLists:
         if depth is not None:
             features += self._by_depth
             program_buffers["depths"] = buffers["depths"]
-            work.append((find, blocks, {"grid": self.parameters, "depth": depth, "depths": buffers["depths"]}))
+            work.append(
+                (find, blocks, {"grid": self.parameters, "depth": depth, "depths": buffers["depths"]})
+            )
         if self._counted:
             buffers["tests"].write(np.zeros(1, np.uint32))
             program_buffers["tests"] = buffers["tests"]
@@ -220,7 +226,10 @@ class LightLists:
         """Return the lists of the last frame. Waits for the device."""
         cells, lists, kinds = self.cells, self.lists.read().astype(np.int64), len(LOCAL_LIGHT_KINDS)
         header = kinds * cells + 1
-        bounds = np.stack([lists[number : number + header : kinds][:cells] for number in range(kinds + 1)], 1) - header
+        bounds = (
+            np.stack([lists[number : number + header : kinds][:cells] for number in range(kinds + 1)], 1)
+            - header
+        )
         lights = lists[header:]
         begins, ends = bounds[:, 0], bounds[:, -1]
         full = ends > len(lights)
@@ -236,7 +245,9 @@ class LightLists:
     def _read_masked(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the indices of the lights of these cells, one cell after the other, from the masks."""
         words, ends = self._uploads.words, WORD * np.array(self._uploads.word_ends)
-        masks: NDArray[np.uint32] = self._buffers["masks"].read(0, self.cells * words).reshape(-1, words)[cells]
+        masks: NDArray[np.uint32] = (
+            self._buffers["masks"].read(0, self.cells * words).reshape(-1, words)[cells]
+        )
         bits = np.unpackbits(masks.astype("<u4").view(np.uint8), axis=1, bitorder="little").nonzero()[1]
         begins = np.concatenate([[0], ends[:-1]])
         return np.asarray(bits - begins[np.searchsorted(ends, bits, side="right")])
@@ -247,8 +258,8 @@ class LightLists:
         self._uploads.destroy()
 
     def _learn(self) -> None:
-        """Read how many lights the lists of an earlier frame needed, if the device has finished it, and enlarge
-        them."""
+        """Read how many lights the lists of an earlier frame needed, if the device has finished it, and
+        enlarge them."""
         if self._pending is not None and self._pending.done:
             needed = int(self._pending.result()[0])
             self._pending = None

@@ -1,8 +1,8 @@
 """Tests of spheres against cells, from none to exact, all with one signature (Thatcher 2014, 6.1 and 7.5).
 
-A sphere and a convex body are apart if they are along some axis: that of a face's normal, of the line from an edge, or
-from a vertex, to the centre. Tests that skip axes keep too much, never too little. An axis need not have length 1, and
-since any axis that separates proves that the two are apart, its own rounding is harmless.
+A sphere and a convex body are apart if they are along some axis: that of a face's normal, of the line from an
+edge, or from a vertex, to the centre. Tests that skip axes keep too much, never too little. An axis need not
+have length 1, and since any axis that separates proves that the two are apart, its own rounding is harmless.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def overlaps_planes(cell: Cell, centre: vec3, radius: float) -> bool:
 
 @function
 def overlaps_faces(cell: Cell, centre: vec3, radius: float) -> bool:
-    """Return whether no normal of a face separates a sphere and a cell. Unlike the planes, that looks at both ends of
-    the cell along a normal."""
+    """Return whether no normal of a face separates a sphere and a cell. Unlike the planes, that looks at both
+    ends of the cell along a normal."""
     return not _faces_separate(relative_cell(cell, centre), radius)
 
 
@@ -65,9 +65,12 @@ def overlaps_edges_vertices(cell: Cell, centre: vec3, radius: float) -> bool:
 
 @function
 def overlaps_all_axes(cell: Cell, centre: vec3, radius: float) -> bool:
-    """Return whether no axis of a face, an edge or a vertex separates a sphere and a cell: then they overlap."""
+    """Return whether no axis of a face, an edge or a vertex separates a sphere and a cell: then they
+    overlap."""
     seen = relative_cell(cell, centre)
-    return not (_faces_separate(seen, radius) or _edges_separate(seen, radius) or _vertices_separate(seen, radius))
+    return not (
+        _faces_separate(seen, radius) or _edges_separate(seen, radius) or _vertices_separate(seen, radius)
+    )
 
 
 @function
@@ -79,8 +82,8 @@ def overlaps_nearest_vertex(cell: Cell, centre: vec3, radius: float) -> bool:
 
 @function
 def overlaps_hybrid(cell: Cell, centre: vec3, radius: float) -> bool:
-    """Return whether neither a plane nor the axis of the nearest vertex separates a sphere and a cell (Thatcher's
-    algorithm 7)."""
+    """Return whether neither a plane nor the axis of the nearest vertex separates a sphere and a cell
+    (Thatcher's algorithm 7)."""
     seen = relative_cell(cell, centre)
     return _meets_planes(seen, radius) and not _separates(seen, radius, nearest_vertex(seen))
 
@@ -93,7 +96,8 @@ def overlaps_box(cell: Cell, centre: vec3, radius: float) -> bool:
 
 @function
 def overlaps_planes_box(cell: Cell, centre: vec3, radius: float) -> bool:
-    """Return whether a sphere overlaps the box around a cell, and is not completely behind one of its planes."""
+    """Return whether a sphere overlaps the box around a cell, and is not completely behind one of its
+    planes."""
     seen = relative_cell(cell, centre)
     return _meets_planes(seen, radius) and _meets_box(seen, radius)
 
@@ -178,7 +182,9 @@ def _edges_separate(seen: Cell, radius: float) -> bool:
         top = index >= 2
         start = vec3(seen.high.x if right else seen.low.x, seen.high.y if top else seen.low.y, 0.0)
         along = vec3(
-            seen.high_slope.x if right else seen.low_slope.x, seen.high_slope.y if top else seen.low_slope.y, 1.0
+            seen.high_slope.x if right else seen.low_slope.x,
+            seen.high_slope.y if top else seen.low_slope.y,
+            1.0,
         )
         if _separates(seen, radius, start - along * (dot(start, along) / dot(along, along))):
             return True

@@ -32,8 +32,8 @@ class SphereTest:
 
 @dataclass(frozen=True, slots=True)
 class ConeTest:
-    """A test of a spot light's cone against a cell, made where the sphere around the cone overlaps it. It may keep
-    pairs that don't overlap, and never drops one that does."""
+    """A test of a spot light's cone against a cell, made where the sphere around the cone overlaps it. It may
+    keep pairs that don't overlap, and never drops one that does."""
 
     name: str
     function: ShadingFunction[[Cell, Cone, float], bool]
@@ -47,11 +47,19 @@ _SPHERE_TESTS: Final = (
     SphereTest("edges", sphere_tests.overlaps_edges, False, "separating axes: from twelve edges"),
     SphereTest("vertices", sphere_tests.overlaps_vertices, False, "separating axes: from eight vertices"),
     SphereTest("faces_edges", sphere_tests.overlaps_faces_edges, False, "separating axes: faces, edges"),
-    SphereTest("faces_vertices", sphere_tests.overlaps_faces_vertices, False, "separating axes: faces, vertices"),
-    SphereTest("edges_vertices", sphere_tests.overlaps_edges_vertices, False, "separating axes: edges, vertices"),
+    SphereTest(
+        "faces_vertices", sphere_tests.overlaps_faces_vertices, False, "separating axes: faces, vertices"
+    ),
+    SphereTest(
+        "edges_vertices", sphere_tests.overlaps_edges_vertices, False, "separating axes: edges, vertices"
+    ),
     SphereTest("all_axes", sphere_tests.overlaps_all_axes, True, "separating axes: all 25"),
-    SphereTest("nearest_vertex", sphere_tests.overlaps_nearest_vertex, False, "the axis from the nearest vertex"),
-    SphereTest("hybrid", sphere_tests.overlaps_hybrid, False, "planes, then the axis from the nearest vertex"),
+    SphereTest(
+        "nearest_vertex", sphere_tests.overlaps_nearest_vertex, False, "the axis from the nearest vertex"
+    ),
+    SphereTest(
+        "hybrid", sphere_tests.overlaps_hybrid, False, "planes, then the axis from the nearest vertex"
+    ),
     SphereTest("box", sphere_tests.overlaps_box, False, "the distance to the box around the cell"),
     SphereTest("planes_box", sphere_tests.overlaps_planes_box, False, "planes, then the box"),
     SphereTest("exact", sphere_tests.overlaps_exactly, True, "the distance to the cell"),
@@ -60,7 +68,9 @@ _CONE_TESTS: Final = (
     ConeTest("sphere", cone_tests.cone_overlaps_always, "keeps what the sphere around the cone overlaps"),
     ConeTest("cone_sphere", cone_tests.cone_overlaps_sphere, "the cone against the sphere around the cell"),
     ConeTest("planes", cone_tests.cone_overlaps_planes, "drops what is behind one of six planes"),
-    ConeTest("tight", cone_tests.cone_overlaps_tightly, "planes, tangent planes of the cone, the nearest vertex"),
+    ConeTest(
+        "tight", cone_tests.cone_overlaps_tightly, "planes, tangent planes of the cone, the nearest vertex"
+    ),
 )
 
 SPHERE_TESTS: Final[dict[str, SphereTest]] = {test.name: test for test in _SPHERE_TESTS}

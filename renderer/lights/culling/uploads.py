@@ -37,7 +37,9 @@ class BufferSet:
         if buffer is None or len(buffer) != count:
             if buffer is not None:
                 buffer.destroy()
-            buffer = self._buffers[name] = self._device.storage(element, count, label=f"{self._label}: {name}")
+            buffer = self._buffers[name] = self._device.storage(
+                element, count, label=f"{self._label}: {name}"
+            )
         return buffer
 
     def destroy(self) -> None:
@@ -56,7 +58,9 @@ class LightUploads:
         word_ends: the words with a bit for each light: behind which those of each kind end.
     """
 
-    def __init__(self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None) -> None:
+    def __init__(
+        self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None
+    ) -> None:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.layout: ClusterGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)

@@ -28,8 +28,8 @@ class LightVolumes:
     """The bounding volumes of all local lights.
 
     Attributes:
-        spheres: (32 w, 4) float64, centres and radii: of the lights of each kind, in the order of the table, and each
-            from a multiple of 32 on. Rows between them have a radius of -1.
+        spheres: (32 w, 4) float64, centres and radii: of the lights of each kind, in the order of the table,
+            and each from a multiple of 32 on. Rows between them have a radius of -1.
         cones: (c,) of `Cone`, for the spheres from `word_ends[k]` on, where k is the last kind without cones.
         word_ends: for each kind, the word behind which its lights end.
         reach: the farthest depth that a light reaches; -inf without lights.
@@ -80,6 +80,9 @@ def compute_light_volumes(lights: Lights, camera: Camera) -> LightVolumes:
 
 @lru_cache(maxsize=4)
 def _bound_cones(kind: LocalLightKind, data: bytes) -> Floats:
-    """Return the spheres (k, 4) around the cones of lights of a kind in the world. They stay while eyes move."""
+    """Return the spheres (k, 4) around the cones of lights of a kind in the world. They stay while eyes
+    move."""
     assert kind.cones is not None
-    return np.asarray(evaluate(bounding_sphere, kind.cones(np.frombuffer(data, kind.dtype)), dtype=np.float64))
+    return np.asarray(
+        evaluate(bounding_sphere, kind.cones(np.frombuffer(data, kind.dtype)), dtype=np.float64)
+    )

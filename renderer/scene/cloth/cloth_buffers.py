@@ -1,8 +1,8 @@
 """The state of cloths on a device, and the dispatches that advance them.
 
-A dispatch takes as many steps as a group has turns for: llvmpipe ends the loops of a shader after 65,535 turns,
-without an error, and other drivers end dispatches that take seconds. These are a hundred steps of a cloth of a few
-hundred points. What a frame takes is one dispatch; only after an absence it is more.
+A dispatch takes as many steps as a group has turns for: llvmpipe ends the loops of a shader after 65,535
+turns, without an error, and other drivers end dispatches that take seconds. These are a hundred steps of a
+cloth of a few hundred points. What a frame takes is one dispatch; only after an absence it is more.
 """
 
 from __future__ import annotations
@@ -116,7 +116,14 @@ class ClothBuffers:
     def destroy(self) -> None:
         """Destroy the buffers."""
         self._constants.destroy()
-        for buffer in (self._points, self._constraints, self._batches, self._positions, self._velocities, self._winds):
+        for buffer in (
+            self._points,
+            self._constraints,
+            self._batches,
+            self._positions,
+            self._velocities,
+            self._winds,
+        ):
             buffer.destroy()
         self._nothing.destroy()
 

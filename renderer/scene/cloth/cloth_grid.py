@@ -1,7 +1,8 @@
-"""Sheets: what a cloth is made of, before it moves. Points are a grid; constraints keep distances between them.
+"""Sheets: what a cloth is made of, before it moves. Points are a grid; constraints keep distances between
+them.
 
-Constraints hold neighbours along rows and columns (stretch), along diagonals (shear), and points with one between them
-(bending). No two constraints of a batch share a point.
+Constraints hold neighbours along rows and columns (stretch), along diagonals (shear), and points with one
+between them (bending). No two constraints of a batch share a point.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ _STRETCH: Final = 1.01  # of the way to a pin, that a point may be away from it
 _ROUNDING: Final = 2.0**-20  # of the largest coordinate: points are float32
 
 CONSTRAINT: Final = np.dtype([("a", "<i4"), ("b", "<i4"), ("length", "<f4"), ("softness", "<f4")])
-"""A constraint: the points `a` and `b` are `length` metres apart; `softness` is 0 for one that doesn't give."""
+"""A constraint: the points `a` and `b` are `length` metres apart; `softness` is 0 for one that doesn't
+give."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +69,10 @@ class Gust:
     """A wave of wind that runs over a cloth.
 
     Attributes:
-        velocity: its greatest velocity in m/s. along: waves per metre along each axis, in the space of the object.
-        period: seconds from wave to wave, rounded to whole steps, one at least. Whole numbers keep the phase exact for
-            all times.
+        velocity: its greatest velocity in m/s. along: waves per metre along each axis, in the space of the
+            object.
+        period: seconds from wave to wave, rounded to whole steps, one at least. Whole numbers keep the phase
+            exact for all times.
     """
 
     velocity: tuple[float, float, float]
@@ -107,11 +110,13 @@ class ClothGrid:
 
     Attributes:
         rows, columns: the size of the grid.
-        points: (n, 3) float32, where the points are at first. is_free: (n,) bool, whether a point isn't pinned.
+        points: (n, 3) float32, where the points are at first. is_free: (n,) bool, whether a point isn't
+            pinned.
         anchors: (n, 3) float32, the nearest pin of each point. reaches: (n,) float32, how far it may be away.
         constraints: (k,) of `CONSTRAINT`, batch by batch. batches: (b + 1,) int32, where each begins.
         lower, upper: (3,) float32, the corners of its room, which no point ever leaves.
-        fabric: what it is made of. sub_steps: how many of them a step has. interval: the length of a step in seconds.
+        fabric: what it is made of. sub_steps: how many of them a step has. interval: the length of a step in
+            seconds.
     """
 
     rows: int
@@ -130,7 +135,8 @@ class ClothGrid:
 
     @property
     def bounds(self) -> MeshBounds:
-        """The lower and the upper corner (3,) of a box that holds it at all times, for `SceneBuilder.add_mesh`."""
+        """The lower and the upper corner (3,) of a box that holds it at all times, for
+        `SceneBuilder.add_mesh`."""
         return self.lower.astype(np.float64), self.upper.astype(np.float64)
 
     @property
@@ -139,9 +145,11 @@ class ClothGrid:
         return float(min(np.linalg.norm(self.upper - self.lower), 2.0 * self.reaches.max()))
 
     def make_mesh(self) -> MeshGeometry:
-        """Make the mesh of a cloth at its start. Its front is where columns run right as rows run down; texture
-        coordinates are 0 to 1 along both. Materials of cloths have two sides."""
-        return MeshGeometry(self.make_vertices(self.points[None])[0], list_grid_triangles(self.rows, self.columns))
+        """Make the mesh of a cloth at its start. Its front is where columns run right as rows run down;
+        texture coordinates are 0 to 1 along both. Materials of cloths have two sides."""
+        return MeshGeometry(
+            self.make_vertices(self.points[None])[0], list_grid_triangles(self.rows, self.columns)
+        )
 
     def make_vertices(self, points: NDArray[np.float32]) -> NDArray[Any]:
         """Return the vertices (k, n) of `VERTEX` of cloths whose points are at `points` (k, n, 3)."""
@@ -167,25 +175,27 @@ def make_cloth_grid(
 
     Args:
         pinned: (rows, columns) bool: the points that stay where they are, one or more.
-        flat: (rows, columns, 3), where the points are when the cloth lies flat, if it hangs slack at first: distances
-            are taken from there.
+        flat: (rows, columns, 3), where the points are when the cloth lies flat, if it hangs slack at first:
+            distances are taken from there.
         fabric: what it is made of.
-        room: the lower and the upper corner of a box that the points can't leave; it holds `points`. By default it is
-            as large as the distances from pins allow. Choose it as small as the movement permits: it is the cloth's
-            bounds.
-        sub_steps: so many sub-steps has a step, 1 to 64, and fewer of more than 2,048 points: more of them stretch less
-            and keep time better.
+        room: the lower and the upper corner of a box that the points can't leave; it holds `points`. By
+            default it is as large as the distances from pins allow. Choose it as small as the movement
+            permits: it is the cloth's bounds.
+        sub_steps: so many sub-steps has a step, 1 to 64, and fewer of more than 2,048 points: more of them
+            stretch less and keep time better.
         interval: the length of a step in seconds, 0.001 to 0.1. Wind changes from step to step.
 
     Raises:
-        ValidationError `scene-bad-cloth`: a grid of less than 2 × 2 points or of too many, points that aren't finite
-            or coincide, no pin, a room that doesn't hold the points, no sub-step or too many, a step that is too long
-            or too short.
+        ValidationError `scene-bad-cloth`: a grid of less than 2 × 2 points or of too many, points that aren't
+            finite or coincide, no pin, a room that doesn't hold the points, no sub-step or too many, a step
+            that is too long or too short.
     """
     call = "make_cloth_grid"
     grid = np.asarray(points, np.float64)
     if grid.ndim != 3 or grid.shape[2] != 3 or min(grid.shape[:2]) < 2 or grid[..., 0].size > MAX_POINTS:
-        refuse(rules.BAD_CLOTH, call, f"shape {grid.shape}", f"(rows, columns, 3), at most {MAX_POINTS:,} points")
+        refuse(
+            rules.BAD_CLOTH, call, f"shape {grid.shape}", f"(rows, columns, 3), at most {MAX_POINTS:,} points"
+        )
     rest = grid if flat is None else np.asarray(flat, np.float64)
     pins = np.asarray(pinned)
     if rest.shape != grid.shape or pins.shape != grid.shape[:2] or pins.dtype != np.bool_:
@@ -195,7 +205,9 @@ def make_cloth_grid(
         if not (np.abs(values) <= 1e4).all():
             refuse(rules.BAD_CLOTH, f"{call}({name}=...)", "a coordinate out of range", "-10⁴ to 10⁴ m")
     if pins.all() or not pins.any():
-        refuse(rules.BAD_CLOTH, f"{call}(pinned=...)", f"{pins.sum()} pins", "one or more, and a point without")
+        refuse(
+            rules.BAD_CLOTH, f"{call}(pinned=...)", f"{pins.sum()} pins", "one or more, and a point without"
+        )
     most = min(MAX_SUB_STEPS, SUB_STEPS * MAX_POINTS // pins.size)  # llvmpipe ends loops that turn too often
     if not 1 <= sub_steps <= most:
         refuse(rules.BAD_CLOTH, f"{call}(sub_steps=...)", sub_steps, f"1 to {most}")
@@ -204,7 +216,9 @@ def make_cloth_grid(
     rows, columns = pins.shape
     start, at = grid.reshape(-1, 3).astype(np.float32), rest.reshape(-1, 3)
     fabric = fabric or Fabric()
-    constraints, batches = _list_constraints(at, ~pins.reshape(-1), rows, columns, fabric, interval / sub_steps)
+    constraints, batches = _list_constraints(
+        at, ~pins.reshape(-1), rows, columns, fabric, interval / sub_steps
+    )
     nearest, away = _nearest_pins(at, np.flatnonzero(pins.reshape(-1)))
     slack = _ROUNDING * float(np.abs(start).max())
     begin = np.linalg.norm(start.astype(np.float64) - start[nearest], axis=1)
@@ -219,14 +233,25 @@ def make_cloth_grid(
         lower = np.minimum(np.maximum(lower, low), start.min(0))
         upper = np.maximum(np.minimum(upper, high), start.max(0))
     return ClothGrid(
-        rows, columns, start, ~pins.reshape(-1), start[nearest], reaches, constraints, batches,
-        _round(lower, -1), _round(upper, 1), fabric, sub_steps, interval,
-    )  # fmt: skip
+        rows,
+        columns,
+        start,
+        ~pins.reshape(-1),
+        start[nearest],
+        reaches,
+        constraints,
+        batches,
+        _round(lower, -1),
+        _round(upper, 1),
+        fabric,
+        sub_steps,
+        interval,
+    )
 
 
 def compute_grid_normals(points: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
-    """Return the unit normals (k, n, 3) float32 at the points (k, n, 3) of cloths: of the parallelogram that its
-    neighbours span, +Z where they span none."""
+    """Return the unit normals (k, n, 3) float32 at the points (k, n, 3) of cloths: of the parallelogram that
+    its neighbours span, +Z where they span none."""
     grid = points.reshape(len(points), rows, columns, 3)
     row, column = np.arange(rows), np.arange(columns)
     left, right = np.maximum(column - 1, 0), np.minimum(column + 1, columns - 1)
@@ -243,8 +268,8 @@ _FLAT: Final = np.float32(1e-12)
 def _list_constraints(
     at: Floats, is_free: NDArray[np.bool_], rows: int, columns: int, fabric: Fabric, seconds: float
 ) -> tuple[NDArray[Any], NDArray[np.int32]]:
-    """List the constraints of a grid, without those between pins, stiff ones last: what is projected last holds
-    best. `seconds` are those of a sub-step."""
+    """List the constraints of a grid, without those between pins, stiff ones last: what is projected last
+    holds best. `seconds` are those of a sub-step."""
     mass = fabric.density * _compute_area(at, rows, columns) / (rows * columns)
     parts = []
     for a, b, kind in _list_batches(np.arange(rows * columns).reshape(rows, columns)):
@@ -262,7 +287,8 @@ def _list_constraints(
 
 
 def _list_batches(corner: Indices) -> Iterator[tuple[Indices, Indices, str]]:
-    """Yield the ends of the constraints of each batch, and their kind, given the numbers of the points (r, c)."""
+    """Yield the ends of the constraints of each batch, and their kind, given the numbers of the points (r,
+    c)."""
     for square in (corner, corner.T):
         for part in range(4):  # from j to j + 2, and from j + 4 to j + 6: these share no point
             yield square[:, part:-2:4], square[:, part + 2 :: 4], "bend"
@@ -282,7 +308,8 @@ def _compute_area(at: Floats, rows: int, columns: int) -> float:
 
 
 def _nearest_pins(at: Floats, pins: Indices) -> tuple[Indices, Floats]:
-    """Return the nearest of the `pins` (p,) for each point (n,), and how far away it is when the cloth lies flat."""
+    """Return the nearest of the `pins` (p,) for each point (n,), and how far away it is when the cloth lies
+    flat."""
     nearest, away = np.full(len(at), pins[0]), np.full(len(at), np.inf)
     for pin in pins.tolist():
         distance = np.linalg.norm(at - at[pin], axis=1)

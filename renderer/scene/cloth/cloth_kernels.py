@@ -2,8 +2,8 @@
 
 Of places and speeds the first half is what they are, the second what they were a sub-step before.
 
-The lanes of a group share the points, and wait for each other after each batch of constraints. The last thing that a
-group does is to write the cloth's vertices where they are drawn from, with their normals.
+The lanes of a group share the points, and wait for each other after each batch of constraints. The last thing
+that a group does is to write the cloth's vertices where they are drawn from, with their normals.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ _FLAT: Final = 1e-12
 
 
 class ClothPoint(sl.Struct):
-    """A point of a sheet: where it is at first, 1 if it isn't pinned, its pin, and how far away that may be."""
+    """A point of a sheet: where it is at first, 1 if it isn't pinned, its pin, and how far away that may
+    be."""
 
     start: sl.vec3
     free: float
@@ -40,8 +41,8 @@ class ClothConstraint(sl.Struct):
 class ClothJob(sl.Struct):
     """The work of a group: advance a cloth by `steps`, and write its vertices.
 
-    `first` is the float with which its vertices begin, negative if none are to be written, and `stride` the floats from
-    vertex to vertex. `phases` are those of the gusts in the first step, in steps.
+    `first` is the float with which its vertices begin, negative if none are to be written, and `stride` the
+    floats from vertex to vertex. `phases` are those of the gusts in the first step, in steps.
     """
 
     member: int
@@ -120,7 +121,9 @@ class StepCloths(sl.Shader):
             speed = self.velocities[first + point].xyz
             pulled = speed + self.cloth.gravity_step
             normal = self.compute_normal(first, point)
-            pulled += normal * (self.cloth.drag_factor * sl.dot(normal, self.winds[first + point].xyz - pulled))
+            pulled += normal * (
+                self.cloth.drag_factor * sl.dot(normal, self.winds[first + point].xyz - pulled)
+            )
             pulled = (
                 speed * 2.0 - self.velocities[before + point].xyz + pulled * (2.0 * self.cloth.damping_factor)
             ) / 3.0
@@ -148,7 +151,9 @@ class StepCloths(sl.Shader):
                 position = anchor + way * (reach / far)
             position = sl.clamp(position, self.cloth.lower, self.cloth.upper)
             last = self.velocities[first + point].xyz
-            speed = ((position - last) * 1.5 - (last - self.positions[before + point].xyz) * 0.5) * self.cloth.rate
+            speed = (
+                (position - last) * 1.5 - (last - self.positions[before + point].xyz) * 0.5
+            ) * self.cloth.rate
             self.positions[before + point] = sl.vec4(last, 0.0)
             self.positions[first + point] = sl.vec4(position, 0.0)
             self.velocities[first + point] = sl.vec4(speed, 0.0)

@@ -1,7 +1,7 @@
 """The simulation of cloths: which steps are due, and where they are taken.
 
-When more steps were missed than a frame may take, the first of them are left out (`Leap`). Wind makes states alike only
-in part: a flag may stay a metre away for good.
+When more steps were missed than a frame may take, the first of them are left out (`Leap`). Wind makes states
+alike only in part: a flag may stay a metre away for good.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class ClothSimulation(DeferredSteps[ClothArrays, ClothBuffers]):
         return self.cloth_grid.make_vertices(points[members]).reshape(-1)
 
     def read(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return points and speeds (count, n, 3) after the steps taken so far. Waits for the device that has them."""
+        """Return points and speeds (count, n, 3) after the steps taken so far. Waits for the device that has
+        them."""
         state = self._read()
         return state.points[0], state.velocities[0]
 
@@ -98,7 +99,7 @@ class ClothSimulation(DeferredSteps[ClothArrays, ClothBuffers]):
         self._buffers.run(members, self._due[members], phases, first_vertices, vertices, stride)
 
     def _compute_phases(self, members: Indices, numbers: Indices) -> Indices:
-        """Return the phases of the gusts in the steps `numbers` (j,) of `members` (j,), (j, MAX_GUSTS): whole steps,
-        exact after any time."""
+        """Return the phases of the gusts in the steps `numbers` (j,) of `members` (j,), (j, MAX_GUSTS): whole
+        steps, exact after any time."""
         phases: Indices = (numbers[:, None] + self._phase_offsets[members]) % self._periods
         return phases

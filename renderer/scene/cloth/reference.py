@@ -1,7 +1,7 @@
 """The step of a cloth on NumPy, in float32: operation by operation that of `kernels`.
 
-Places and speeds follow from those of the two sub-steps before (BDF2, the backward differentiation formula of second
-order), which loses next to no energy; that of first order lost a fifth of a swing's in twelve seconds.
+Places and speeds follow from those of the two sub-steps before (BDF2, the backward differentiation formula of
+second order), which loses next to no energy; that of first order lost a fifth of a swing's in twelve seconds.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _MIN_DIVISOR: Final = np.float32(1e-20)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ConstraintBatch:
-    """Constraints that share no point: their ends `a` and `b`, which of them are free (k, 1), how far they are apart
-    (k, 1), and the sum of the weights (k, 1), softness included."""
+    """Constraints that share no point: their ends `a` and `b`, which of them are free (k, 1), how far they
+    are apart (k, 1), and the sum of the weights (k, 1), softness included."""
 
     a: Indices
     b: Indices
@@ -69,11 +69,13 @@ class ClothArrays:
         ]
         self._periods = wind.count_steps(cloth_grid.interval)
         self._batches = [
-            ConstraintBatch.make(cloth_grid, begin, end) for begin, end in pairwise(cloth_grid.batches.tolist())
+            ConstraintBatch.make(cloth_grid, begin, end)
+            for begin, end in pairwise(cloth_grid.batches.tolist())
         ]
 
     def step(self, members: Indices, phases: Indices) -> None:
-        """Take one step with `members` (j,); `phases` (j, MAX_GUSTS) are the phases of the gusts, in steps."""
+        """Take one step with `members` (j,); `phases` (j, MAX_GUSTS) are the phases of the gusts, in
+        steps."""
         cloth_grid = self._grid
         fabric = cloth_grid.fabric
         count = cloth_grid.sub_steps
@@ -88,16 +90,22 @@ class ClothArrays:
             normal = compute_grid_normals(points, cloth_grid.rows, cloth_grid.columns)
             pulled = velocities + gravity_step
             pulled += normal * (drag_factor * (normal * (wind - pulled)).sum(-1, keepdims=True))
-            pulled = (velocities * 2.0 - slower + pulled * (damping_factor * np.float32(2.0))) / np.float32(3.0)
+            pulled = (velocities * 2.0 - slower + pulled * (damping_factor * np.float32(2.0))) / np.float32(
+                3.0
+            )
             pulled[:, ~cloth_grid.is_free] = 0.0
             before, slower = points, velocities
-            points = points + ((points - older) / np.float32(3.0) + pulled * (seconds * np.float32(2.0 / 3.0)))
+            points = points + (
+                (points - older) / np.float32(3.0) + pulled * (seconds * np.float32(2.0 / 3.0))
+            )
             for batch in self._batches:
                 batch.project(points)
             way = points - cloth_grid.anchors
             far = vector_lengths(way)
             reach = cloth_grid.reaches[:, None]
-            points = np.where(far > reach, cloth_grid.anchors + way * (reach / np.maximum(far, _MIN_DIVISOR)), points)
+            points = np.where(
+                far > reach, cloth_grid.anchors + way * (reach / np.maximum(far, _MIN_DIVISOR)), points
+            )
             points = np.clip(points, cloth_grid.lower, cloth_grid.upper)
             velocities = ((points - before) * np.float32(1.5) - (before - older) * np.float32(0.5)) * rate
             older = before
@@ -114,7 +122,8 @@ class ClothArrays:
 
 
 def vector_lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the lengths (..., 1) of vectors (..., 3); `np.linalg.norm` takes three times as long for a few."""
+    """Return the lengths (..., 1) of vectors (..., 3); `np.linalg.norm` takes three times as long for a
+    few."""
     lengths: NDArray[np.float32] = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
     return lengths
 

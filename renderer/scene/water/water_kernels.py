@@ -1,7 +1,7 @@
 """The step of pools on the device: a work-group for each pool, all of its steps in one dispatch.
 
-Heights are kept for even and for odd steps. A step writes over those of two steps before, of which it reads only the
-one that it writes; so lanes wait for each other once a step, and once more after a drop has fallen.
+Heights are kept for even and for odd steps. A step writes over those of two steps before, of which it reads
+only the one that it writes; so lanes wait for each other once a step, and once more after a drop has fallen.
 """
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ class StepPools(sl.Shader):
                     self.heights[after + point] += bump
             sl.barrier()
             for point in range(lane, count, LANES):
-                height = self.pool.damping_factor * (2.0 * self.heights[now + point] + self.curvature(now, point))
+                height = self.pool.damping_factor * (
+                    2.0 * self.heights[now + point] + self.curvature(now, point)
+                )
                 height -= self.pool.damping_factor * self.pool.damping_factor * self.heights[after + point]
                 self.heights[after + point] = sl.clamp(height, -self.pool.max_height, self.pool.max_height)
             sl.barrier()
@@ -103,8 +105,11 @@ class StepPools(sl.Shader):
                 self.write_vertex(job.first + point * job.stride, last, point)
 
     def drop_lift(self, point: int, drop: sl.vec4) -> float:
-        """Return the height by which a drop lifts a point: its middle rises by the volume that sinks around it."""
-        position = sl.vec2(float(point % self.pool.columns), float(point // self.pool.columns)) * self.pool.spacing
+        """Return the height by which a drop lifts a point: its middle rises by the volume that sinks around
+        it."""
+        position = (
+            sl.vec2(float(point % self.pool.columns), float(point // self.pool.columns)) * self.pool.spacing
+        )
         way = (position - drop.xy) / self.pool.radius
         square = sl.dot(way, way)
         return drop.z * (1.0 - square) * sl.exp(-square)
@@ -133,7 +138,9 @@ class StepPools(sl.Shader):
         rise = 0.0
         drop_lift = 0.0
         if column > 0 and column < columns - 1:
-            rise = (self.heights[line + column + 1] - self.heights[line + column - 1]) / (2.0 * self.pool.spacing.x)
+            rise = (self.heights[line + column + 1] - self.heights[line + column - 1]) / (
+                2.0 * self.pool.spacing.x
+            )
         if row > 0 and row < self.pool.rows - 1:
             drop_lift = (self.heights[line + columns + column] - self.heights[line - columns + column]) / (
                 2.0 * self.pool.spacing.y
@@ -158,14 +165,22 @@ class PoolBuffers:
         self._nothing = device.storage(float, 1, label="no vertices")
 
     def run(
-        self, members: Indices, numbers: Indices, steps: Indices, is_reset: Indices, drops: NDArray[np.float32],
-        first_vertices: Indices, vertices: StorageBuffer[float] | None, stride: int,
-    ) -> None:  # fmt: skip
+        self,
+        members: Indices,
+        numbers: Indices,
+        steps: Indices,
+        is_reset: Indices,
+        drops: NDArray[np.float32],
+        first_vertices: Indices,
+        vertices: StorageBuffer[float] | None,
+        stride: int,
+    ) -> None:
         """Advance `members` (j,) by `steps` (j,) to their steps `numbers` (j,), and write their vertices.
 
         Args:
             is_reset: (j,) 1 for those that begin flat. drops: (j, most steps, 4), of each step.
-            first_vertices: (j,), the number of each member's first vertex; without `vertices` nothing is written.
+            first_vertices: (j,), the number of each member's first vertex; without `vertices` nothing is
+                written.
             stride: floats from vertex to vertex.
         """
         jobs: Any = np.zeros(len(members), PoolJob.dtype)
@@ -178,11 +193,16 @@ class PoolBuffers:
             if vertices is not None and begin + self._max_steps >= end:
                 jobs["first"], jobs["stride"] = stride * first_vertices, stride
             self.device.dispatch(
-                self.device.program(StepPools), len(jobs), pool=self._constants,
+                self.device.program(StepPools),
+                len(jobs),
+                pool=self._constants,
                 jobs=self.device.transient.storage(PoolJob, jobs),
-                drops=self.device.transient.storage(sl.vec4, drops.reshape(-1, 4) if end else np.zeros((1, 4), "f4")),
-                heights=self._heights, vertices=self._nothing if vertices is None else vertices,
-            )  # fmt: skip
+                drops=self.device.transient.storage(
+                    sl.vec4, drops.reshape(-1, 4) if end else np.zeros((1, 4), "f4")
+                ),
+                heights=self._heights,
+                vertices=self._nothing if vertices is None else vertices,
+            )
             jobs["is_reset"] = 0
 
     def read(self) -> NDArray[np.float32]:

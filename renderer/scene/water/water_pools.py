@@ -1,8 +1,9 @@
 """Pools, and the simulation of their surfaces: which steps are due, and where they are taken.
 
-A step that is asked for is only noted. It is taken when somebody wants to see the water: on the device together with
-all that was noted since, or on NumPy as long as there is no device. Where and when drops fall is a hash of the pool and
-the step, so a pool's surface follows from the number of its step alone, once it has forgotten how it began.
+A step that is asked for is only noted. It is taken when somebody wants to see the water: on the device
+together with all that was noted since, or on NumPy as long as there is no device. Where and when drops fall
+is a hash of the pool and the step, so a pool's surface follows from the number of its step alone, once it has
+forgotten how it began.
 """
 
 from __future__ import annotations
@@ -37,18 +38,19 @@ class WaterPool:
 
     Attributes:
         size: metres along x and z.
-        cells: of the grid along x and z. The error of a wave's speed falls with their squares (`docs/scene.md`).
+        cells: of the grid along x and z. The error of a wave's speed falls with their squares
+            (`docs/scene.md`).
         depth: of the water in metres: waves go √(9.81 depth) metres a second.
-        damping: a wave is exp(-damping t / 2) of itself after t seconds. Without any, nothing is ever forgotten, and
-            each missed step is taken.
+        damping: a wave is exp(-damping t / 2) of itself after t seconds. Without any, nothing is ever
+            forgotten, and each missed step is taken.
         rain: drops a second. drop: the height in metres by which one lifts the water.
         radius: of a drop in metres.
         limit: metres: no point is ever higher, nor lower than minus as much.
         start: (rows + 1, columns + 1), the heights at first, in metres; None is flat.
 
     Raises:
-        ValidationError `scene-bad-water`: a number that is out of range; cells so small that a wave goes farther than
-            one in a step; heights of another shape or above the limit.
+        ValidationError `scene-bad-water`: a number that is out of range; cells so small that a wave goes
+            farther than one in a step; heights of another shape or above the limit.
     """
 
     size: tuple[float, float] = (2.0, 2.0)
@@ -63,20 +65,41 @@ class WaterPool:
 
     def __post_init__(self) -> None:
         for name, least, most in (
-            ("size", 1e-3, 1e4), ("depth", 1e-6, 1e4), ("damping", 0.0, 1e3), ("rain", 0.0, 1.0 / INTERVAL),
-            ("drop", 0.0, self.max_height), ("radius", 1e-4, 1e4), ("max_height", 1e-6, 1e4),
-        ):  # fmt: skip
-            if not (np.greater_equal(getattr(self, name), least) & np.less_equal(getattr(self, name), most)).all():
-                refuse(rules.BAD_WATER, f"WaterPool({name}=...)", getattr(self, name), f"{least:g} to {most:g}")
+            ("size", 1e-3, 1e4),
+            ("depth", 1e-6, 1e4),
+            ("damping", 0.0, 1e3),
+            ("rain", 0.0, 1.0 / INTERVAL),
+            ("drop", 0.0, self.max_height),
+            ("radius", 1e-4, 1e4),
+            ("max_height", 1e-6, 1e4),
+        ):
+            if not (
+                np.greater_equal(getattr(self, name), least) & np.less_equal(getattr(self, name), most)
+            ).all():
+                refuse(
+                    rules.BAD_WATER, f"WaterPool({name}=...)", getattr(self, name), f"{least:g} to {most:g}"
+                )
         columns, rows = self.cells
         if min(self.cells) < 2 or (columns + 1) * (rows + 1) > MAX_POINTS:
-            refuse(rules.BAD_WATER, "WaterPool(cells=...)", self.cells, f"2 or more, at most {MAX_POINTS:,} points")
+            refuse(
+                rules.BAD_WATER,
+                "WaterPool(cells=...)",
+                self.cells,
+                f"2 or more, at most {MAX_POINTS:,} points",
+            )
         if self.courant_squared.sum() > 1.0:
             allowed = "cells that a wave doesn't cross in a step"
-            refuse(rules.BAD_WATER, "WaterPool(cells=...)", self.cells, allowed, tip="take fewer, or less depth")
+            refuse(
+                rules.BAD_WATER, "WaterPool(cells=...)", self.cells, allowed, tip="take fewer, or less depth"
+            )
         start = self.heights
         if start.shape != self.shape or not (np.abs(start) <= self.max_height).all():
-            refuse(rules.BAD_WATER, "WaterPool(start=...)", f"shape {start.shape}", f"{self.shape}, within the limit")
+            refuse(
+                rules.BAD_WATER,
+                "WaterPool(start=...)",
+                f"shape {start.shape}",
+                f"{self.shape}, within the limit",
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -95,7 +118,8 @@ class WaterPool:
 
     @property
     def courant_squared(self) -> Floats:
-        """The squared Courant numbers along x and z (2,): (fraction of a cell that a wave crosses in a step)²."""
+        """The squared Courant numbers along x and z (2,): (fraction of a cell that a wave crosses in a
+        step)²."""
         return GRAVITY * self.depth * (INTERVAL / self.spacing) ** 2
 
     @property
@@ -114,7 +138,8 @@ class WaterPool:
 
     @property
     def bounds(self) -> MeshBounds:
-        """The lower and the upper corner (3,) of a box that holds it at all times, for `SceneBuilder.add_mesh`."""
+        """The lower and the upper corner (3,) of a box that holds it at all times, for
+        `SceneBuilder.add_mesh`."""
         upper = np.array([0.5 * self.size[0], self.max_height, 0.5 * self.size[1]])
         return -upper, upper
 
@@ -140,9 +165,9 @@ class WaterPool:
 class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
     """A simulation of the surfaces of `count` pools of one kind.
 
-    A pool that wasn't seen for longer than its memory begins flat that long ago, and takes the steps since then: from
-    one that was seen always it differs by at most `FORGOTTEN_FRACTION` of the highest wave. Steps that a frame has no
-    time for follow in the next ones.
+    A pool that wasn't seen for longer than its memory begins flat that long ago, and takes the steps since
+    then: from one that was seen always it differs by at most `FORGOTTEN_FRACTION` of the highest wave. Steps
+    that a frame has no time for follow in the next ones.
 
     Attributes:
         pool: what they are.
@@ -150,12 +175,14 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
 
     interval = INTERVAL
 
-    def __init__(self, count: int, pool: WaterPool, *, seed: int = 0, steps_per_frame: int = _STEPS_PER_FRAME) -> None:
+    def __init__(
+        self, count: int, pool: WaterPool, *, seed: int = 0, steps_per_frame: int = _STEPS_PER_FRAME
+    ) -> None:
         """Begin with all surfaces as the pool's is at first.
 
         Args:
-            seed: drops follow from it. steps_per_frame: the most steps that all pools take in a frame together, at
-                least one each.
+            seed: drops follow from it. steps_per_frame: the most steps that all pools take in a frame
+                together, at least one each.
 
         Raises:
             ValidationError `scene-bad-water`: a count outside 1 to 65,535.
@@ -164,7 +191,9 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         self._seed = seed
         super().__init__(count, rules.BAD_WATER)
         self.catch_up = Stepwise(max(steps_per_frame, count), pool.memory)
-        self._is_reset: Indices = np.zeros(count, np.int64)  # 1: the first of the steps that are due begins flat
+        self._is_reset: Indices = np.zeros(
+            count, np.int64
+        )  # 1: the first of the steps that are due begins flat
 
     def __deepcopy__(self, memo: object) -> Self:
         duplicate = super().__deepcopy__(memo)
@@ -172,9 +201,9 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         return duplicate
 
     def _make_initial_state(self) -> NDArray[np.float32]:
-        """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water is still: of the last step that
-        was taken and the one before it, the even one first. With damping undone, the step before mirrors the
-        next one."""
+        """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water is still: of the last
+        step that was taken and the one before it, the even one first. With damping undone, the step before
+        mirrors the next one."""
         heights = np.asarray(self.pool.heights, np.float64)
         before = (heights + 0.5 * self._curvature(heights[None])[0]) / self.pool.damping_factor
         is_odd = (self._number - self._due)[:, None] % 2
@@ -192,8 +221,8 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         return self.pool.make_vertices(self.read()[members])
 
     def read(self) -> NDArray[np.float32]:
-        """Return the heights (count, rows + 1, columns + 1) after all steps so far. Waits for the device that has
-        them."""
+        """Return the heights (count, rows + 1, columns + 1) after all steps so far. Waits for the device that
+        has them."""
         self._take_due_steps(np.arange(len(self)))
         return self._read()[np.arange(len(self)), self._number % 2]
 
@@ -210,8 +239,12 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         assert self._buffers is not None
         due, numbers = self._due[members], self._number[members]
         steps = self._first_due_steps(members)[:, None] + np.arange(int(due.max(initial=0)))
-        drops = self._make_drops(np.repeat(members, steps.shape[1]), steps.reshape(-1)).reshape(*steps.shape, 4)
-        self._buffers.run(members, numbers, due, self._is_reset[members], drops, first_vertices, vertices, stride)
+        drops = self._make_drops(np.repeat(members, steps.shape[1]), steps.reshape(-1)).reshape(
+            *steps.shape, 4
+        )
+        self._buffers.run(
+            members, numbers, due, self._is_reset[members], drops, first_vertices, vertices, stride
+        )
         self._is_reset[members] = 0
 
     def _step(self, members: Indices, numbers: Indices) -> None:
@@ -222,11 +255,17 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         bumps = self._lift(self._make_drops(members, numbers))
         now, before = state[members, 1 - after] + bumps, state[members, after] + bumps
         damping_factor = np.float32(pool.damping_factor)
-        heights = damping_factor * (2.0 * now + self._curvature(now)) - damping_factor * damping_factor * before
-        state[members, 1 - after], state[members, after] = now, np.clip(heights, -pool.max_height, pool.max_height)
+        heights = (
+            damping_factor * (2.0 * now + self._curvature(now)) - damping_factor * damping_factor * before
+        )
+        state[members, 1 - after], state[members, after] = (
+            now,
+            np.clip(heights, -pool.max_height, pool.max_height),
+        )
 
     def _curvature(self, heights: NDArray[Any]) -> NDArray[Any]:
-        """Return the curvature of surfaces (j, rows + 1, columns + 1), times `courant_squared`; walls reflect."""
+        """Return the curvature of surfaces (j, rows + 1, columns + 1), times `courant_squared`; walls
+        reflect."""
         x, z = self.pool.courant_squared.astype(heights.dtype)
         wide = np.pad(heights, ((0, 0), (1, 1), (1, 1)), "reflect")
         here = 2.0 * heights
@@ -235,7 +274,8 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         return curvature
 
     def _make_drops(self, members: Indices, numbers: Indices) -> NDArray[np.float32]:
-        """Return the drops (j, 4) of steps: x and z from the pool's first corner, by how much they lift, and 0."""
+        """Return the drops (j, 4) of steps: x and z from the pool's first corner, by how much they lift, and
+        0."""
         key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
         falls, x, z = (hash_to_unit(key * np.uint64(3) + np.uint64(part)) for part in range(3))
         pool = self.pool
@@ -259,6 +299,11 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         pool = self.pool
         rows, columns = pool.shape
         return PoolConstants(
-            columns=columns, rows=rows, spacing=pool.spacing, courant_squared=pool.courant_squared,
-            damping_factor=pool.damping_factor, radius=pool.radius, max_height=pool.max_height,
-        )  # fmt: skip
+            columns=columns,
+            rows=rows,
+            spacing=pool.spacing,
+            courant_squared=pool.courant_squared,
+            damping_factor=pool.damping_factor,
+            radius=pool.radius,
+            max_height=pool.max_height,
+        )

@@ -1,2 +1,2 @@
-"""Parts of techniques: shaders and passes that several of them are composed of. A technique imports parts, and never
-another technique."""
+"""Parts of techniques: shaders and passes that several of them are composed of. A technique imports parts,
+and never another technique."""

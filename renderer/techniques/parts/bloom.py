@@ -1,19 +1,21 @@
-"""Bloom: a share of all light is scattered in the eye or the camera, and seen around what is brighter than white.
+"""Bloom: a share of all light is scattered in the eye or the camera, and seen around what is brighter than
+white.
 
-What is seen is `(1 - strength) · light + strength · blurred light`. The blurred light is the mean of copies of the
-image, each blurred twice as far as the one before. So each doubling of the distance gets as much light, which falls
-with the square of the distance, as glare in the eye does (Vos and van den Berg 1999). There is no threshold: nothing is
-cut out, and what is dark gives little light. All filters are weighted means, so light is moved and none is made.
+What is seen is `(1 - strength) · light + strength · blurred light`. The blurred light is the mean of copies
+of the image, each blurred twice as far as the one before. So each doubling of the distance gets as much
+light, which falls with the square of the distance, as glare in the eye does (Vos and van den Berg 1999).
+There is no threshold: nothing is cut out, and what is dark gives little light. All filters are weighted
+means, so light is moved and none is made.
 
-1. `bloom` halves the image, level by level, with 13 bilinear samples of 6 × 6 texels each: half of the mean of the
-   middle 4 × 4, and an eighth of each corner's (Jimenez 2014). All texels count the same, wherever they are in the grid
-   of the halves, so that what moves by less than a texel doesn't flicker. Then each level, from the smallest, is
-   blended over the one before it, spread by a tent of 3 × 3 texels.
+1. `bloom` halves the image, level by level, with 13 bilinear samples of 6 × 6 texels each: half of the mean
+   of the middle 4 × 4, and an eighth of each corner's (Jimenez 2014). All texels count the same, wherever
+   they are in the grid of the halves, so that what moves by less than a texel doesn't flicker. Then each
+   level, from the smallest, is blended over the one before it, spread by a tent of 3 × 3 texels.
 2. `tone mapping` mixes light and bloom, and maps tones.
 
-A level has exactly half the size of the one before it, rounded up, and texels of a half lie between those of the whole
-at any size; what is beyond the edge is as at the edge. So a target may have any size, from one pixel on. Texels that
-are NaN or infinite count as black.
+A level has exactly half the size of the one before it, rounded up, and texels of a half lie between those of
+the whole at any size; what is beyond the edge is as at the edge. So a target may have any size, from one
+pixel on. Texels that are NaN or infinite count as black.
 """
 
 from __future__ import annotations
@@ -22,7 +24,16 @@ from functools import partial
 from typing import Any, Final
 
 import rhi.shading as sl
-from renderer.frame import IMAGE_FORMAT, LIGHT_FORMATS, BloomSettings, Effect, Frame, FrameEffects, FramePass, Target
+from renderer.frame import (
+    IMAGE_FORMAT,
+    LIGHT_FORMATS,
+    BloomSettings,
+    Effect,
+    Frame,
+    FrameEffects,
+    FramePass,
+    Target,
+)
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.tone_mapping import tone_map
 from renderer.techniques.parts.variants import draw_full_screen
@@ -83,13 +94,17 @@ class Downsample(BackgroundScreen):
         second = north + north_east + middle + east
         third = west + middle + south_west + south
         fourth = middle + east + south + south_east
-        return sl.vec4(self.combine(inner * 0.25, first * 0.25, second * 0.25, third * 0.25, fourth * 0.25), 1.0)
+        return sl.vec4(
+            self.combine(inner * 0.25, first * 0.25, second * 0.25, third * 0.25, fourth * 0.25), 1.0
+        )
 
     def read(self, position: sl.vec2) -> sl.vec3:
         """Mean of the four texels around a corner."""
         return self.source.sample_lod(position / sl.vec2(self.source.size()), 0.0).rgb
 
-    def combine(self, inner: sl.vec3, first: sl.vec3, second: sl.vec3, third: sl.vec3, fourth: sl.vec3) -> sl.vec3:
+    def combine(
+        self, inner: sl.vec3, first: sl.vec3, second: sl.vec3, third: sl.vec3, fourth: sl.vec3
+    ) -> sl.vec3:
         """Weighted mean of the inner box and the four corner boxes."""
         return inner * 0.5 + (first + second + third + fourth) * 0.125
 
@@ -104,9 +119,13 @@ class DownsampleImage(Downsample):
 class DownsampleKaris(DownsampleImage):
     """Downsamples the image with the Karis average: bright boxes weigh less (Karis 2013)."""
 
-    def combine(self, inner: sl.vec3, first: sl.vec3, second: sl.vec3, third: sl.vec3, fourth: sl.vec3) -> sl.vec3:
+    def combine(
+        self, inner: sl.vec3, first: sl.vec3, second: sl.vec3, third: sl.vec3, fourth: sl.vec3
+    ) -> sl.vec3:
         heavy = 0.5 * self.weigh(inner)
-        weights = sl.vec4(self.weigh(first), self.weigh(second), self.weigh(third), self.weigh(fourth)) * 0.125
+        weights = (
+            sl.vec4(self.weigh(first), self.weigh(second), self.weigh(third), self.weigh(fourth)) * 0.125
+        )
         sum = inner * heavy + first * weights.x + second * weights.y + third * weights.z + fourth * weights.w
         return sum / (heavy + sl.dot(weights, sl.vec4(1.0)))
 
@@ -206,7 +225,9 @@ def _blur_light(frame: Frame, *, settings: BloomSettings) -> None:
         n = count - i + 1
         weight = (n - 1) / n
         states = _OVER, BlendColor(weight, weight, weight, weight)
-        draw_full_screen(frame, Upsample, levels[i - 1], {"smaller_level": levels[i].sampled(_EDGE)}, states=states)
+        draw_full_screen(
+            frame, Upsample, levels[i - 1], {"smaller_level": levels[i].sampled(_EDGE)}, states=states
+        )
 
 
 def _composite(frame: Frame) -> None:

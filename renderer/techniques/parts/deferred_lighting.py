@@ -28,7 +28,13 @@ from renderer.techniques.parts.light_list_reader import (
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
 from renderer.techniques.parts.resolve import resolve_pass
-from renderer.techniques.parts.samples import GeometrySamples, SampleMean, bind_samples, frame_samples, list_samples
+from renderer.techniques.parts.samples import (
+    GeometrySamples,
+    SampleMean,
+    bind_samples,
+    frame_samples,
+    list_samples,
+)
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, local_light_effects
 from rhi import Format
@@ -93,15 +99,21 @@ def volume_passes(
 
     Args:
         stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
-        light_bits: the bits of a channel of the light that is added up. normal_bits: those of each number of a normal.
+        light_bits: the bits of a channel of the light that is added up. normal_bits: those of each number of
+            a normal.
     """
     reads = geometry_buffer_names(effects)
-    lights, last = declare_lights(effects, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits)
+    lights, last = declare_lights(
+        effects, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits
+    )
     return (
         geometry_pass(effects, Format.D32FS8 if stencil else DEPTH_FORMAT, normal_bits=normal_bits),
         *lights,
         resolve_pass(
-            effects, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
+            effects,
+            partial(resolve, lights=last),
+            "lights surfaces by what reaches all of them",
+            (*reads, *last),
         ),
         *finish_image(effects, FORWARD),
     )
@@ -112,7 +124,10 @@ def cluster_passes(
 ) -> tuple[FramePass[Frame], ...]:
     """The passes that draw a geometry buffer and light it by the light lists of clusters; without local
     lights, by ambient and directional light alone."""
-    reads, has_local_lights = list_samples(samples, *geometry_buffer_names(effects)), bool(local_light_effects(effects))
+    reads, has_local_lights = (
+        list_samples(samples, *geometry_buffer_names(effects)),
+        bool(local_light_effects(effects)),
+    )
     reason = "lights surfaces by what reaches all of them"
     reason += " and by their clusters' lights" if has_local_lights else ""
     return frame_samples(
@@ -130,7 +145,9 @@ def cluster_passes(
     )
 
 
-def light_geometry(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool) -> None:
+def light_geometry(
+    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool
+) -> None:
     """Add the light of one kind of local lights in view to the light buffer."""
     switches = geometry_buffer_switches(frame)
     draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
@@ -140,7 +157,8 @@ def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1) -> No
     """Make the image: shade each pixel of the geometry buffer, and add the accumulated light, if any.
 
     Args:
-        lights: the name of the resource with the accumulated light, the last of its passes; empty without any.
+        lights: the name of the resource with the accumulated light, the last of its passes; empty without
+            any.
     """
     own = {"light": frame.targets[lights[0]]} if lights else {}
     resolve_geometry(frame, GeometryResolve, own, samples=samples, has_light=bool(lights))
@@ -156,7 +174,9 @@ def resolve_geometry(
         draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=all_switches)
     else:
         bases, sample_bindings = (SampleMean, GeometrySamples, shader), {**own, **bind_samples(frame)}
-        draw_full_screen(frame, bases, frame.image, sample_bindings, switches={**all_switches, "samples": samples})
+        draw_full_screen(
+            frame, bases, frame.image, sample_bindings, switches={**all_switches, "samples": samples}
+        )
 
 
 def light_clusters(frame: Frame, *, samples: int = 1) -> None:

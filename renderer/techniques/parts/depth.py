@@ -9,7 +9,13 @@ from renderer.frame import DEPTH_FORMAT, BoundProgram, Effect, Frame, FramePass,
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import COVERAGE, SWITCHES, bind_programs, make_scene_drawer, name_samples
+from renderer.techniques.parts.variants import (
+    COVERAGE,
+    SWITCHES,
+    bind_programs,
+    make_scene_drawer,
+    name_samples,
+)
 from rhi.shading import Shader
 
 
@@ -47,4 +53,6 @@ def depth_pass(reason: str, *, samples: int = 1) -> FramePass[Frame]:
 def draw_depth(frame: Frame, depth: str = "depth") -> None:
     """Draw the depth of the visible objects to the resource `depth`."""
     shader = PartialDepth if Effect.MASKS in frame.effects.enabled else DepthOnly
-    frame.draw_visible(make_scene_drawer(frame, shader, color=None, depth=frame.targets[depth], switches=COVERAGE))
+    frame.draw_visible(
+        make_scene_drawer(frame, shader, color=None, depth=frame.targets[depth], switches=COVERAGE)
+    )

@@ -1,4 +1,5 @@
-"""The end of every technique, once its opaque surfaces are drawn: sky, transparent surfaces, bloom and tones."""
+"""The end of every technique, once its opaque surfaces are drawn: sky, transparent surfaces, bloom and
+tones."""
 
 from __future__ import annotations
 
@@ -34,7 +35,12 @@ class SkyShader(BackgroundScreen, FinishShader):
         return self.finish(apply_fog_to_background(self.background.light, direction, self.fog), direction)
 
 
-FINISH_SHADERS: Final[tuple[type[Shader], ...]] = (SkyShader, ForwardShader, *TRANSPARENCY_SHADERS, *BLOOM_SHADERS)
+FINISH_SHADERS: Final[tuple[type[Shader], ...]] = (
+    SkyShader,
+    ForwardShader,
+    *TRANSPARENCY_SHADERS,
+    *BLOOM_SHADERS,
+)
 """The shaders of `finish_image`, and of `forward_passes` with one sample per pixel."""
 
 
@@ -59,8 +65,8 @@ def draw_once(
     """The passes of a technique that draws the visible objects lit once: `depth` if it is drawn first, the
     light lists, `forward`, and those of `finish_image`.
 
-    Depth of several samples can't be read, but layers, culling and lists of lights read depth. So with several samples,
-    depth of one is always drawn before, and if `depth_first`, then that of all.
+    Depth of several samples can't be read, but layers, culling and lists of lights read depth. So with
+    several samples, depth of one is always drawn before, and if `depth_first`, then that of all.
 
     Args:
         lighting, reason: as for `lit_pass`.

@@ -1,8 +1,9 @@
 """What a frame's shaders bind by name: `FrameBindings` declares each name once, with its type.
 
-A shader declares `fog: sl.Uniform[FogConstants]`, and whoever draws with it need not mention the fog: the binding is
-looked up by the name of the declaration, here. A name is read only if a program has it, so a frame makes nothing that
-its shaders don't bind. A technique passes the bindings that only it has with the draw (`own`).
+A shader declares `fog: sl.Uniform[FogConstants]`, and whoever draws with it need not mention the fog: the
+binding is looked up by the name of the declaration, here. A name is read only if a program has it, so a frame
+makes nothing that its shaders don't bind. A technique passes the bindings that only it has with the draw
+(`own`).
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ class PlanTexture:
     @overload
     def __get__(self, bindings: None, owner: type[FrameBindings]) -> Self: ...
     @overload
-    def __get__(self, bindings: FrameBindings, owner: type[FrameBindings] | None = None) -> Texture | None: ...
+    def __get__(
+        self, bindings: FrameBindings, owner: type[FrameBindings] | None = None
+    ) -> Texture | None: ...
     def __get__(
         self, bindings: FrameBindings | None, owner: type[FrameBindings] | None = None
     ) -> Self | Texture | None:
@@ -53,7 +56,8 @@ class PlanTexture:
 
 
 class ImageArrayBinding:
-    """An array of the scene's images with its sampler: of colours, or of data; None if the scene has fewer arrays."""
+    """An array of the scene's images with its sampler: of colours, or of data; None if the scene has fewer
+    arrays."""
 
     def __init__(self, index: int, *, is_color: bool) -> None:
         self.index = index
@@ -62,7 +66,9 @@ class ImageArrayBinding:
     @overload
     def __get__(self, bindings: None, owner: type[FrameBindings]) -> Self: ...
     @overload
-    def __get__(self, bindings: FrameBindings, owner: type[FrameBindings] | None = None) -> TextureBinding | None: ...
+    def __get__(
+        self, bindings: FrameBindings, owner: type[FrameBindings] | None = None
+    ) -> TextureBinding | None: ...
     def __get__(
         self, bindings: FrameBindings | None, owner: type[FrameBindings] | None = None
     ) -> Self | TextureBinding | None:
@@ -78,7 +84,8 @@ class ImageArrayBinding:
 class FrameBindings:
     """The resources of a frame that its shaders bind, each under the name that the shaders declare.
 
-    `bindings[name]` looks a name up, and refuses one that the frame has nothing for (`technique-missing-binding`).
+    `bindings[name]` looks a name up, and refuses one that the frame has nothing for
+    (`technique-missing-binding`).
 
     Attributes:
         frame: the frame, whose targets exist.
@@ -205,7 +212,11 @@ class FrameBindings:
     def _shadow_maps(self) -> ShadowMaps | None:
         """The shadow maps; None in a frame without shadows."""
         frame = self.frame
-        return None if frame.effects.enabled.isdisjoint(SHADOW_EFFECTS) else frame.resources.workspace(ShadowMaps)
+        return (
+            None
+            if frame.effects.enabled.isdisjoint(SHADOW_EFFECTS)
+            else frame.resources.workspace(ShadowMaps)
+        )
 
     @property
     def cascade_table(self) -> UniformBuffer[CascadeTable] | None:

@@ -29,9 +29,9 @@ def make_triangle(device: Device) -> Mesh:
 def compute_pixel_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
     """Rays through the pixels of an image of `size`, computed in float64."""
     (width, height), matrix = size, camera.projection.matrix
-    # A projection maps (x, y, -d) to clip coordinates. Its rows are solved for x and y, as functions of the pixel and
-    # of d:
-    # matrix[0, 0] * x = pixel_x * w + matrix[0, 2] * d - matrix[0, 3], where w = by_distance * d + constant.
+    # A projection maps (x, y, -d) to clip coordinates. Its rows are solved for x and y, as functions of the
+    # pixel and of d: matrix[0, 0] * x = pixel_x * w + matrix[0, 2] * d - matrix[0, 3], where w = by_distance
+    # * d + constant.
     by_distance, constant = -matrix[3, 2], matrix[3, 3]
     scale = np.array([matrix[0, 0], matrix[1, 1], 1.0])
     across = np.array([[2.0 / width, 0.0, -1.0], [0.0, -2.0 / height, 1.0], [0.0, 0.0, 0.0]]) / scale[:, None]

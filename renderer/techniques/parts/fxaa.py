@@ -1,9 +1,9 @@
 """Fast approximate anti-aliasing (Lottes, FXAA 3.11): smooths the edges of a finished image.
 
-The method looks for edges in luma, follows each one to both of its ends, and shifts the pixel across the edge by the
-part of it that the edge would cover. Single pixels that differ from all around them are blurred. It is for techniques
-that can't have several samples per pixel. It knows nothing but the image: detail finer than a pixel is softened, not
-found.
+The method looks for edges in luma, follows each one to both of its ends, and shifts the pixel across the edge
+by the part of it that the edge would cover. Single pixels that differ from all around them are blurred. It is
+for techniques that can't have several samples per pixel. It knows nothing but the image: detail finer than a
+pixel is softened, not found.
 """
 
 from __future__ import annotations
@@ -70,20 +70,25 @@ class Fxaa(BackgroundScreen):
         shift = sl.max(shift, single * single * self.blur)
         return sl.mix(self.source.load(pixel), self.texel(pixel + across), shift)
 
-    def edge_shift(self, pixel: sl.ivec2, along: sl.ivec2, across: sl.ivec2, middle: float, beyond: float) -> float:
+    def edge_shift(
+        self, pixel: sl.ivec2, along: sl.ivec2, across: sl.ivec2, middle: float, beyond: float
+    ) -> float:
         """Fraction of the pixel that the edge between it and its neighbour cuts off."""
         mean = 0.5 * (middle + beyond)
         change = 0.25 * sl.abs(beyond - middle)
         back = self.edge_end(pixel, -along, across, mean, change)
         forth = self.edge_end(pixel, along, across, mean, change)
         nearer = sl.min(sl.abs(back), sl.abs(forth))
-        # The edge cuts the pixel only if it bends towards it at the nearer end, whose sign says on which side it ends.
+        # The edge cuts the pixel only if it bends towards it at the nearer end, whose sign says on which side
+        # it ends.
         end = back if sl.abs(back) < sl.abs(forth) else forth
         if (end < 0.0) == (middle < mean):
             return 0.0
         return 0.5 - nearer / (sl.abs(back) + sl.abs(forth))
 
-    def edge_end(self, pixel: sl.ivec2, along: sl.ivec2, across: sl.ivec2, mean: float, change: float) -> float:
+    def edge_end(
+        self, pixel: sl.ivec2, along: sl.ivec2, across: sl.ivec2, mean: float, change: float
+    ) -> float:
         """Pixels to the end of an edge; negative if the end is darker than the edge."""
         away = 0.0
         for i in range(1, REACH + 1):

@@ -1,4 +1,5 @@
-"""The geometry buffer: the nearest surface of each pixel, for techniques that light it after all geometry is drawn.
+"""The geometry buffer: the nearest surface of each pixel, for techniques that light it after all geometry is
+drawn.
 
 | resource | format | bytes | what it holds |
 |---|---|---|---|
@@ -10,19 +11,20 @@
 | `details`, if it has emissive maps | RG32UI | 8 | and the emissive texel, 3 × 10 bits |
 | `depth` | D32F | 4 | depth, for tests only |
 
-Materials stay in the scene's array, so a surface is lit by its own, unrounded numbers. The distance is a float of its
-own, because a texture can't be read while it is the target of a depth test. So it doesn't depend on the direction of
-depth either: where standard depth is 0.3 m wrong, a position is still exact.
+Materials stay in the scene's array, so a surface is lit by its own, unrounded numbers. The distance is a
+float of its own, because a texture can't be read while it is the target of a depth test. So it doesn't depend
+on the direction of depth either: where standard depth is 0.3 m wrong, a position is still exact.
 
-Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it would be
-wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is loaded anyway.
+Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it
+would be wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is
+loaded anyway.
 
-Normals may have 2 × 8 bits instead (`normal_bits`). They lie beside the index of the material, in the upper half of its
-word, so `surface` has a word less, or two with the normal without maps: R32UI, or RG32UI.
+Normals may have 2 × 8 bits instead (`normal_bits`). They lie beside the index of the material, in the upper
+half of its word, so `surface` has a word less, or two with the normal without maps: R32UI, or RG32UI.
 
-A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
-light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole image leave out the
-background by a depth test (`draw_full_screen`).
+A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which
+a bright light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole
+image leave out the background by a depth test (`draw_full_screen`).
 """
 
 from __future__ import annotations
@@ -171,7 +173,9 @@ GEOMETRY_SHADERS: Final[tuple[type[sl.Shader], ...]] = (GeometryShader, Detailed
 """The shaders of `geometry_pass`."""
 
 
-def geometry_buffer_formats(effects: FrameEffects, normal_bits: int = DEFAULT_NORMAL_BITS) -> dict[str, Format]:
+def geometry_buffer_formats(
+    effects: FrameEffects, normal_bits: int = DEFAULT_NORMAL_BITS
+) -> dict[str, Format]:
     """Texel formats of the geometry buffer's resources without `depth`, as small as the scene allows."""
     enabled = effects.enabled
     has_own = Effect.MATERIAL_SHADERS in enabled  # which may say anything
@@ -191,7 +195,11 @@ def geometry_buffer_switches(frame: Frame) -> dict[str, bool]:
     )
     texels, details = formats["material"] is Format.RG32UI, formats.get("details")
     emissive = details is Format.RG32UI
-    switches = {"has_color_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+    switches = {
+        "has_color_texels": texels,
+        "has_details": details is not None,
+        "has_emissive_texels": emissive,
+    }
     return switches | {"has_small_normals": surface.format is surface_format(frame.effects, 8)}
 
 
@@ -298,7 +306,9 @@ def geometry_pass(
             make_scene_drawer(frame, shader, color=color, depth=frame.targets[target.name], switches=switches)
         )
 
-    targets = (Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True))
+    targets = (
+        Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True)
+    )
     reason = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
     reads = ("depth",) if samples > 1 else ()
     return FramePass("geometry", draw, reason, reads=reads, writes=(*targets, target))

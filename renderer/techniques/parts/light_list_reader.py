@@ -1,8 +1,8 @@
 """Lights of cells: techniques whose pixels are lit by the lights of their tile or cluster.
 
-The lists are made on the device (`renderer.lights.culling`). They have the layout of the lists of objects, so a
-shader that is lit by its object's lights becomes one that is lit by its cell's: only where a list begins and ends is
-looked up elsewhere.
+The lists are made on the device (`renderer.lights.culling`). They have the layout of the lists of objects, so
+a shader that is lit by its object's lights becomes one that is lit by its cell's: only where a list begins
+and ends is looked up elsewhere.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class ClusterSettings:
         for name in ("tile", "slices"):
             value = getattr(self, name)
             if type(value) is not int or value < 1:
-                refuse(rules.BAD_TECHNIQUE, f"ClusterSettings({name}=...)", value, "a whole number of 1 or more")
+                refuse(
+                    rules.BAD_TECHNIQUE, f"ClusterSettings({name}=...)", value, "a whole number of 1 or more"
+                )
         lookup_sphere_test(self.sphere_test, "ClusterSettings(sphere_test=...)")
 
     def __call__(self, device: Device) -> LightLists:
@@ -56,7 +58,8 @@ class ClusterSettings:
 
 
 LightListsFactory = Callable[[Device], LightLists]
-"""The function that makes the lists of a view: `ClusterSettings`, or another function that is always the same one."""
+"""The function that makes the lists of a view: `ClusterSettings`, or another function that is always the same
+one."""
 
 TILES: Final = ClusterSettings(16)
 """Tiles of 16 × 16 pixels, between the nearest and the farthest surface of each."""
@@ -84,8 +87,8 @@ if TYPE_CHECKING:
         def cell_light_range(self, cell: int) -> LightBounds:
             """The bounds of the lights of a cell in the light list.
 
-            A list for which there is no room is the cell's bits in the masks. Its bounds are negative, counted from the
-            masks' end.
+            A list for which there is no room is the cell's bits in the masks. Its bounds are negative,
+            counted from the masks' end.
             """
 
 else:
@@ -99,7 +102,9 @@ class CellBoundsReader(CellReader):
         if entries.{"xyzw"[KIND_COUNT]} > len(self.light_list):
             counts = self.light_counts
             begin = WORD * (cell * counts.words - len(self.light_masks))
-            return LightBounds(begin, {", ".join(f"begin + WORD * counts.{name}" for name in (*WORD_FIELDS, "words"))})
+            return LightBounds(begin, {
+            ", ".join(f"begin + WORD * counts.{name}" for name in (*WORD_FIELDS, "words"))
+        })
         return entries
 
     def get_light_index(self, entry: int) -> int:
@@ -125,8 +130,8 @@ class LightListReader(PixelShader, CellBoundsReader):
     """Base of shaders that light a surface by the light list of its tile or cluster.
 
     Pixels that a device shades together, such as the lanes of a work-item, go through their cells, one after
-    the other (a "waterfall loop"): a list is then the same for all of them, and its lights are read once. Mostly they
-    have one cell.
+    the other (a "waterfall loop"): a list is then the same for all of them, and its lights are read once.
+    Mostly they have one cell.
     """
 
     lean = True
@@ -147,7 +152,9 @@ class LightListReader(PixelShader, CellBoundsReader):
         return cell_index(self.grid, self.get_pixel(), distance)
 
 
-def light_list_pass(effects: FrameEffects, cells: LightListsFactory, *, depth: str | None = None) -> FramePass[Frame]:
+def light_list_pass(
+    effects: FrameEffects, cells: LightListsFactory, *, depth: str | None = None
+) -> FramePass[Frame]:
     """The pass that lists the lights of tiles or clusters, as the resource `light lists`.
 
     Args:
@@ -161,7 +168,9 @@ def light_list_pass(effects: FrameEffects, cells: LightListsFactory, *, depth: s
         frame.view.commands.next().dispatch(work)
 
     reads = () if depth is None else (depth,)
-    return FramePass("light lists", collect, explain_local_lights(effects), reads=reads, writes=("light lists",))
+    return FramePass(
+        "light lists", collect, explain_local_lights(effects), reads=reads, writes=("light lists",)
+    )
 
 
 def bind_light_lists(frame: Frame, cells: LightListsFactory) -> dict[str, Any]:

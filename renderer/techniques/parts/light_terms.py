@@ -103,7 +103,9 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         if facing <= 0.0:
             return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
         terms = (
-            self.sphere_lighting_terms(surface, incidence.direction, self.squared_angular_size(position, light))
+            self.sphere_lighting_terms(
+                surface, incidence.direction, self.squared_angular_size(position, light)
+            )
             if self.has_spheres
             else self.lighting_terms(surface, incidence.direction)
         )

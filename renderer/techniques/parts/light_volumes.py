@@ -1,18 +1,21 @@
-"""Light volumes: the point and spot lights in view, drawn as the spaces that they reach, each pixel of them once.
+"""Light volumes: the point and spot lights in view, drawn as the spaces that they reach, each pixel of them
+once.
 
-A sphere encloses a light's range, and a cone that of a spot light whose outer angle is at most 60°; the shader cuts off
-what lies between the light's reach and the volume. Of a volume only the **back faces** are drawn, with a depth test
-that passes where they are behind the geometry. So a pixel is lit once, whether the eye is outside or inside, a volume
-cut by the near plane needs nothing, and neither the background nor what is behind the volume is lit. One instanced draw
-lights all lights of a kind (two if there are narrow and wide spot lights).
+A sphere encloses a light's range, and a cone that of a spot light whose outer angle is at most 60°; the
+shader cuts off what lies between the light's reach and the volume. Of a volume only the **back faces** are
+drawn, with a depth test that passes where they are behind the geometry. So a pixel is lit once, whether the
+eye is outside or inside, a volume cut by the near plane needs nothing, and neither the background nor what is
+behind the volume is lit. One instanced draw lights all lights of a kind (two if there are narrow and wide
+spot lights).
 
-What lies in front of a volume passes this test. **Stencil masking** leaves that out, too, as in Wilks (2019): each
-light is drawn twice, first both faces into the stencil buffer (plus 1 where a back face is behind the geometry, minus 1
-where a front face is: what remains is inside), then the back faces where the buffer isn't 0, which also sets it back.
-It evaluates fewer lights and takes two draws for each; docs/lighting-measured.md has the figures.
+What lies in front of a volume passes this test. **Stencil masking** leaves that out, too, as in Wilks (2019):
+each light is drawn twice, first both faces into the stencil buffer (plus 1 where a back face is behind the
+geometry, minus 1 where a front face is: what remains is inside), then the back faces where the buffer isn't
+0, which also sets it back. It evaluates fewer lights and takes two draws for each; docs/lighting-measured.md
+has the figures.
 
-Back faces beyond a far plane would be clipped. A volume that reaches it is moved to the depth of the background
-as a whole, which never hides a lit pixel.
+Back faces beyond a far plane would be clipped. A volume that reaches it is moved to the depth of the
+background as a whole, which never hides a lit pixel.
 """
 
 from __future__ import annotations
@@ -83,12 +86,16 @@ class VolumeShader(SphereLightReader, ShadowReceiver):
         """Squared angular size (radius²/distance²) of the light of this index, seen from `position`."""
         return 0.0
 
-    def apply_shadow(self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int) -> sl.vec3:
+    def apply_shadow(
+        self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int
+    ) -> sl.vec3:
         """The part of `light` that isn't shadowed at a surface."""
         return light
 
     @staticmethod
-    def project_volume(center: sl.vec3, offset: sl.vec3, reach: float, view: ViewConstants, rays: PixelRays) -> sl.vec4:
+    def project_volume(
+        center: sl.vec3, offset: sl.vec3, reach: float, view: ViewConstants, rays: PixelRays
+    ) -> sl.vec4:
         """Clip position of a corner, `offset` from the light, of a volume that extends at most `reach`
         from it."""
         clip = view.relative_view_projection @ sl.vec4(center + offset, 1.0)
@@ -170,8 +177,8 @@ def declare_lights(
         scale: the size of the buffers in that of the frame. bits: those of a channel, of `SUM_FORMATS`.
         are_written: whether an earlier pass has written the buffers, to which the light is added.
         reason: the first part of why the passes run.
-        run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and whether it
-            `clears` them.
+        run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and
+            whether it `clears` them.
     """
     passes: list[FramePass[Frame]] = []
     last = list(buffers) if are_written else []
@@ -197,7 +204,11 @@ def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.in
     kind = LOCAL_LIGHTS[effect].kind
     narrow = kind.fits_cone(frame.resources.lights.of_kind(kind)[volume_lights])
     volumes = ((_make_cone, volume_lights[narrow]), (_make_sphere, volume_lights[~narrow]))
-    return [(frame.resources.workspace(make), light_indices) for make, light_indices in volumes if len(light_indices)]
+    return [
+        (frame.resources.workspace(make), light_indices)
+        for make, light_indices in volumes
+        if len(light_indices)
+    ]
 
 
 def draw_volumes(
@@ -236,7 +247,10 @@ def draw_volumes(
         device.states(*(states or (DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE))),
     ):
         for mesh, volume_lights in list_volumes(frame, effect):
-            volume_bindings = {**own, "volume_lights": device.transient.storage(int, volume_lights.astype(np.int32))}
+            volume_bindings = {
+                **own,
+                "volume_lights": device.transient.storage(int, volume_lights.astype(np.int32)),
+            }
             bindings = bind(frame, program, volume_bindings)
             if mask is None:
                 device.draw(program, mesh, len(volume_lights), **bindings)

@@ -1,14 +1,16 @@
-"""Lists of the pixels of each material, found on the device (Deferred+, 1.3.2, "an alternative rendering strategy").
+"""Lists of the pixels of each material, found on the device (Deferred+, 1.3.2, "an alternative rendering
+strategy").
 
-The pixels of the packed geometry buffer are sorted by material, and a compute shader lights those of each shader of
-materials by one indirect dispatch. It is the chapter's counting sort by atomic counters:
+The pixels of the packed geometry buffer are sorted by material, and a compute shader lights those of each
+shader of materials by one indirect dispatch. It is the chapter's counting sort by atomic counters:
 
-1. `CountPixels` counts the pixels of each material; 2. `PrefixSum` finds where each list begins, in the order of
-shaders; 3. `ListDispatches` finds the groups that each shader needs; 4. `ListPixels` writes the pixels to their places.
+1. `CountPixels` counts the pixels of each material; 2. `PrefixSum` finds where each list begins, in the order
+of shaders; 3. `ListDispatches` finds the groups that each shader needs; 4. `ListPixels` writes the pixels to
+their places.
 
-The chapter dispatches once for each material. Here materials of one shader share a dispatch, as they share a program.
-To rank the materials of 8 × 8 pixels in shared memory, so that they stay together, was tried: shading then takes 0.8 of
-the time on cl, but listing 1.5 times, and 6 times on gl.
+The chapter dispatches once for each material. Here materials of one shader share a dispatch, as they share a
+program. To rank the materials of 8 × 8 pixels in shared memory, so that they stay together, was tried:
+shading then takes 0.8 of the time on cl, but listing 1.5 times, and 6 times on gl.
 """
 
 from __future__ import annotations
@@ -102,7 +104,9 @@ class ListPixels(PixelKeys):
         key = self.pixel_key()
         if key >= 0:
             pixel = sl.global_id().xy
-            self.pixels[int(sl.atomic_add(self.counts[key], sl.uint(1)))] = sl.uint(pixel.x) | sl.uint(pixel.y) << 16
+            self.pixels[int(sl.atomic_add(self.counts[key], sl.uint(1)))] = (
+                sl.uint(pixel.x) | sl.uint(pixel.y) << 16
+            )
 
 
 BIN_SHADERS: Final[tuple[type[sl.Shader], ...]] = (CountPixels, ListDispatches, ListPixels)
@@ -113,7 +117,8 @@ class PixelBins:
     """Lists of a frame's pixels by material.
 
     Attributes:
-        pixels: x and y in 16 bits each, those of a material side by side. ranges: the places of each shader's pixels.
+        pixels: x and y in 16 bits each, those of a material side by side. ranges: the places of each shader's
+            pixels.
         groups: the work-groups of each shader.
     """
 
@@ -135,7 +140,9 @@ class PixelBins:
         keys = np.zeros(len(order), np.uint32)
         keys[order] = np.arange(len(order))
         self._keys.write(keys)
-        bounds: NDArray[Any] = np.searchsorted(shaders[order], np.arange(self.ranges.count + 1)).astype(np.uint32)
+        bounds: NDArray[Any] = np.searchsorted(shaders[order], np.arange(self.ranges.count + 1)).astype(
+            np.uint32
+        )
         self._bounds.write(bounds)
         self._counts.clear()
         own = {
@@ -190,5 +197,9 @@ def bins_pass() -> FramePass[Frame]:
         frame.view.workspace(PixelBins).sort_pixels(frame)
 
     return FramePass(
-        "bins", sort_pixels, "a shader is run for the pixels that have it", reads=("packed", "depth"), writes=("bins",)
+        "bins",
+        sort_pixels,
+        "a shader is run for the pixels that have it",
+        reads=("packed", "depth"),
+        writes=("bins",),
     )

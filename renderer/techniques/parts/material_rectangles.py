@@ -1,18 +1,19 @@
 """Rectangles on the screen around the pixels of each material, found on the device (Deferred+, 1.3.2).
 
-Each pixel's material is a depth of 16 bits in `material ids`. A material is shaded by drawing rectangles at its depth:
-a depth test with EQUAL passes at its own pixels and at no others, before anything is shaded.
+Each pixel's material is a depth of 16 bits in `material ids`. A material is shaded by drawing rectangles at
+its depth: a depth test with EQUAL passes at its own pixels and at no others, before anything is shaded.
 
-The chapter has one rectangle for each material, around the boxes of its visible objects. A material that is used all
-over the scene then has the whole screen, and the depth tests are as many as materials times pixels. Here a material
-has a rectangle in each *tile* of the screen that shows it, around its pixels there. So the tests grow with the
-pixels that are covered and with the materials that meet in a tile, however many the scene has; and it doesn't matter
-which algorithm found the visible objects. With a tile as large as the screen it is the chapter's one rectangle.
+The chapter has one rectangle for each material, around the boxes of its visible objects. A material that is
+used all over the scene then has the whole screen, and the depth tests are as many as materials times pixels.
+Here a material has a rectangle in each *tile* of the screen that shows it, around its pixels there. So the
+tests grow with the pixels that are covered and with the materials that meet in a tile, however many the scene
+has; and it doesn't matter which algorithm found the visible objects. With a tile as large as the screen it is
+the chapter's one rectangle.
 
-A tile is examined by one invocation, which takes its materials in ascending order and looks at all pixels once for
-each: no shared memory, and no limit on their number. A dispatch takes `_MATERIALS_PER_DISPATCH` of them, because
-llvmpipe ends loops after 65,535 turns in all; as many dispatches follow as the scene's materials may need, which
-leave at once where a tile has no more.
+A tile is examined by one invocation, which takes its materials in ascending order and looks at all pixels
+once for each: no shared memory, and no limit on their number. A dispatch takes `_MATERIALS_PER_DISPATCH` of
+them, because llvmpipe ends loops after 65,535 turns in all; as many dispatches follow as the scene's
+materials may need, which leave at once where a tile has no more.
 """
 
 from __future__ import annotations

@@ -7,14 +7,14 @@
 | 2 | 32 | the fractional parts of the texture coordinates |
 | 3 | 24 + 8 | the change of texture coordinates in x; the beginning of that in y |
 
-Its format is RGBA32UI, 16 bytes a pixel; a scene without images has the first two words only, RG32UI. A scene with
-colours of vertices has a further buffer, `vertex_colors`: R32UI, 3 × 10 bits. The position follows from the depth and
-the ray of the pixel. Texture coordinates are stored as the material's textures are read: those of their set, a
-transform applied. Texels are read when geometry is drawn only where masks cut it: a
-texture is filtered later, with the derivatives that are stored, so what is hidden costs no texel.
+Its format is RGBA32UI, 16 bytes a pixel; a scene without images has the first two words only, RG32UI. A scene
+with colours of vertices has a further buffer, `vertex_colors`: R32UI, 3 × 10 bits. The position follows from
+the depth and the ray of the pixel. Texture coordinates are stored as the material's textures are read: those
+of their set, a transform applied. Texels are read when geometry is drawn only where masks cut it: a texture
+is filtered later, with the derivatives that are stored, so what is hidden costs no texel.
 
-Materials are evaluated by the `MaterialShader` that other techniques draw geometry with, given a point of the buffer
-instead of a fragment's.
+Materials are evaluated by the `MaterialShader` that other techniques draw geometry with, given a point of the
+buffer instead of a fragment's.
 
 The encodings are those of `renderer.shaders.encodings`.
 """
@@ -116,8 +116,8 @@ class PackedTextures(SceneShader):
         return encode_frame(TangentFrame(normal=at.normal, tangent=safe_normalize(at.tangent.xyz), side=side))
 
     def transform_uv(self, v: SurfaceVarying, first: sl.vec3, second: sl.vec3) -> sl.vec2:
-        """Return texture coordinates (u, v, 1) of one of both sets, or changes of them (u, v, 0), as the material's
-        textures are read: all of a material have the same set and transform."""
+        """Return texture coordinates (u, v, 1) of one of both sets, or changes of them (u, v, 0), as the
+        material's textures are read: all of a material have the same set and transform."""
         if not self.has_texture_transforms and not self.has_second_uvs:
             return first.xy
         material = self.materials[v.material]
@@ -172,7 +172,9 @@ class PackedReader(MaterialShader, PixelShader):
 
     def surface_distance(self, sample: int) -> float:
         """Distance of the surface of the pixel, or of one of its samples, along the view."""
-        return nearness_to_distance(self.rays, depth_to_nearness(self.rays, self.depth.load(self.get_pixel()).x))
+        return nearness_to_distance(
+            self.rays, depth_to_nearness(self.rays, self.depth.load(self.get_pixel()).x)
+        )
 
     def read_input(self, position: sl.vec3, sample: int) -> SurfaceInput:
         """Input of the material's shader for the surface of the pixel, or of one of its samples, at
@@ -204,7 +206,12 @@ class PackedReader(MaterialShader, PixelShader):
         return TangentFrame(normal=decode_normal(bits), tangent=sl.vec3(1.0, 0.0, 0.0), side=1.0)
 
 
-PACKED_SHADERS: Final[tuple[type[sl.Shader], ...]] = (PackedPlain, PackedTextures, PackedColors, PackedDistances)
+PACKED_SHADERS: Final[tuple[type[sl.Shader], ...]] = (
+    PackedPlain,
+    PackedTextures,
+    PackedColors,
+    PackedDistances,
+)
 """The shaders of `packed_pass`."""
 
 
@@ -216,7 +223,13 @@ def can_pack(effects: FrameEffects) -> bool:
 
 def _has_textures(effects: FrameEffects) -> bool:
     own = Effect.MATERIAL_SHADERS
-    maps = Effect.IMAGES, Effect.NORMAL_MAPS, Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS, Effect.EMISSIVE_MAPS
+    maps = (
+        Effect.IMAGES,
+        Effect.NORMAL_MAPS,
+        Effect.ROUGHNESS_MAPS,
+        Effect.OCCLUSION_MAPS,
+        Effect.EMISSIVE_MAPS,
+    )
     return not effects.enabled.isdisjoint((own, *maps))
 
 
@@ -229,7 +242,9 @@ def packed_pass(effects: FrameEffects, *, samples: int = 1) -> FramePass[Frame]:
         partial(draw_packed, samples=samples),
         f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}, without its material",
         reads=("depth",) if samples > 1 else (),
-        writes=tuple(Target(name_samples(name, samples), format, samples=samples) for name, format in formats.items()),
+        writes=tuple(
+            Target(name_samples(name, samples), format, samples=samples) for name, format in formats.items()
+        ),
     )
 
 
@@ -260,4 +275,5 @@ PACKED_READER_SWITCHES: Final = {
     "has_gradients": True,
     "has_transformed_uvs": True,
 }
-"""Switches of shaders that read the buffer: what was cut is left out, and textures are read by what is stored."""
+"""Switches of shaders that read the buffer: what was cut is left out, and textures are read by what is
+stored."""

@@ -1,7 +1,8 @@
-"""The last pass of techniques that collect light: makes the image of what earlier passes have left of each pixel.
+"""The last pass of techniques that collect light: makes the image of what earlier passes have left of each
+pixel.
 
-A shader of this pass finds the light that each surface sends to the eye, and finishes it as forward shading does: maps
-tones, and adds haze by the distance of the surface. A pixel without a surface is the background.
+A shader of this pass finds the light that each surface sends to the eye, and finishes it as forward shading
+does: maps tones, and adds haze by the distance of the surface. A pixel without a surface is the background.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from rhi.shading import Texture2D, discard, fragment_coordinate, ivec2, vec4
 LIGHT_FORMAT: Final = Format.RGBA16F
 """The format of light that is stored once it is complete."""
 SUM_FORMATS: Final = {16: Format.RGBA16F, 32: Format.RGBA32F}
-"""The formats of light that is added up by blending, by the bits of a channel. Each addition is rounded: a half float
-loses up to a 1,024th of the sum each time, and what is smaller than that altogether."""
+"""The formats of light that is added up by blending, by the bits of a channel. Each addition is rounded: a
+half float loses up to a 1,024th of the sum each time, and what is smaller than that altogether."""
 DEFAULT_LIGHT_BITS: Final = 32
 """The bits with which no image shows that its light was added up by blending."""
 
@@ -67,7 +68,9 @@ def sum_pass(effects: FrameEffects, light: str) -> FramePass[Frame]:
     """The pass that writes `effects.image` from `light` and `depth`."""
 
     def resolve(frame: Frame) -> None:
-        draw_full_screen(frame, LightSum, frame.image, {"light": frame.targets[light]}, clear=frame.background)
+        draw_full_screen(
+            frame, LightSum, frame.image, {"light": frame.targets[light]}, clear=frame.background
+        )
 
     reason = "maps the light that was added up to colours"
     for effect in (Effect.HAZE, Effect.FOG):

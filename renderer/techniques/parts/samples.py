@@ -1,14 +1,15 @@
-"""Geometry buffers of several samples per pixel: edges are smooth, as forward shading with as many samples draws them.
+"""Geometry buffers of several samples per pixel: edges are smooth, as forward shading with as many samples
+draws them.
 
-A triangle has the same texels in all samples of a pixel that it covers. So a pixel inside a triangle is shaded once;
-only where the texels of a sample are not those of the one before is that sample shaded, too (Lauritzen 2010; Thatcher
-2014, 5.1.1). A pixel is the mean of its samples' colours, after their tones are mapped, as a resolve would give it.
-A sample without a surface has the light of the background.
+A triangle has the same texels in all samples of a pixel that it covers. So a pixel inside a triangle is
+shaded once; only where the texels of a sample are not those of the one before is that sample shaded, too
+(Lauritzen 2010; Thatcher 2014, 5.1.1). A pixel is the mean of its samples' colours, after their tones are
+mapped, as a resolve would give it. A sample without a surface has the light of the background.
 
-- Depth of one sample is drawn before: layers, culling and transparent surfaces test it. So transparent surfaces, drawn
-  over the mean, have one sample.
-- Surfaces are shaded at the pixel's centre, also where it is beyond their edge. Depth is that of each sample's own
-  place, so distances are stored beside it.
+- Depth of one sample is drawn before: layers, culling and transparent surfaces test it. So transparent
+  surfaces, drawn over the mean, have one sample.
+- Surfaces are shaded at the pixel's centre, also where it is beyond their edge. Depth is that of each
+  sample's own place, so distances are stored beside it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Scaling: a finished image is brought to the size that is shown, by bilinear samples in linear light.
 
-A smaller image is drawn in less time, as pixels cost the most, and loses what is finer than its pixels. One twice as
-large has four samples for each pixel that is shown, of which a bilinear sample is the mean.
+A smaller image is drawn in less time, as pixels cost the most, and loses what is finer than its pixels. One
+twice as large has four samples for each pixel that is shown, of which a bilinear sample is the mean.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The shared shaders of techniques: the vertex stage of the scene, and the light that reaches its surfaces.
 
-Techniques combine these classes with their own; `renderer.techniques.parts.variants` sets the switches of what a scene
-may lack. What surfaces are made of is said by a `MaterialShader`, the renderer's or a material's own. Every pass over
-the scene's geometry has the vertex stage of `SceneShader`, so that equal code gives equal depth: a later pass may test
-it with EQUAL.
+Techniques combine these classes with their own; `renderer.techniques.parts.variants` sets the switches of
+what a scene may lack. What surfaces are made of is said by a `MaterialShader`, the renderer's or a material's
+own. Every pass over the scene's geometry has the vertex stage of `SceneShader`, so that equal code gives
+equal depth: a later pass may test it with EQUAL.
 """
 
 from __future__ import annotations
@@ -109,7 +109,9 @@ class SceneShader(ObjectLightReader):
     def transform(self, v: Vertex, uv2: sl.vec2, tangent: sl.vec4, color: sl.vec4) -> SurfaceVarying:
         object_index = self.get_object_index()
         object_data = self.objects[object_index]
-        position = object_data.linear @ v.position + relative_position(self.object_positions[object_index], self.view)
+        position = object_data.linear @ v.position + relative_position(
+            self.object_positions[object_index], self.view
+        )
         return SurfaceVarying(
             clip=self.view.relative_view_projection @ sl.vec4(position, 1.0),
             position=position,
@@ -126,7 +128,8 @@ class SceneShader(ObjectLightReader):
         """A mesh's tangent in world space."""
         if not self.has_normal_maps:
             return tangent
-        # A transform that mirrors an object turns its bitangents, but not the product of its normals and tangents.
+        # A transform that mirrors an object turns its bitangents, but not the product of its normals and
+        # tangents.
         mirrors = sl.determinant(object_data.linear) < 0.0
         return sl.vec4(object_data.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
 
@@ -217,7 +220,9 @@ class ReflectingShader(sl.Shader):
         slant = sl.sqrt(sl.max(0.5 + 0.5 * sl.dot(toward, surface.to_eye), 1e-4))
         mirrored = sl.saturate(sl.dot(surface.normal, toward))
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
-            mirrored *= lobe_normalization(0.5 * sine / (surface.shininess * surface.shininess), slant, GGX_TAIL)
+            mirrored *= lobe_normalization(
+                0.5 * sine / (surface.shininess * surface.shininess), slant, GGX_TAIL
+            )
         else:
             mirrored *= lobe_normalization(0.5 * sine * sl.sqrt(0.5 * surface.shininess), slant, PHONG_TAIL)
         terms = self.lighting_terms(surface, toward)
@@ -270,8 +275,8 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
     has_emissive_colors = False
     has_directional_lights = False
     has_single_directional_light = False
-    """Whether there is exactly one directional light. Without a loop, a compiler sees that the light is the same for
-    all fragments, which saves llvmpipe a twentieth of the pass."""
+    """Whether there is exactly one directional light. Without a loop, a compiler sees that the light is the
+    same for all fragments, which saves llvmpipe a twentieth of the pass."""
 
     ambient: sl.Uniform[Ambient]
     directional_lights: sl.Storage[DirectionalLight]
@@ -304,7 +309,8 @@ class LocalLightReader(ReflectingShader, SphereLightReader, ShadowReceiver):
     light_list: sl.Storage[int]
 
     def get_light_index(self, entry: int) -> int:
-        """The index of the light at an entry of the light list; where there may be gaps, -1 if there is none."""
+        """The index of the light at an entry of the light list; where there may be gaps, -1 if there is
+        none."""
         return self.light_list[entry]
 
 
@@ -370,7 +376,9 @@ class SurfaceShader(SceneShader, ReflectingShader):
         """The surface that the fragment shows."""
         at = self.surface_input(v)
         described = self.evaluate(at)
-        return self.make_surface(at.position, self.geometric_normal_of(at, described.normal), described, material)
+        return self.make_surface(
+            at.position, self.geometric_normal_of(at, described.normal), described, material
+        )
 
 
 class ForwardShader(SurfaceShader, LocalLightShader, ShadingShader):

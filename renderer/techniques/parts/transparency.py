@@ -1,19 +1,21 @@
-"""Transparent surfaces: drawn over the image after all opaque ones, behind which they are hidden. They hide nothing.
+"""Transparent surfaces: drawn over the image after all opaque ones, behind which they are hidden. They hide
+nothing.
 
-A surface of opacity a covers the share a of what is behind it: `a · its colour + (1 - a) · what was there`. Its colour
-is that of an opaque surface, lit by the same lights, mapped to tones and in the same haze. Shaders return a · colour
-and a (*premultiplied*), so that nothing but a sum is left to blending.
+A surface of opacity a covers the share a of what is behind it: `a · its colour + (1 - a) · what was there`.
+Its colour is that of an opaque surface, lit by the same lights, mapped to tones and in the same haze. Shaders
+return a · colour and a (*premultiplied*), so that nothing but a sum is left to blending.
 
 What covers what is decided in one of two ways (`Blending`):
 
-- **Sorted**: objects are drawn back to front, in one pass over `image`. That is exact where objects don't interleave;
-  triangles of one object keep their order.
-- **Weighted**: all are drawn in any order to two sums, from which `blend` makes a mean colour: near surfaces weigh more
-  (McGuire and Bavoil 2013, equation 9). The share of the background that is seen is exact, the order isn't.
+- **Sorted**: objects are drawn back to front, in one pass over `image`. That is exact where objects don't
+  interleave; triangles of one object keep their order.
+- **Weighted**: all are drawn in any order to two sums, from which `blend` makes a mean colour: near surfaces
+  weigh more (McGuire and Bavoil 2013, equation 9). The share of the background that is seen is exact, the
+  order isn't.
 
-Techniques that light pixels instead of fragments have no light for these surfaces. They are lit by the lists of their
-objects as in forward shading, or by lists of their own where a technique has any that hold for surfaces in front of the
-nearest one, as those of clusters do.
+Techniques that light pixels instead of fragments have no light for these surfaces. They are lit by the lists
+of their objects as in forward shading, or by lists of their own where a technique has any that hold for
+surfaces in front of the nearest one, as those of clusters do.
 """
 
 from __future__ import annotations
@@ -60,7 +62,9 @@ class TransparentShader(ForwardShader):
         material = self.materials[v.material]
         at = self.surface_input(v)
         described = self.evaluate(at)
-        surface = self.make_surface(at.position, self.geometric_normal_of(at, described.normal), described, material)
+        surface = self.make_surface(
+            at.position, self.geometric_normal_of(at, described.normal), described, material
+        )
         opacity = sl.saturate(material.base_color.a * described.color.a)
         return sl.vec4(self.light_surface(surface, v, material).rgb, opacity)
 

@@ -1,8 +1,8 @@
 """Variants of shaders: a frame's effects set their switches, and their bindings are looked up by name.
 
-`shader_variant` combines the parts that a technique names with two that all techniques share: the filter of shadows,
-and the shader of a material. `bind` takes bindings from `FrameBindings`, where a name means one thing in a frame; a
-technique passes only the bindings that are its own.
+`shader_variant` combines the parts that a technique names with two that all techniques share: the filter of
+shadows, and the shader of a material. `bind` takes bindings from `FrameBindings`, where a name means one
+thing in a frame; a technique passes only the bindings that are its own.
 """
 
 from __future__ import annotations
@@ -75,7 +75,9 @@ def shader_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     on the frame."""
     effects, images = frame.effects, frame.resources.images
     is_own = any(base in effects.shaders for base in bases)
-    if not effects.enabled.isdisjoint(SHADOW_EFFECTS) and any(issubclass(base, ShadowReceiver) for base in bases):
+    if not effects.enabled.isdisjoint(SHADOW_EFFECTS) and any(
+        issubclass(base, ShadowReceiver) for base in bases
+    ):
         bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
     sizes = None
     if images is not None:
@@ -105,9 +107,15 @@ def cached_shader_variant(
 ) -> type[Any]:
     """The variant of `shader_variant` for these properties of a frame, created once."""
     switches: dict[str, Any] = {name: effect in enabled for effect, name in SWITCHES.items()}
-    switches |= {"has_single_directional_light": sun, "has_both_models": both_models, "has_geometric_normals": planes}
+    switches |= {
+        "has_single_directional_light": sun,
+        "has_both_models": both_models,
+        "has_geometric_normals": planes,
+    }
     if images is not None:
-        switches |= dict(zip(("image_arrays", "map_arrays", "has_table", "gradient_scale"), images, strict=True))
+        switches |= dict(
+            zip(("image_arrays", "map_arrays", "has_table", "gradient_scale"), images, strict=True)
+        )
     needs_changes = images is not None and (images[2] or images[3] != 1.0)
     switches |= {"is_own": is_own, "has_gradients": is_own or needs_changes}
     switches |= fixed
@@ -138,7 +146,9 @@ def bind_programs(
     enabled = frame.effects.enabled
     reads_materials = any(issubclass(base, SceneShader) and not base.is_coverage for base in bases)
     cuts = issubclass(bases[-1], SceneShader) and switches.get("has_masks", Effect.MASKS in enabled)
-    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in enabled) or not (reads_materials or cuts):
+    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in enabled) or not (
+        reads_materials or cuts
+    ):
         return bound
     bound *= 1 + len(frame.effects.shaders)
     for number, shader, parameters in list_shaders(frame)[1:]:
@@ -170,8 +180,13 @@ def make_scene_drawer(
     **options: Any,
 ) -> TechniqueDrawer:
     """The drawer of the scene's geometry with these bases; `options` are those of `TechniqueDrawer`."""
-    programs, depth = bind_programs(frame, *bases, own=own, switches=switches), depth or frame.targets["depth"]
-    return TechniqueDrawer(frame.device, frame.resources, frame.view, programs, color=color, depth=depth, **options)
+    programs, depth = (
+        bind_programs(frame, *bases, own=own, switches=switches),
+        depth or frame.targets["depth"],
+    )
+    return TechniqueDrawer(
+        frame.device, frame.resources, frame.view, programs, color=color, depth=depth, **options
+    )
 
 
 def draw_full_screen(
@@ -190,10 +205,10 @@ def draw_full_screen(
 
     Args:
         own: bindings that `FrameBindings` doesn't have, or that are others here.
-        depth: the depth that geometry was drawn to. Then the shader runs only for pixels with a surface. It can't be
-            among the bindings.
-        clear: the colour of pixels for which the shader isn't run, or that it discards; None keeps what the targets
-            hold.
+        depth: the depth that geometry was drawn to. Then the shader runs only for pixels with a surface. It
+            can't be among the bindings.
+        clear: the colour of pixels for which the shader isn't run, or that it discards; None keeps what the
+            targets hold.
         states: states besides no culling, no blending, and the depth test that `depth` asks for.
     """
     device = frame.device
@@ -237,7 +252,9 @@ def lit_pass(
     )
 
 
-def draw_lit(frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1) -> None:
+def draw_lit(
+    frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1
+) -> None:
     """Draw the visible objects lit; see `lit_pass`."""
     lit = make_scene_drawer(
         frame,
@@ -247,7 +264,8 @@ def draw_lit(frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = 
         color=frame.targets[name_samples(frame.effects.image.name, samples)],
         depth=frame.targets[name_samples("depth", samples)],
         clear=frame.background,
-        # Not EQUAL: nothing is nearer than what was drawn, and a test of order lets rasterisers skip what is hidden.
+        # Not EQUAL: nothing is nearer than what was drawn, and a test of order lets rasterisers skip what is
+        # hidden.
         states=(DepthWrite.OFF,) if after_depth else (),
         clears=not after_depth,
     )

@@ -1,10 +1,10 @@
 """Boxes for queries, enlarged so that they are conservative: a box covers whatever its object covers.
 
-A box and its object are rasterised apart, each with its own rounding: vertices move to the nearest fraction of a
-pixel, depths to the nearest float. So that a box covers every sample that its object covers, and is never the farther
-of the two, it is drawn a little larger (`pad_boxes`). A box that the near plane cuts has no front face there, so
-objects that near count as visible without a query (`near_mask`). `compute_query_boxes` does both for each object's
-tightest box.
+A box and its object are rasterised apart, each with its own rounding: vertices move to the nearest fraction
+of a pixel, depths to the nearest float. So that a box covers every sample that its object covers, and is
+never the farther of the two, it is drawn a little larger (`pad_boxes`). A box that the near plane cuts has no
+front face there, so objects that near count as visible without a query (`near_mask`). `compute_query_boxes`
+does both for each object's tightest box.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from renderer.scene.arrays import Floats, Indices
 from renderer.visibility.boxes.volumes import RotatedBoxes
 from rhi.math import is_parallel
 
-_IMAGE_FRACTION: Final = 2.0**-11  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
+_IMAGE_FRACTION: Final = (
+    2.0**-11
+)  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
 ROUNDING: Final = 2.0**-20  # of the distance: 16 times the rounding of a float32 position
 _DEPTH_STEPS: Final = 2.0**-21  # of standard depth, whose floats are dense near the eye and sparse far away
 MAX_SQUARABLE: Final = 1e100
 """Limit of distances in metres, so that their squares are finite."""
 TOO_FAR: Final = 1e15
-"""Distance in metres beyond which float32 might overflow on the way to the screen: such objects are drawn without
-a query."""
+"""Distance in metres beyond which float32 might overflow on the way to the screen: such objects are drawn
+without a query."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,10 +52,11 @@ class QueryBoxes:
 def compute_query_boxes(
     camera: Camera, lower: Floats, upper: Floats, rotated: RotatedBoxes, indices: Indices
 ) -> QueryBoxes:
-    """Return the boxes (n, 3) as `camera` sees them, with the boxes `indices` (k,) replaced by the `rotated` ones (k,).
+    """Return the boxes (n, 3) as `camera` sees them, with the boxes `indices` (k,) replaced by the `rotated`
+    ones (k,).
 
-    A rotated box that the near plane may cut is not used; the aligned one is, unless that may be cut too. So no box
-    of a group inside a box that isn't near is itself near.
+    A rotated box that the near plane may cut is not used; the aligned one is, unless that may be cut too. So
+    no box of a group inside a box that isn't near is itself near.
     """
     low, high, far = pad_boxes(camera, lower, upper)
     x, y = np.zeros((2, len(low), 3), np.float32)
@@ -68,7 +71,8 @@ def compute_query_boxes(
 
 
 def pad_boxes(camera: Camera, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return boxes (n, 3) enlarged by what rasterising may round away, and the distances (n,) of their far corners.
+    """Return boxes (n, 3) enlarged by what rasterising may round away, and the distances (n,) of their far
+    corners.
 
     The margin grows with the distance of the box's farthest corner, so that a padded box lies inside every
     padded box that it lies in without padding.
@@ -81,7 +85,8 @@ def pad_boxes(camera: Camera, lower: Floats, upper: Floats) -> tuple[Floats, Flo
 
 
 def pad_rotated(camera: Camera, rotated: RotatedBoxes) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return half sizes (k, 3) enlarged as by `pad_boxes`, and whether each box is near (k,), as by `near_mask`."""
+    """Return half sizes (k, 3) enlarged as by `pad_boxes`, and whether each box is near (k,), as by
+    `near_mask`."""
     local = np.abs(np.einsum("kij,kj->ki", rotated.axes, camera.position - rotated.centre))
     reach = np.minimum(local + rotated.half, MAX_SQUARABLE)
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
@@ -102,7 +107,8 @@ def _margins(camera: Camera, far: Floats) -> Floats:
 
 
 def margin_terms(camera: Camera) -> tuple[float, float, float]:
-    """Return (a, b, c): a box whose farthest point is f metres from the eye has a margin of a + b f + c f² metres."""
+    """Return (a, b, c): a box whose farthest point is f metres from the eye has a margin of a + b f + c f²
+    metres."""
     matrix = camera.projection.matrix
     fraction = float(max(1.0 / matrix[0, 0], 1.0 / matrix[1, 1])) * _IMAGE_FRACTION
     steps = _DEPTH_STEPS if camera.projection.depth is Depth.STANDARD else 0.0
@@ -114,8 +120,9 @@ def margin_terms(camera: Camera) -> tuple[float, float, float]:
 def near_mask(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDArray[np.bool_]:
     """Return which padded boxes (n, 3) are so near that they are drawn without a query, (n,) bool.
 
-    In a perspective projection these are the boxes within near · √(1 + tan²(fx/2) + tan²(fy/2)) of the eye, the
-    distance of the corners of the near plane's rectangle; in a parallel projection those that the near plane cuts.
+    In a perspective projection these are the boxes within near · √(1 + tan²(fx/2) + tan²(fy/2)) of the eye,
+    the distance of the corners of the near plane's rectangle; in a parallel projection those that the near
+    plane cuts.
     """
     if is_parallel(camera.projection):
         *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
@@ -127,7 +134,8 @@ def near_mask(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDAr
 
 
 def near_radius(camera: Camera) -> float:
-    """Return the distance in metres from a perspective camera to the farthest corner of its near rectangle."""
+    """Return the distance in metres from a perspective camera to the farthest corner of its near
+    rectangle."""
     depth = 1.0 if camera.projection.depth is Depth.REVERSED else 0.0
     corners = np.array([(x, y, depth, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
     points = corners @ np.linalg.inv(camera.projection.matrix).T

@@ -33,6 +33,7 @@ class BoxCamera(Struct):
 
 
 def make_cube(device: Device) -> Mesh:
-    """Create the mesh of a cube from -1 to 1, with vertices of `CubeCorner` and two triangles for each face."""
+    """Create the mesh of a cube from -1 to 1, with vertices of `CubeCorner` and two triangles for each
+    face."""
     triangles = np.ascontiguousarray(_FACES[:, [0, 1, 2, 0, 2, 3]]).reshape(-1)
     return device.mesh({"position": _CORNERS}, triangles, label="unit cube")

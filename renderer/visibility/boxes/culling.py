@@ -1,19 +1,20 @@
 """Tests of boxes against planes, on arrays (thesis 6.1): by brute force, and through a hierarchy.
 
-A box is outside when its p-vertex (the corner farthest along the normal) lies behind some plane:
-`(x n_x + y n_y) + z n_z < -d` in float64, evaluated in this order. Both ways end in this test, so they find exactly
-the same set: nodes are tested with a margin wider than the rounding of either way, and what the margin leaves
+A box is outside when its p-vertex (the corner farthest along the normal) lies behind some plane: `(x n_x + y
+n_y) + z n_z < -d` in float64, evaluated in this order. Both ways end in this test, so they find exactly the
+same set: nodes are tested with a margin wider than the rounding of either way, and what the margin leaves
 undecided is passed down to the boxes.
 
-The hierarchy is traversed breadth first; a level is a few array operations over all remaining nodes. Nodes are wide,
-because a NumPy call costs as much as a hundred boxes: the levels are cuts through the binary hierarchy, and the last
-level is the boxes themselves. The optimisations of the thesis, which works node by node, become:
+The hierarchy is traversed breadth first; a level is a few array operations over all remaining nodes. Nodes
+are wide, because a NumPy call costs as much as a hundred boxes: the levels are cuts through the binary
+hierarchy, and the last level is the boxes themselves. The optimisations of the thesis, which works node by
+node, become:
 
-- *Last culling plane first* (6.1.2): the first cut is kept sorted by the plane that culled each node last. A group is
-  then a slice, which is tested against its one plane without gathering anything. Only nodes that pass, few more than
-  those in view, are tested against the other planes.
-- *Plane masking* (6.1.3): below the first cut, (node, plane) pairs are tested: one for each plane that the node's
-  n-vertex lies behind, so that the node crosses it. All children of the node are tested side by side.
+- *Last culling plane first* (6.1.2): the first cut is kept sorted by the plane that culled each node last. A
+  group is then a slice, which is tested against its one plane without gathering anything. Only nodes that
+  pass, few more than those in view, are tested against the other planes.
+- *Plane masking* (6.1.3): below the first cut, (node, plane) pairs are tested: one for each plane that the
+  node's n-vertex lies behind, so that the node crosses it. All children of the node are tested side by side.
 """
 
 from __future__ import annotations
@@ -55,11 +56,14 @@ class CullingCounts:
     planes: int = 0
 
     def __add__(self, other: CullingCounts) -> CullingCounts:
-        return CullingCounts(self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes)
+        return CullingCounts(
+            self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes
+        )
 
 
 def select_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:
-    """Return which boxes (n, 3) are not outside any of `planes` (p, 4), (n,) bool, by testing all against all.
+    """Return which boxes (n, 3) are not outside any of `planes` (p, 4), (n,) bool, by testing all against
+    all.
 
     Fastest when each column is contiguous, as in the transpose of a (3, n) array.
     """
@@ -80,7 +84,8 @@ class BruteForceCuller:
         self._lower, self._upper = (np.ascontiguousarray(corner.T).T for corner in (lower, upper))
 
     def select_visible(self, planes: Floats) -> tuple[Indices, CullingCounts]:
-        """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost."""
+        """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the
+        cost."""
         count = len(self._lower)
         visible = select_visible(planes, self._lower, self._upper).nonzero()[0]
         return visible, CullingCounts(0, count, count * len(planes))
@@ -107,7 +112,8 @@ class HierarchyCuller:
         ]
 
     def select_visible(self, planes: Floats) -> tuple[Indices, CullingCounts]:
-        """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost.
+        """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the
+        cost.
 
         There are at most 7 planes, with unit normals.
         """
@@ -151,7 +157,8 @@ class _Groups:
     Attributes:
         nodes: (m,) the node of the cut that each column holds.
         corners: (7, m) lower corner, upper corner and 1 of each node.
-        last: (m,) the plane that culled each node, as of the last sort. starts: where each plane's slice begins.
+        last: (m,) the plane that culled each node, as of the last sort. starts: where each plane's slice
+            begins.
         reach: the sum of the largest absolute coordinates; an upper bound of the terms of a distance.
     """
 
@@ -164,8 +171,8 @@ class _Groups:
         self._update_starts()
 
     def test(self, tables: _Tables) -> tuple[Indices, Bits, int, int]:
-        """Return the nodes that are not outside, the planes that each of them crosses, and the numbers of nodes and
-        of (node, plane) pairs tested."""
+        """Return the nodes that are not outside, the planes that each of them crosses, and the numbers of
+        nodes and of (node, plane) pairs tested."""
         count = len(tables.planes)
         matrix = self._make_matrix(tables.planes)
         distance = np.empty(len(self.nodes))
@@ -186,7 +193,8 @@ class _Groups:
         return nodes, bits.take(passing), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
 
     def _make_matrix(self, planes: Floats) -> Floats:
-        """Return (2 p, 7) to multiply `corners` by: p-vertices' distances plus the margin, n-vertices' minus it."""
+        """Return (2 p, 7) to multiply `corners` by: p-vertices' distances plus the margin, n-vertices' minus
+        it."""
         count, offsets = len(planes), planes[:, 3]
         margin = np.abs(offsets)
         margin += self.reach
@@ -215,8 +223,8 @@ class _Blocks:
     """A level below the first cut: the children of each node above it, side by side, in rows of equal width.
 
     Attributes:
-        corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, padded with boxes that
-            every plane culls; w is a multiple of 8, for `_merge`.
+        corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, padded with
+            boxes that every plane culls; w is a multiple of 8, for `_merge`.
         first: (b,) the first child of each node. size: (b,) the number of its children.
     """
 
@@ -226,15 +234,20 @@ class _Blocks:
         lane = np.arange(self.width)
         child = np.minimum(self.first[:, None] + lane, max(len(lower) - 1, 0))
         unused = (lane >= self.size[:, None])[..., None]
-        corners = np.where(unused, MAX_COORDINATE, lower[child]), np.where(unused, -MAX_COORDINATE, upper[child])
+        corners = (
+            np.where(unused, MAX_COORDINATE, lower[child]),
+            np.where(unused, -MAX_COORDINATE, upper[child]),
+        )
         blocks = np.concatenate(corners, axis=2).transpose(0, 2, 1)
         self.corners = np.ascontiguousarray(blocks).reshape(6 * len(self.first), self.width)
 
-    def test(self, tables: _Tables, nodes: Indices, across: Bits, last: bool) -> tuple[Indices, Bits, int, int]:
+    def test(
+        self, tables: _Tables, nodes: Indices, across: Bits, last: bool
+    ) -> tuple[Indices, Bits, int, int]:
         """Test the children of `nodes` (k,) against the planes `across` (k,) that their node crosses.
 
-        Return the children that are not outside, the planes that each of them crosses (not computed for the `last`
-        level, which has nothing below it), and the numbers of children and of pairs tested.
+        Return the children that are not outside, the planes that each of them crosses (not computed for the
+        `last` level, which has nothing below it), and the numbers of children and of pairs tested.
         """
         flat = _MEMBERS.take(across, axis=0).reshape(-1).nonzero()[0]
         above = flat // _MAX_PLANES
@@ -261,7 +274,8 @@ class _Blocks:
     def _behind_mask(
         self, columns: Indices, normals: Floats, node: Indices, plane: Indices, limits: Floats
     ) -> NDArray[np.bool_]:
-        """Return (pairs, w) bool: whether the corners of the children that `columns` selects lie behind the plane."""
+        """Return (pairs, w) bool: whether the corners of the children that `columns` selects lie behind the
+        plane."""
         rows = columns.take(plane, axis=1)
         rows += 6 * node
         products = self.corners.take(rows, axis=0)

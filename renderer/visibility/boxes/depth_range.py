@@ -1,4 +1,5 @@
-"""The range of depths that a camera sees, by the boxes of objects: what a comfortable pair of eyes is made for."""
+"""The range of depths that a camera sees, by the boxes of objects: what a comfortable pair of eyes is made
+for."""
 
 from __future__ import annotations
 
@@ -15,11 +16,11 @@ _FACES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 
 
 
 def compute_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | None:
-    """Return the least and the greatest distance along the view at which `camera` sees the box of an object that is
-    shown, None if it sees none.
+    """Return the least and the greatest distance along the view at which `camera` sees the box of an object
+    that is shown, None if it sees none.
 
-    The nearest part of a box is that inside the frustum: a street begins where it enters the image, not under the
-    camera. Boxes that hold the camera are left out, since they don't tell how far their objects are.
+    The nearest part of a box is that inside the frustum: a street begins where it enters the image, not under
+    the camera. Boxes that hold the camera are left out, since they don't tell how far their objects are.
     """
     planes = camera.frustum.planes
     side = classify(planes, scene.objects.lower, scene.objects.upper)
@@ -40,7 +41,9 @@ def compute_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | N
         if side[object_index] == Containment.INSIDE:
             nearest = begin
         else:
-            nearest = min(nearest, _nearest_depth(lower[object_index], upper[object_index], relative, camera.forward))
+            nearest = min(
+                nearest, _nearest_depth(lower[object_index], upper[object_index], relative, camera.forward)
+            )
     farthest = float(
         (np.where(camera.forward > 0.0, upper[object_indices], lower[object_indices]) @ camera.forward).max()
     )
@@ -50,8 +53,8 @@ def compute_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | N
 
 
 def _nearest_depth(lower: Floats, upper: Floats, planes: Floats, forward: Floats) -> float:
-    """Return how far along the view a box begins inside all planes, inf if it isn't inside: each face is cut by
-    them."""
+    """Return how far along the view a box begins inside all planes, inf if it isn't inside: each face is cut
+    by them."""
     corners = np.where(_CORNERS, upper, lower)
     nearest = np.inf
     for face in _FACES:
@@ -66,7 +69,8 @@ def _nearest_depth(lower: Floats, upper: Floats, planes: Floats, forward: Floats
 
 
 def _cut(polygon: Floats, inside: Floats) -> Floats:
-    """Return the part of a polygon (k, 3) where `inside` (k,) isn't negative (Sutherland and Hodgman, 1974)."""
+    """Return the part of a polygon (k, 3) where `inside` (k,) isn't negative (Sutherland and Hodgman,
+    1974)."""
     points = []
     for i, distance in enumerate(inside):
         last = inside[i - 1]

@@ -1,13 +1,13 @@
 """The hierarchy that occlusion culling traverses, as one camera sees it.
 
-Objects with fixed bounds are in a tree that is built once by surface area: the static ones, and those that are
-animated within bounds. The others, which follow their motion, are in a second one (thesis 5.2.1), split in the
-middle. It is kept as long as it is about as good as when it was built, so that a node stays the same from frame to
-frame and its visibility can be remembered; then it is rebuilt. Below the leaves of the traversal the trees go on to
-single objects, whose boxes say what is in view, and fit leaves closely.
+Objects with fixed bounds are in a tree that is built once by surface area: the static ones, and those that
+are animated within bounds. The others, which follow their motion, are in a second one (thesis 5.2.1), split
+in the middle. It is kept as long as it is about as good as when it was built, so that a node stays the same
+from frame to frame and its visibility can be remembered; then it is rebuilt. Below the leaves of the
+traversal the trees go on to single objects, whose boxes say what is in view, and fit leaves closely.
 
-All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself is
-Python, node by node, and reads bytes and lists. Its `Frontier` walks all trees together, front to back.
+All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself
+is Python, node by node, and reads bytes and lists. Its `Frontier` walks all trees together, front to back.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ class Forest:
 
     Attributes:
         roots: the roots of the trees that are not empty.
-        parent: for each node its parent, -1 for roots. child: the first child, whose sibling is the next node; -1 for
-            nodes of at most `leaf_size` objects, the leaves of the traversal. object: the row of the object of a node
-            that has only one, -1 for other nodes.
+        parent: for each node its parent, -1 for roots. child: the first child, whose sibling is the next
+            node; -1 for nodes of at most `leaf_size` objects, the leaves of the traversal. object: the row of
+            the object of a node that has only one, -1 for other nodes.
         moving: the nodes of the moving objects' tree, as a slice.
         lower, upper: (m, 3) bounds, as of the last `refit`.
         status: OUTSIDE, INSIDE or NEAR for each node.
-        front_to_back: the nodes that aren't outside, by the distance of their boxes from the eye, of equally near
-            boxes by that of their centres. place: the index of each of these nodes in it.
+        front_to_back: the nodes that aren't outside, by the distance of their boxes from the eye, of equally
+            near boxes by that of their centres. place: the index of each of these nodes in it.
         first, count: (m,) for each node its run of `order`, which holds the rows of all objects.
         tight: node after node, the nodes whose boxes fit it more closely: nodes below it, or the node itself.
         tight_sizes: (m,) the number of these for each node.
@@ -83,8 +83,9 @@ class Forest:
         return len(self.parent)
 
     def refit(self) -> bool:
-        """Update the bounds of the moving objects' nodes. Return whether a `rebuild` is worth its time: whether the
-        tree's cost, the sum of its nodes' surfaces over its root's, has grown by a factor of REBUILD_RATIO."""
+        """Update the bounds of the moving objects' nodes. Return whether a `rebuild` is worth its time:
+        whether the tree's cost, the sum of its nodes' surfaces over its root's, has grown by a factor of
+        REBUILD_RATIO."""
         if self.moving.start == self.moving.stop:
             return False
         object_indices, tree = self._trees[-1]
@@ -94,10 +95,12 @@ class Forest:
         return self._compute_cost() > REBUILD_RATIO * self._built_cost
 
     def rebuild(self) -> None:
-        """Build the tree of the moving objects anew, as they are now. Its nodes get other objects; their number stays
-        the same."""
+        """Build the tree of the moving objects anew, as they are now. Its nodes get other objects; their
+        number stays the same."""
         object_indices, _ = self._trees[-1]
-        tree = build_by_middle(self._objects.lower[object_indices], self._objects.upper[object_indices], leaf_size=1)
+        tree = build_by_middle(
+            self._objects.lower[object_indices], self._objects.upper[object_indices], leaf_size=1
+        )
         self._trees[-1] = (object_indices, tree)
         self.lower[self.moving], self.upper[self.moving] = tree.lower, tree.upper
         self._number()
@@ -105,8 +108,8 @@ class Forest:
         self._compute_tight_bounds()
 
     def update(self, camera: Camera) -> QueryBoxes:
-        """Update status and order of all nodes for `camera`, and return the boxes to query each node by: for a node
-        of one object, the tightest box of that object."""
+        """Update status and order of all nodes for `camera`, and return the boxes to query each node by: for
+        a node of one object, the tightest box of that object."""
         lower, upper, eye = self.lower, self.upper, camera.position
         rotated = self._tightest.collect()
         boxes = compute_query_boxes(camera, lower, upper, rotated, self._leaf_of[rotated.object_indices])
@@ -134,12 +137,14 @@ class Forest:
         return object_indices
 
     def list_objects(self, nodes: Sequence[int]) -> tuple[Indices, Indices]:
-        """Return the indices of the objects below `nodes` that are not outside the frustum, and for each of them the
-        index of its node in `nodes`."""
+        """Return the indices of the objects below `nodes` that are not outside the frustum, and for each of
+        them the index of its node in `nodes`."""
         selected = np.array(nodes, np.int64)
         counts = self.count[selected]
         which = np.repeat(np.arange(len(selected)), counts)
-        object_indices = self.order[np.arange(len(which)) + (self.first[selected] - np.cumsum(counts) + counts)[which]]
+        object_indices = self.order[
+            np.arange(len(which)) + (self.first[selected] - np.cumsum(counts) + counts)[which]
+        ]
         seen = self._in_view[object_indices]
         return object_indices[seen], which[seen]
 
@@ -176,9 +181,9 @@ class Forest:
     def _compute_tight_bounds(self) -> None:
         """Find each node's tight bounds (CHC++, section 6).
 
-        These are the nodes up to 3 levels below it, as long as the sum of the surfaces of their boxes is at most 1.4
-        times the node's own. They are chosen when a tree is built: any nodes that together cover a node give correct
-        results.
+        These are the nodes up to 3 levels below it, as long as the sum of the surfaces of their boxes is at
+        most 1.4 times the node's own. They are chosen when a tree is built: any nodes that together cover a
+        node give correct results.
         """
         child = self._below
         inner = np.flatnonzero(child >= 0)
@@ -204,14 +209,15 @@ class Forest:
 
 
 class Frontier:
-    """The nodes that a traversal still has to visit, of all trees of a forest together; `pop` returns the nearest
-    one.
+    """The nodes that a traversal still has to visit, of all trees of a forest together; `pop` returns the
+    nearest one.
 
     Whatever hides the nearest point of a box is nearer itself. So when a node is popped, all that may hide it
-    entirely has been popped before, in whichever tree it is. Only what has become visible since then comes later.
+    entirely has been popped before, in whichever tree it is. Only what has become visible since then comes
+    later.
 
-    A node is a flag at its place in the forest's order from front to back: the memory is of fixed size, and the next
-    node is found by one search through bytes.
+    A node is a flag at its place in the forest's order from front to back: the memory is of fixed size, and
+    the next node is found by one search through bytes.
     """
 
     __slots__ = ("_count", "_first", "_flags", "_forest")

@@ -1,11 +1,12 @@
-"""A bounding volume hierarchy as arrays (thesis 5.2.1), built level by level, for all nodes of a level at once.
+"""A bounding volume hierarchy as arrays (thesis 5.2.1), built level by level, for all nodes of a level at
+once.
 
-Nodes are in breadth-first order: a parent before its children, siblings side by side. The objects of every node are a
-run of `order`, so those of a whole subtree are one slice. There are two builders:
+Nodes are in breadth-first order: a parent before its children, siblings side by side. The objects of every
+node are a run of `order`, so those of a whole subtree are one slice. There are two builders:
 
 - `build_by_area`: the binned surface area heuristic (Wald, 2007), for static objects;
-- `build_by_middle`: the spatial median split, in the middle of the longest axis, for moving objects: it is built in a
-  sixth to a twentieth of the time.
+- `build_by_middle`: the spatial median split, in the middle of the longest axis, for moving objects: it is
+  built in a sixth to a twentieth of the time.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ class Hierarchy:
 
     def refit_bounds(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
         """Return the bounds (m, 3) of the nodes for boxes (n, 3) that have moved; the tree stays the same."""
-        return _node_bounds(lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts)
+        return _node_bounds(
+            lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts
+        )
 
     def cut(self, size: int) -> Indices:
         """Return the nodes nearest to the root that have at most `size` boxes or are leaves, in tree order.
@@ -72,7 +75,9 @@ def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
     if lower.ndim != 2 or lower.shape[1] != 3 or upper.shape != lower.shape:
         refuse(rules.BAD_BOUNDS, call, f"shapes {lower.shape} and {upper.shape}", "(n, 3)")
     if not ((np.abs(lower) <= MAX_COORDINATE).all() and (np.abs(upper) <= MAX_COORDINATE).all()):
-        refuse(rules.BAD_BOUNDS, call, "a value that is not finite, or too large", f"at most {MAX_COORDINATE:g}")
+        refuse(
+            rules.BAD_BOUNDS, call, "a value that is not finite, or too large", f"at most {MAX_COORDINATE:g}"
+        )
     if (lower > upper).any():
         refuse(rules.BAD_BOUNDS, call, f"box {int(np.flatnonzero((lower > upper).any(1))[0])} inside out")
 
@@ -80,9 +85,9 @@ def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
 def build_by_area(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
     """Build a hierarchy over boxes (n, 3) that minimises the expected number of tests, in O(n log n).
 
-    A node is split at the one of 15 planes on each axis for which the sum over both halves of area times count is
-    least. Beyond twice the depth of a balanced tree, and where all centres coincide, the halves have equal counts,
-    which limits the depth for any input.
+    A node is split at the one of 15 planes on each axis for which the sum over both halves of area times
+    count is least. Beyond twice the depth of a balanced tree, and where all centres coincide, the halves have
+    equal counts, which limits the depth for any input.
     """
     check_bounds("build_by_area", lower, upper)
     limit = _limit_depth(len(lower))
@@ -90,7 +95,8 @@ def build_by_area(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy
 
 
 def build_by_middle(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
-    """Build a hierarchy over boxes (n, 3), split in the middle of the longest axis of the centres, in O(n log n).
+    """Build a hierarchy over boxes (n, 3), split in the middle of the longest axis of the centres, in O(n log
+    n).
 
     Like `build_by_area`, it is limited to about twice the depth of a balanced tree.
     """
@@ -107,7 +113,8 @@ class _SplitState:
     """The nodes of one level that are still being split; `order` holds their boxes, run after run.
 
     Attributes:
-        order: (k,) rows of the boxes. first, count: (g,) the nodes' runs of it. owner: (k,) the node of each box.
+        order: (k,) rows of the boxes. first, count: (g,) the nodes' runs of it. owner: (k,) the node of each
+            box.
         lower, upper, centre: (k, 3) corners and centres of the boxes in that order, in units of the root box.
     """
 
@@ -134,7 +141,8 @@ class _SplitState:
         self._sort(self.order[boxes])
 
     def split_by_median(self) -> Indices:
-        """Sort the boxes of each node so that its halves are its children; return the left children's counts."""
+        """Sort the boxes of each node so that its halves are its children; return the left children's
+        counts."""
         extent = self._reduce(np.maximum, self.centre) - self._reduce(np.minimum, self.centre)
         axis = extent.argmax(1)[self.owner]
         key = self.centre[np.arange(len(axis)), axis]
@@ -142,8 +150,8 @@ class _SplitState:
         return self.count // 2
 
     def split_in_middle(self, allowed: bool) -> Indices:
-        """Sort like `split_by_median`, but split in the middle of the longest axis; nodes whose centres coincide get
-        equal halves."""
+        """Sort like `split_by_median`, but split in the middle of the longest axis; nodes whose centres
+        coincide get equal halves."""
         if not allowed:
             return self.split_by_median()
         low, high = self._reduce(np.minimum, self.centre), self._reduce(np.maximum, self.centre)
@@ -155,12 +163,15 @@ class _SplitState:
         return self._divide(right, (low <= middle) & (middle < high))
 
     def split_by_area(self, allowed: bool) -> Indices:
-        """Sort like `split_by_median`, but split at the cheapest plane; nodes without one get equal halves."""
+        """Sort like `split_by_median`, but split at the cheapest plane; nodes without one get equal
+        halves."""
         if not allowed:
             return self.split_by_median()
         low, high = self._reduce(np.minimum, self.centre), self._reduce(np.maximum, self.centre)
         width = np.where(high > low, high - low, 1.0)
-        bins = ((self.centre - low[self.owner]) / width[self.owner] * _BINS).astype(np.int64).clip(0, _BINS - 1)
+        bins = (
+            ((self.centre - low[self.owner]) / width[self.owner] * _BINS).astype(np.int64).clip(0, _BINS - 1)
+        )
         groups = len(self.count)
         best_cost = np.full(groups, np.inf)
         best_axis, best_plane = np.zeros(groups, np.int64), np.zeros(groups, np.int64)
@@ -175,10 +186,11 @@ class _SplitState:
         return self._divide(right, has_split)
 
     def _divide(self, right: NDArray[np.bool_], has_split: NDArray[np.bool_]) -> Indices:
-        """Sort the boxes (k,) that go to the right behind the others of their node; return the left children's
-        counts.
+        """Sort the boxes (k,) that go to the right behind the others of their node; return the left
+        children's counts.
 
-        Of nodes (g,) without a plane that has boxes on both sides, the upper half of the order goes to the right.
+        Of nodes (g,) without a plane that has boxes on both sides, the upper half of the order goes to the
+        right.
         """
         rank = np.arange(len(right)) - self.first[self.owner]
         right = np.where(has_split[self.owner], right, rank >= (self.count // 2)[self.owner])
@@ -202,7 +214,9 @@ class _SplitState:
         upper[used] = np.maximum.reduceat(self.upper[order], starts)
         lower, upper = lower.reshape(groups, _BINS, 3), upper.reshape(groups, _BINS, 3)
         left = _areas(np.minimum.accumulate(lower, 1), np.maximum.accumulate(upper, 1))[:, :-1]
-        right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[:, -2::-1]
+        right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[
+            :, -2::-1
+        ]
         before = np.cumsum(filled.reshape(groups, _BINS), 1)[:, :-1]
         after = self.count[:, None] - before
         return np.where((before > 0) & (after > 0), left * before + right * after, np.inf)
@@ -217,7 +231,9 @@ def _areas(lower: Floats, upper: Floats) -> Floats:
     return np.asarray(x * y + y * z + z * x)
 
 
-def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_SplitState], Indices]) -> Hierarchy:
+def _build(
+    lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_SplitState], Indices]
+) -> Hierarchy:
     """Split all nodes of a level at once until none holds more than `leaf_size` boxes."""
     total = len(lower)
     order: Indices = np.arange(total)
@@ -251,7 +267,9 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Split
         work.descend(local[deeper], level_count[deeper], deeper_boxes)
     first, count = np.concatenate(firsts), np.concatenate(counts)
     starts = np.cumsum([0, *(len(level) for level in firsts)])
-    node_lower, node_upper = _node_bounds(lower[order], upper[order], first, count, np.concatenate(children), starts)
+    node_lower, node_upper = _node_bounds(
+        lower[order], upper[order], first, count, np.concatenate(children), starts
+    )
     return Hierarchy(
         node_lower, node_upper, np.concatenate(parents), np.concatenate(children), first, count, order, starts
     )
@@ -260,7 +278,8 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Split
 def _node_bounds(
     lower: Floats, upper: Floats, first: Indices, count: Indices, child: Indices, starts: Indices
 ) -> tuple[Floats, Floats]:
-    """Compute the bounds of all nodes: those of leaves from the sorted boxes, all others from their children."""
+    """Compute the bounds of all nodes: those of leaves from the sorted boxes, all others from their
+    children."""
     node_lower, node_upper = np.empty((len(first), 3)), np.empty((len(first), 3))
     leaves = np.flatnonzero(child < 0)
     leaves = leaves[np.argsort(first[leaves])]

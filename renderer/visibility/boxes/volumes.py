@@ -1,9 +1,10 @@
-"""Boxes of objects: where the aligned ones are relative to planes, and the rotated ones that fit more closely.
+"""Boxes of objects: where the aligned ones are relative to planes, and the rotated ones that fit more
+closely.
 
-A box is tested by the signed distance of its centre from a plane, and by its reach along the plane's normal. This is
-the thesis's test of n- and p-vertex (5.2, 6.1) without choosing corners: the p-vertex is centre plus reach, the
-n-vertex centre minus reach. A margin wider than all rounding makes the test conservative: boxes classified as outside
-are outside, and those classified as inside are inside.
+A box is tested by the signed distance of its centre from a plane, and by its reach along the plane's normal.
+This is the thesis's test of n- and p-vertex (5.2, 6.1) without choosing corners: the p-vertex is centre plus
+reach, the n-vertex centre minus reach. A margin wider than all rounding makes the test conservative: boxes
+classified as outside are outside, and those classified as inside are inside.
 
 A rotated box is its mesh's aligned box under the object's transform, where that is rectangular.
 """
@@ -35,8 +36,8 @@ class Containment(IntEnum):
 
 
 def classify(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.uint8]:
-    """Return (n,) of `Containment`: the positions of boxes (n, 3) relative to `planes` (p, 4) with unit normals
-    inward, or each relative to planes of its own (n, p, 4)."""
+    """Return (n,) of `Containment`: the positions of boxes (n, 3) relative to `planes` (p, 4) with unit
+    normals inward, or each relative to planes of its own (n, p, 4)."""
     normals, offsets = planes[..., :3], planes[..., 3]
     before = _project(normals, 0.5 * lower + 0.5 * upper) + offsets
     reach = _project(np.abs(normals), 0.5 * upper - 0.5 * lower)
@@ -53,13 +54,16 @@ def _project(normals: Floats, vectors: Floats) -> Floats:
 
 
 def select_in_view(scene: Scene, camera: Camera, object_indices: Indices) -> Indices:
-    """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside the view."""
-    return select_inside(scene, camera.frustum.planes, object_indices) if len(object_indices) else object_indices
+    """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside the
+    view."""
+    return (
+        select_inside(scene, camera.frustum.planes, object_indices) if len(object_indices) else object_indices
+    )
 
 
 def select_inside(scene: Scene, planes: Floats, object_indices: Indices) -> Indices:
-    """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside of `planes`
-    (p, 4)."""
+    """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside of
+    `planes` (p, 4)."""
     object_indices = scene.objects.select_shown(object_indices)
     side = classify(planes, scene.objects.lower[object_indices], scene.objects.upper[object_indices])
     return np.asarray(object_indices.take(np.flatnonzero(side != Containment.OUTSIDE)))
@@ -82,7 +86,8 @@ class RotatedBoxes:
 
 
 class TightestBoxes:
-    """Finds the objects of a scene whose tightest box is a rotated one. Those with fixed bounds are examined once."""
+    """Finds the objects of a scene whose tightest box is a rotated one. Those with fixed bounds are examined
+    once."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -95,13 +100,16 @@ class TightestBoxes:
             return self._static
         both = (self._static, compute_rotated_boxes(self._scene, moving))
         return RotatedBoxes(
-            *(np.concatenate([getattr(boxes, field.name) for boxes in both]) for field in fields(RotatedBoxes))
+            *(
+                np.concatenate([getattr(boxes, field.name) for boxes in both])
+                for field in fields(RotatedBoxes)
+            )
         )
 
 
 def compute_rotated_boxes(scene: Scene, object_indices: Indices) -> RotatedBoxes:
-    """Return rotated boxes of those of the objects `object_indices` (n,) whose oriented box is rectangular and has a
-    smaller surface than the aligned one."""
+    """Return rotated boxes of those of the objects `object_indices` (n,) whose oriented box is rectangular
+    and has a smaller surface than the aligned one."""
     boxes = scene.objects.boxes
     world, lower, upper = (
         boxes.transforms(scene.nodes, object_indices),

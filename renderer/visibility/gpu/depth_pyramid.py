@@ -1,14 +1,15 @@
 """Occlusion culling with a depth pyramid: boxes are compared with the farthest depths under them.
 
 1. What was visible in the last frame is drawn.
-2. A pyramid is built of the resulting depth, and each box is tested against it. Visible objects that aren't drawn yet
-   are drawn; all visible objects are drawn first in the next frame.
+2. A pyramid is built of the resulting depth, and each box is tested against it. Visible objects that aren't
+   drawn yet are drawn; all visible objects are drawn first in the next frame.
 
-A box is tested by one invocation: it compares the box's nearest depth with the texels under the rectangle around its
-corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many as settings say, or
-in the last level. The box is visible unless it is behind all of them. The texels of the next coarser level are tested
-first: what is behind those is behind all of these. The rectangle is larger than the box, and the depth of its texels
-farther than that of the pixels, so more is drawn than if boxes were rasterised."""
+A box is tested by one invocation: it compares the box's nearest depth with the texels under the rectangle
+around its corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many
+as settings say, or in the last level. The box is visible unless it is behind all of them. The texels of the
+next coarser level are tested first: what is behind those is behind all of these. The rectangle is larger than
+the box, and the depth of its texels farther than that of the pixels, so more is drawn than if boxes were
+rasterised."""
 
 from __future__ import annotations
 
@@ -31,8 +32,8 @@ _LEVELS: Final = 9
 
 
 class PyramidLevels(sl.Struct):
-    """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the image.
-    `texels` is the largest number of texels that a test covers in each direction."""
+    """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the
+    image. `texels` is the largest number of texels that a test covers in each direction."""
 
     levels: sl.Array[sl.ivec4] = sl.array(sl.ivec4, _LEVELS)
     count: int
@@ -87,7 +88,9 @@ class BoxTest(sl.Shader):
             begin = begin // SCALE
             end = end // SCALE
             level += 1
-        if level < self.pyramid.count - 1 and not self.is_before(nearest, level + 1, begin // SCALE, end // SCALE):
+        if level < self.pyramid.count - 1 and not self.is_before(
+            nearest, level + 1, begin // SCALE, end // SCALE
+        ):
             return False  # behind whole tiles: the finer texels needn't be read
         return self.is_before(nearest, level, begin, end)
 
@@ -195,7 +198,8 @@ def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Prepara
 
 
 def make_levels(pyramid: DepthPyramid, texels: int = DEFAULTS.pyramid_texels) -> PyramidLevels:
-    """Return a pyramid's levels as the shader reads them, with how many texels a test covers in each direction."""
+    """Return a pyramid's levels as the shader reads them, with how many texels a test covers in each
+    direction."""
     image_offset = 0  # isn't read: the shader reads level 0 from the depth texture
     offsets = [image_offset, *pyramid.offsets]
     levels = [(*size, offset, 0) for size, offset in zip(pyramid.sizes, offsets, strict=True)]

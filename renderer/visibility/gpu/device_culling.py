@@ -1,12 +1,13 @@
 """The common part of algorithms that run on the device: two lists of draws per frame.
 
-The first list holds what is likely to be visible, as far as the last frame shows. With the depth of those objects it is
-known exactly what else is visible; that is the second list. So whatever the first list misses, which after a teleport
-is everything, is drawn in the same frame. What it holds too much costs time, and changes no pixel.
+The first list holds what is likely to be visible, as far as the last frame shows. With the depth of those
+objects it is known exactly what else is visible; that is the second list. So whatever the first list misses,
+which after a teleport is everything, is drawn in the same frame. What it holds too much costs time, and
+changes no pixel.
 
-The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there are: they
-are recorded once, and a frame writes its constants and submits them. While the device takes timestamps they are
-issued one by one, and so the steps are timed."""
+The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there
+are: they are recorded once, and a frame writes its constants and submits them. While the device takes
+timestamps they are issued one by one, and so the steps are timed."""
 
 from __future__ import annotations
 
@@ -84,8 +85,8 @@ class DeviceCulling(ABC):
 
     @abstractmethod
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
-        """Write the constants of a frame, and return what its commands depend on besides the size and the direction
-        of depth."""
+        """Write the constants of a frame, and return what its commands depend on besides the size and the
+        direction of depth."""
 
     @abstractmethod
     def _mark_likely(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
@@ -93,7 +94,8 @@ class DeviceCulling(ABC):
 
     @abstractmethod
     def _mark_missed(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
-        """Mark the objects of the second list: visible given the depth of the first list, and not yet drawn."""
+        """Mark the objects of the second list: visible given the depth of the first list, and not yet
+        drawn."""
 
     @abstractmethod
     def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:

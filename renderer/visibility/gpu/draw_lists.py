@@ -1,15 +1,15 @@
 """Lists of draws that the device makes itself (Deferred+, 1.3.1, Listing 1.3).
 
-Each object has a mark. `IndirectDrawList.list_draws` gathers the draws of the objects marked VISIBLE and the rows of
-those marked HIDDEN. The CPU sees neither: it draws both indirectly.
+Each object has a mark. `IndirectDrawList.list_draws` gathers the draws of the objects marked VISIBLE and the
+rows of those marked HIDDEN. The CPU sees neither: it draws both indirectly.
 
 - The list is made by one pass of a counting sort: by part, then by the depth of the farthest corner in half
-  octaves, near first. Within a half octave rows keep their order. So the same marks give the same list, and objects
-  near the eye are drawn first, for the benefit of early depth tests.
-- There are no atomics: each group counts and ranks the keys of its 64 rows in shared memory, one group computes the
-  prefix sums, and each row is written to its position.
-- Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part of their
-  own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
+  octaves, near first. Within a half octave rows keep their order. So the same marks give the same list, and
+  objects near the eye are drawn first, for the benefit of early depth tests.
+- There are no atomics: each group counts and ranks the keys of its 64 rows in shared memory, one group
+  computes the prefix sums, and each row is written to its position.
+- Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part
+  of their own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from renderer.visibility.scene_drawer import SceneArrays
 from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback
 
 _BUCKETS: Final = 31
-"""The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km, then all
-beyond. More parts have fewer and wider ones."""
+"""The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km,
+then all beyond. More parts have fewer and wider ones."""
 _NO_KEY: Final = 2 * GROUP - 1
 KEYS: Final = 2 * GROUP
 """Number of keys. Each of a group's lanes counts two of them."""
@@ -60,7 +60,8 @@ class DrawArguments(sl.Struct):
 
 
 class CountKeys(sl.Shader):
-    """Computes each row's key and its rank among the equal keys of its group, and counts each group's keys."""
+    """Computes each row's key and its rank among the equal keys of its group, and counts each group's
+    keys."""
 
     work_group = (GROUP,)
     parts = DRAW_LISTS
@@ -80,7 +81,9 @@ class CountKeys(sl.Shader):
             mark = self.marks[object_index]
             if mark == sl.uint(VISIBLE):
                 octaves = sl.log2(sl.max(self.occludees[object_index].depth, 0.125))
-                key = sl.clamp(int(sl.floor((octaves + 3.0) * (2.0 * self.buckets / _BUCKETS))), 0, self.buckets - 1)
+                key = sl.clamp(
+                    int(sl.floor((octaves + 3.0) * (2.0 * self.buckets / _BUCKETS))), 0, self.buckets - 1
+                )
                 key += self.buckets * self.object_positions[object_index].draw_list
                 self.marks[object_index] = sl.uint(DRAWN)
             elif mark == sl.uint(HIDDEN):
@@ -151,7 +154,8 @@ class WriteDraws(sl.Shader):
 
 
 def count_parts(scene: Scene) -> int:
-    """Return the parts of a scene's lists: `DRAW_LISTS` for each of its shaders and for that of all others."""
+    """Return the parts of a scene's lists: `DRAW_LISTS` for each of its shaders and for that of all
+    others."""
     return DRAW_LISTS * (1 + len(scene.shaders))
 
 
@@ -160,7 +164,8 @@ class IndirectDrawList:
 
     Attributes:
         parts: the number of parts, at most `MAX_PARTS`.
-        draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i on.
+        draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i
+            on.
         totals: (parts + 1,) the numbers of draws of each part, and of hidden objects.
         hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
         generation: how often the list was renewed.
@@ -187,7 +192,8 @@ class IndirectDrawList:
         self.generation += 1
 
     def list_draws(self, encoder: Encoder, arrays: SceneArrays) -> None:
-        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the rows marked HIDDEN."""
+        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the rows marked
+        HIDDEN."""
         occludees = self._occludees
         if not self._device.capabilities.indirect_count:
             clear(encoder, self.draws)  # all are drawn then; those that aren't listed have no instance
@@ -230,16 +236,20 @@ class IndirectDrawList:
         """Return the indices of the listed objects, in the order of their draws. Waits for the device."""
         count = self._occludees.count
         sizes = self.totals.read().tolist()[:-1]
-        return _object_indices([self.draws.read(count * part, size) for part, size in enumerate(sizes) if size])
+        return _object_indices(
+            [self.draws.read(count * part, size) for part, size in enumerate(sizes) if size]
+        )
 
     def read_object_indices_async(self) -> Callable[[], NDArray[np.int64]]:
-        """Begin to read what `read_object_indices` returns, and return a function that waits for the device and
-        returns it."""
+        """Begin to read what `read_object_indices` returns, and return a function that waits for the device
+        and returns it."""
         totals, draws, count = self.totals.read_async(), self.draws.read_async(), self._occludees.count
 
         def wait() -> NDArray[np.int64]:
             rows, sizes = draws.result(), totals.result().tolist()[:-1]
-            return _object_indices([rows[count * part : count * part + size] for part, size in enumerate(sizes)])
+            return _object_indices(
+                [rows[count * part : count * part + size] for part, size in enumerate(sizes)]
+            )
 
         return wait
 
@@ -255,4 +265,6 @@ class IndirectDrawList:
 
 def _object_indices(parts: list[NDArray[Any]]) -> NDArray[np.int64]:
     """Return the indices of the objects that parts of a list draw."""
-    return np.concatenate([np.zeros(0, np.int64), *(part["base_instance"].astype(np.int64) for part in parts)])
+    return np.concatenate(
+        [np.zeros(0, np.int64), *(part["base_instance"].astype(np.int64) for part in parts)]
+    )

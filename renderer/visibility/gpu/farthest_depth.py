@@ -1,12 +1,12 @@
 """The farthest depths of blocks of pixels: each level has a quarter of the resolution of the level before.
 
-A texel of level k covers 4ᵏ × 4ᵏ pixels, counted from the image's top left corner. Sizes are rounded up, so pixel (x,
-y) is in texel (x >> 2k, y >> 2k) of each level, whatever the image's size; the last texels cover fewer pixels. (The
-size of a mip level is rounded down, so its texels miss an edge of an image of odd size.) Level 0 is the depth texture
-itself.
+A texel of level k covers 4ᵏ × 4ᵏ pixels, counted from the image's top left corner. Sizes are rounded up, so
+pixel (x, y) is in texel (x >> 2k, y >> 2k) of each level, whatever the image's size; the last texels cover
+fewer pixels. (The size of a mip level is rounded down, so its texels miss an edge of an image of odd size.)
+Level 0 is the depth texture itself.
 
-Level 1 takes two steps, four rows to one and then four columns to one: the first reads most, and reads whole rows in
-their order, which vector machines do several times as fast as every fourth pixel.
+Level 1 takes two steps, four rows to one and then four columns to one: the first reads most, and reads whole
+rows in their order, which vector machines do several times as fast as every fourth pixel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from rhi import Device, Encoder, Program, StorageBuffer, Texture, UniformBuffer
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
 COARSEST: Final = 16
-"""No level follows one of this many texels a side: comparing with all of them costs less than another dispatch."""
+"""No level follows one of this many texels a side: comparing with all of them costs less than another
+dispatch."""
 _GROUP: Final = 8
 
 FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
@@ -38,7 +39,8 @@ class ReductionStep(sl.Struct):
 
 
 class DownSample(sl.Shader):
-    """Computes the farthest of `across` × `down` texels, or of fewer at an edge, from a level in the buffer."""
+    """Computes the farthest of `across` × `down` texels, or of fewer at an edge, from a level in the
+    buffer."""
 
     work_group = (_GROUP, _GROUP)
     step: sl.Uniform[ReductionStep]
@@ -57,7 +59,9 @@ class DownSample(sl.Shader):
         for y in range(self.down):
             for x in range(self.across):
                 depth = self.fetch(sl.min(sl.ivec2(self.across * at.x + x, self.down * at.y + y), last))
-                farthest_depth = sl.min(farthest_depth, depth) if self.is_reversed else sl.max(farthest_depth, depth)
+                farthest_depth = (
+                    sl.min(farthest_depth, depth) if self.is_reversed else sl.max(farthest_depth, depth)
+                )
         self.farthest[self.step.target_offset + at.y * size.x + at.x] = farthest_depth
 
     def fetch(self, at: sl.ivec2) -> float:
@@ -108,8 +112,8 @@ class DepthPyramid:
     """
 
     def __init__(self, device: Device, size: tuple[int, int], levels: int | None = None) -> None:
-        """Create the buffers of `levels` levels besides the image; by default as many as it takes to reach `COARSEST`
-        texels a side, at least 1."""
+        """Create the buffers of `levels` levels besides the image; by default as many as it takes to reach
+        `COARSEST` texels a side, at least 1."""
         self.size = size
         self.sizes = [size]
         while len(self.sizes) - 1 < (levels or 1) or (levels is None and max(self.sizes[-1]) > COARSEST):
@@ -133,7 +137,9 @@ class DepthPyramid:
         source_offsets = [0, 0, *self.offsets[:-1]]
         self._steps: list[UniformBuffer[ReductionStep]] = [
             device.uniform(
-                ReductionStep(source=source, target=target, source_offset=source_offset, target_offset=target_offset)
+                ReductionStep(
+                    source=source, target=target, source_offset=source_offset, target_offset=target_offset
+                )
             )
             for source, target, source_offset, target_offset in zip(
                 sources, self._targets, source_offsets, target_offsets, strict=True

@@ -1,12 +1,14 @@
-"""Boxes of all objects, computed, tested and marked on the device: the CPU's work doesn't depend on their number.
+"""Boxes of all objects, computed, tested and marked on the device: the CPU's work doesn't depend on their
+number.
 
-- A box is the mesh's own box under the object's transform: an oriented box, which fits rotated objects tightly too.
-- It is padded as for queries (`bounds`): each face moves outwards by the margin. Boxes too flat or too skewed for
-  that are replaced by the boxes along the world's axes around them.
-- What the near plane may cut counts as visible, and what is outside the frustum doesn't count at all. Neither kind of
-  box is drawn: it is stored with zero extent.
-- Boxes that are drawn mark their object where a fragment passes the depth test. All fragments write the same value,
-  so no atomics are needed (Deferred+, Listing 1.2).
+- A box is the mesh's own box under the object's transform: an oriented box, which fits rotated objects
+  tightly too.
+- It is padded as for queries (`bounds`): each face moves outwards by the margin. Boxes too flat or too skewed
+  for that are replaced by the boxes along the world's axes around them.
+- What the near plane may cut counts as visible, and what is outside the frustum doesn't count at all. Neither
+  kind of box is drawn: it is stored with zero extent.
+- Boxes that are drawn mark their object where a fragment passes the depth test. All fragments write the same
+  value, so no atomics are needed (Deferred+, Listing 1.2).
 """
 
 from __future__ import annotations
@@ -68,9 +70,9 @@ class Occludee(sl.Struct):
 class CullingCamera(sl.Struct):
     """The properties of a camera that are not in its matrix.
 
-    The margin of a box whose farthest point is f metres away is dot(margin, (1, f, f²)). Boxes within `near_radius`
-    of the eye, or not beyond `near_depth` along `forward`, count as visible; the other limit is set to have no
-    effect.
+    The margin of a box whose farthest point is f metres away is dot(margin, (1, f, f²)). Boxes within
+    `near_radius` of the eye, or not beyond `near_depth` along `forward`, count as visible; the other limit is
+    set to have no effect.
     """
 
     forward: sl.vec3
@@ -151,7 +153,9 @@ class ComputeOccludees(sl.Shader):
         away = sl.max(sl.abs(box.centre) - sides, sl.vec3(0.0))
         begin = middle_depth - sl.dot(sl.abs(forward), sides)
         mark = self.initial_mark(object_index)
-        is_near = sl.length(away) <= self.culling_camera.near_radius or begin <= self.culling_camera.near_depth
+        is_near = (
+            sl.length(away) <= self.culling_camera.near_radius or begin <= self.culling_camera.near_depth
+        )
         if is_near or not far < TOO_FAR:
             mark = VISIBLE
         elif self.is_outside(box):
@@ -200,7 +204,9 @@ class MarkBoxes(sl.Shader):
         box = self.boxes[object_index]
         p = v.position
         corner = box.centre + box.x * p.x + box.y * p.y + box.z * p.z
-        return BoxVarying(clip=self.camera.relative_view_projection @ sl.vec4(corner, 1.0), object_index=object_index)
+        return BoxVarying(
+            clip=self.camera.relative_view_projection @ sl.vec4(corner, 1.0), object_index=object_index
+        )
 
     def object_index(self) -> int:
         return sl.instance_index()
@@ -232,7 +238,9 @@ class Occludees:
         self.boxes = device.storage(Occludee, count, label="boxes")
         self.marks = device.storage(sl.uint, count, label="marks")
         self.cube = make_cube(device)
-        self._culling_camera = device.uniform(_culling_camera(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
+        self._culling_camera = device.uniform(
+            _culling_camera(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
+        )
         self._device = device
         self._shader: Program[...] = device.program(shader)
 
@@ -287,7 +295,9 @@ class Occludees:
             )
 
     def _states(self, encoder: Encoder, depth: Depth) -> StateScope:
-        return encoder.states(DepthTest.ON, DepthWrite.OFF, _NEARER[depth], CullMode.BACK, FrontFace.COUNTER_CLOCKWISE)
+        return encoder.states(
+            DepthTest.ON, DepthWrite.OFF, _NEARER[depth], CullMode.BACK, FrontFace.COUNTER_CLOCKWISE
+        )
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -301,4 +311,6 @@ def _culling_camera(camera: Camera) -> CullingCamera:
         radius, near = -1.0, -(float(camera.position @ normal) + d)
     else:
         radius, near = _RADIUS_MARGIN * near_radius(camera), -1e30
-    return CullingCamera(forward=camera.forward, near_radius=radius, margin=margin_terms(camera), near_depth=near)
+    return CullingCamera(
+        forward=camera.forward, near_radius=radius, margin=margin_terms(camera), near_depth=near
+    )

@@ -1,12 +1,15 @@
-"""The depth of a few objects, drawn on a second device, and boxes tested against it in one batch (thesis 8.2).
+"""The depth of a few objects, drawn on a second device, and boxes tested against it in one batch (thesis
+8.2).
 
-- Occluders are drawn with their own meshes, at the image's own samples. What is kept is the farthest depth of 4 × 4
-  pixels, of 16 × 16, and so on. So a tile that they cover in part hides nothing, and what a tile hides is behind all
-  its pixels. At a smaller size this no longer holds: a gap between occluders that holds no sample is closed.
-- A box is tested against the tiles under its rectangle, coarse ones first, which decide most boxes (`BoxTest`).
-- Two rasterisers may differ where an edge passes within 1/256 pixel of a sample. So rectangles are enlarged by a
-  pixel on each side: if this device covers a pixel that the other one doesn't, the next pixel beyond the edge is
-  uncovered.
+- Occluders are drawn with their own meshes, at the image's own samples. What is kept is the farthest depth of
+  4 × 4 pixels, of 16 × 16, and so on. So a tile that they cover in part hides nothing, and what a tile hides
+  is behind all its pixels. At a smaller size this no longer holds: a gap between occluders that holds no
+  sample is closed.
+- A box is tested against the tiles under its rectangle, coarse ones first, which decide most boxes
+  (`BoxTest`).
+- Two rasterisers may differ where an edge passes within 1/256 pixel of a sample. So rectangles are enlarged
+  by a pixel on each side: if this device covers a pixel that the other one doesn't, the next pixel beyond the
+  edge is uncovered.
 """
 
 from __future__ import annotations
@@ -99,8 +102,8 @@ class OccluderDepth:
         *,
         texels: int = DEFAULTS.pyramid_texels,
     ) -> None:
-        """`occluders` and `boxes` are the largest numbers of objects drawn and of boxes tested at a time; a box is
-        compared with at most `texels` × `texels` texels."""
+        """`occluders` and `boxes` are the largest numbers of objects drawn and of boxes tested at a time; a
+        box is compared with at most `texels` × `texels` texels."""
         meshes = scene.meshes
         self._device = device
         self._scene = scene
@@ -114,7 +117,8 @@ class OccluderDepth:
         self._depth = Depth.REVERSED
 
     def render(self, camera: Camera, object_indices: Indices, size: tuple[int, int]) -> None:
-        """Draw the objects `object_indices` (k,) in an image of `size` pixels. Doesn't wait for the device."""
+        """Draw the objects `object_indices` (k,) in an image of `size` pixels. Doesn't wait for the
+        device."""
         image = self._image
         if image is None or image.pyramid.size != size:
             if image is not None:
@@ -146,14 +150,16 @@ class OccluderDepth:
                 part = draws[mirrored == turned]
                 if len(part):
                     with device.states(winding):
-                        device.draw_many(program, self._mesh, part, view=self._view, occluders=self._occluders)
+                        device.draw_many(
+                            program, self._mesh, part, view=self._view, occluders=self._occluders
+                        )
         image.pyramid.build(device, image.depth, direction)
 
     def test_boxes(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:
         """Return which boxes aren't behind what was rendered, (k,) bool. Waits for the device.
 
-        `centre` (k, 3) is relative to the eye; `half` (k, 3) is the padded half size along the world's axes. The near
-        plane must cut none of the boxes.
+        `centre` (k, 3) is relative to the eye; `half` (k, 3) is the padded half size along the world's axes.
+        The near plane must cut none of the boxes.
         """
         image, count = self._image, len(centre)
         assert image is not None, "render must be called first"

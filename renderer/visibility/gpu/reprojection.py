@@ -1,12 +1,13 @@
-"""The last frame's depth as this frame's camera would see it, at a quarter of the resolution (Deferred+, 1.3.1).
+"""The last frame's depth as this frame's camera would see it, at a quarter of the resolution (Deferred+,
+1.3.1).
 
-- A texel covers 4 × 4 pixels and holds the farthest of them. Where a size isn't a multiple of 4, the last texels
-  cover fewer pixels and are used like the others: the grid of texels begins at the image's top left corner and
-  reaches beyond its other edges (Listing 1.1 drops these pixels).
-- Each texel's point is moved to where the camera sees it now; of several points the nearest wins. Motion tears holes:
-  where no point landed, the point seen there before is written, at its present distance from the camera. (Listing 1.1
-  writes it everywhere. But a wall that the camera passes shows a nearer part of itself at a pixel in each next frame,
-  so it would hide itself.)
+- A texel covers 4 × 4 pixels and holds the farthest of them. Where a size isn't a multiple of 4, the last
+  texels cover fewer pixels and are used like the others: the grid of texels begins at the image's top left
+  corner and reaches beyond its other edges (Listing 1.1 drops these pixels).
+- Each texel's point is moved to where the camera sees it now; of several points the nearest wins. Motion
+  tears holes: where no point landed, the point seen there before is written, at its present distance from the
+  camera. (Listing 1.1 writes it everywhere. But a wall that the camera passes shows a nearer part of itself
+  at a pixel in each next frame, so it would hide itself.)
 - A point that is now behind the eye, or in front of the near plane, isn't moved; it fills its hole unchanged.
 - The mapping from clip space to clip space is one matrix, computed in float64: no world coordinate is ever in
   float32.
@@ -44,7 +45,8 @@ _GROUP: Final = 8
 
 
 class Motion(sl.Struct):
-    """The matrix from the last frame's clip space to this one's, and the image's size in pixels and in texels."""
+    """The matrix from the last frame's clip space to this one's, and the image's size in pixels and in
+    texels."""
 
     matrix: sl.mat4
     pixels: sl.vec2
@@ -52,7 +54,8 @@ class Motion(sl.Struct):
 
 
 class Scatter(sl.Shader):
-    """Writes each point to where it is seen now. A nearer point has a larger key; 0 means that there is no point."""
+    """Writes each point to where it is seen now. A nearer point has a larger key; 0 means that there is no
+    point."""
 
     work_group = (_GROUP, _GROUP)
     motion: sl.Uniform[Motion]
@@ -131,8 +134,8 @@ class ReprojectedDepth:
     def aim(self, camera: Camera, size: tuple[int, int]) -> tuple[Floats, tuple[object, ...]]:
         """Write the constants of a frame in which `camera` sees an image of `size`, and whose depth is kept.
 
-        Returns the matrix (4, 4) from the eye's axes to the clip space of `render_pass`, and what the frame's commands
-        depend on.
+        Returns the matrix (4, 4) from the eye's axes to the clip space of `render_pass`, and what the frame's
+        commands depend on.
         """
         sized, last, direction = self._fit(size), self._camera, camera.projection.depth
         self._is_valid = last is not None and last.projection.depth is direction
@@ -196,14 +199,17 @@ class ReprojectedDepth:
 
 
 class _SizedResources:
-    """The resources for an image of `size` pixels, which has `texels` in each direction: depths, keys and target."""
+    """The resources for an image of `size` pixels, which has `texels` in each direction: depths, keys and
+    target."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
         self.size = size
         self.farthest = DepthPyramid(device, size, levels=1)
         width, height = self.texels = self.farthest.sizes[1]
         self.groups = (-(-width // _GROUP), -(-height // _GROUP))
-        self.keys: StorageBuffer[sl.uint] = device.storage(sl.uint, width * height, label="reprojected depths")
+        self.keys: StorageBuffer[sl.uint] = device.storage(
+            sl.uint, width * height, label="reprojected depths"
+        )
         self.target = device.texture(self.texels, Format.D32F, label="reprojected depth")
         x, y = size[0] / (SCALE * width), size[1] / (SCALE * height)
         self.to_texels = np.diag([x, y, 1.0, 1.0])  # the image is only a part of the grid of texels

@@ -1,9 +1,9 @@
 """Two-pass occlusion culling (Deferred+, 1.3.1).
 
-1. The last frame's depth is reprojected to this frame's camera, at a quarter of the resolution. Boxes are drawn
-   against it; a fragment that passes the depth test marks its object, which is drawn.
-2. The boxes of all other objects are drawn against the resulting depth, at full resolution. Objects that are marked
-   now were wrongly hidden, and are drawn too.
+1. The last frame's depth is reprojected to this frame's camera, at a quarter of the resolution. Boxes are
+   drawn against it; a fragment that passes the depth test marks its object, which is drawn.
+2. The boxes of all other objects are drawn against the resulting depth, at full resolution. Objects that are
+   marked now were wrongly hidden, and are drawn too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class TwoPassCulling(DeviceCulling):
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
-        """Return what a device lacks: also early depth tests, without which hidden boxes mark their objects."""
+        """Return what a device lacks: also early depth tests, without which hidden boxes mark their
+        objects."""
         return DeviceCulling.find_missing_feature(device) or (
             None if device.capabilities.early_depth else "early depth tests"
         )
@@ -53,7 +54,9 @@ class TwoPassCulling(DeviceCulling):
 
     def _mark_missed(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         with encoder.event("test boxes"), encoder.render_pass(depth=scene_drawer.depth):
-            self._occludees.mark_listed(encoder, self._camera, direction, self.first.hidden, self.first.box_draw)
+            self._occludees.mark_listed(
+                encoder, self._camera, direction, self.first.hidden, self.first.box_draw
+            )
 
     def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         self._reprojected.store(encoder, scene_drawer.depth, direction)

@@ -1,12 +1,13 @@
 """Occlusion queries of bounding boxes, issued in the middle of a technique's pass (thesis 6.2, steps 1 to 4).
 
-A query is about nodes, each of which has one box or several. All boxes are rows of one array, relative to the eye,
-written once a frame. A node's boxes are consecutive rows and the instances of one draw; the draws of several nodes
-are one call. The directions of the boxes' axes are another array, written when they change. Boxes are drawn with the
-technique's depth test, and write neither colour nor depth. The time for which the CPU waits for results is counted.
+A query is about nodes, each of which has one box or several. All boxes are rows of one array, relative to the
+eye, written once a frame. A node's boxes are consecutive rows and the instances of one draw; the draws of
+several nodes are one call. The directions of the boxes' axes are another array, written when they change.
+Boxes are drawn with the technique's depth test, and write neither colour nor depth. The time for which the
+CPU waits for results is counted.
 
-Many nodes are asked about at once with a query set, which is one call and one answer. Query sets and single queries
-are reused.
+Many nodes are asked about at once with a query set, which is one call and one answer. Query sets and single
+queries are reused.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class BoxQueries:
 
     Attributes:
         threshold: a query with at most this many samples counts as hidden; above 0, images may differ.
-        emulated: whether the queries are emulated by two counters and a fence, even if the device has its own.
+        emulated: whether the queries are emulated by two counters and a fence, even if the device has its
+            own.
         asked: for each node whether it was queried since `begin_frame`.
         issued: queries since `begin_frame`. draws, boxes: draws of boxes in them, and the boxes drawn.
         stalled: seconds for which the CPU waited for results since `begin_frame`.
@@ -72,8 +74,8 @@ class BoxQueries:
     def __init__(
         self, device: Device, sizes: Indices, box_indices: Indices, threshold: int = 0, emulated: bool = False
     ) -> None:
-        """`sizes` (n,) is the number of boxes of each node, 1 or more; `box_indices` are those of its boxes, node
-        after node."""
+        """`sizes` (n,) is the number of boxes of each node, 1 or more; `box_indices` are those of its boxes,
+        node after node."""
         self.device = device
         self.threshold = threshold
         self.emulated = emulated
@@ -86,7 +88,9 @@ class BoxQueries:
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._make_buffers(max(len(box_indices), 1))
         self.set_nodes(sizes, box_indices)
-        self._created: list[OcclusionQuery | QuerySet] = []  # also those in flight, and those of a frame that raised
+        self._created: list[
+            OcclusionQuery | QuerySet
+        ] = []  # also those in flight, and those of a frame that raised
         self._free: list[OcclusionQuery] = []
         self._free_sets: dict[int, list[QuerySet]] = {}  # by size
 
@@ -98,9 +102,12 @@ class BoxQueries:
             self._make_buffers(len(box_indices) + len(box_indices) // 2)
         self._box_indices = box_indices
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
-        # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each field.
+        # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each
+        # field.
         self._rows = np.zeros((len(box_indices), 8), np.float32)
-        self._directions: tuple[NDArray[np.float32], ...] = (np.zeros((0, 3), np.float32),) * 2  # those on the device
+        self._directions: tuple[NDArray[np.float32], ...] = (
+            np.zeros((0, 3), np.float32),
+        ) * 2  # those on the device
 
     def _make_buffers(self, room: int) -> None:
         self._buffer = self.device.storage(QueryBox, room, label="boxes")
@@ -129,7 +136,8 @@ class BoxQueries:
             self._directions = directions
 
     def states(self) -> StateScope:
-        """Return the state scope to issue queries in, in which boxes change no target: `with queries.states():`."""
+        """Return the state scope to issue queries in, in which boxes change no target: `with
+        queries.states():`."""
         return self.device.states(ColorWrite.OFF, DepthWrite.OFF, CullMode.BACK, FrontFace.COUNTER_CLOCKWISE)
 
     def issue(self, nodes: Sequence[int]) -> OcclusionQuery:
@@ -162,8 +170,8 @@ class BoxQueries:
         return query
 
     def resolve(self, query: OcclusionQuery) -> bool:
-        """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is
-        not yet available."""
+        """Return whether more samples than the threshold passed, and release the query. Waits for the result
+        if it is not yet available."""
         samples: int = self._read_samples(query)
         self._free.append(query)
         return samples > self.threshold
@@ -173,9 +181,9 @@ class BoxQueries:
         self._free.append(query)
 
     def issue_set(self, nodes: Sequence[int], query_indices: Sequence[int]) -> QuerySet:
-        """Query the boxes of `nodes` in one call. Node i is counted by query `query_indices[i]` of the set; nodes
-        with the same query are consecutive, and indices go from 0 up. Pass the set to `read` or `release_set`
-        later."""
+        """Query the boxes of `nodes` in one call. Node i is counted by query `query_indices[i]` of the set;
+        nodes with the same query are consecutive, and indices go from 0 up. Pass the set to `read` or
+        `release_set` later."""
         queries = self._acquire_set(query_indices[-1] + 1)
         draws = self._draws.take(nodes)
         queried = self.queried
@@ -211,15 +219,16 @@ class BoxQueries:
         return queries
 
     def read(self, queries: QuerySet) -> list[bool]:
-        """Return for each row of a set whether more samples than the threshold passed, and release the set. Waits for
-        the results if they are not yet available."""
+        """Return for each row of a set whether more samples than the threshold passed, and release the set.
+        Waits for the results if they are not yet available."""
         samples: NDArray[np.int64] = self._read_samples(queries)
         self.release_set(queries)
         shows: list[bool] = (samples > self.threshold).tolist()
         return shows
 
     def _read_samples(self, queried: OcclusionQuery | QuerySet) -> Any:
-        """Return the samples that a query or each row of a set has counted, and count the time of a wait for them."""
+        """Return the samples that a query or each row of a set has counted, and count the time of a wait for
+        them."""
         if queried.is_finished:
             return queried.visible_samples
         began = perf_counter()

@@ -1,9 +1,10 @@
 """CHC, coherent hierarchical culling (thesis 6.3; Bittner et al., 2004).
 
-A node is assumed to be as visible as it was in the last frame, and its query is issued at once. The traversal goes on
-while the GPU works on the result:
+A node is assumed to be as visible as it was in the last frame, and its query is issued at once. The traversal
+goes on while the GPU works on the result:
 
-- An inner node that was visible is opened without a query: its visibility follows from its children (pull-up).
+- An inner node that was visible is opened without a query: its visibility follows from its children
+  (pull-up).
 - A leaf that was visible is drawn inside its query: the query is about its own geometry.
 - All other nodes are queried by their box. When the result says visible, they are drawn or opened.
 
@@ -93,8 +94,8 @@ class Chc(TreeCulling):
             self._frontier.open(node)
 
     def traversal(self) -> CullingTraversal:
-        """Return the nodes that the last frame reached. Visible leaves that aren't near are queried by their own
-        geometry."""
+        """Return the nodes that the last frame reached. Visible leaves that aren't near are queried by their
+        own geometry."""
         forest, visited = self._forest, np.array(self._visited) == self._frame
         queried = bytearray(
             was or (child < 0 and status != NEAR)

@@ -2,14 +2,14 @@
 
 CHC with everything in batches:
 
-- *i-queue*: previously invisible nodes are gathered until there are b of them; then the states are changed once and
-  all are queried (6.4.2).
-- *v-queue*: previously visible leaves are drawn in any case. So they are queried only when there is nothing else to
-  do, and the results count in the next frame (6.4.3). If hidden nodes are about to be queried and waited for, the
-  leaves are queried in the same call: a call costs more than its queries.
+- *i-queue*: previously invisible nodes are gathered until there are b of them; then the states are changed
+  once and all are queried (6.4.2).
+- *v-queue*: previously visible leaves are drawn in any case. So they are queried only when there is nothing
+  else to do, and the results count in the next frame (6.4.3). If hidden nodes are about to be queried and
+  waited for, the leaves are queried in the same call: a call costs more than its queries.
 - *render queue*: objects to draw are gathered until a query needs them in the depth buffer (6.4.4).
-- *persistence*: a visible leaf is assumed to stay visible for n frames before it is queried again, the first time for
-  a random number of frames, so that queries are spread over the frames (6.4.5).
+- *persistence*: a visible leaf is assumed to stay visible for n frames before it is queried again, the first
+  time for a random number of frames, so that queries are spread over the frames (6.4.5).
 - *multiqueries*: hidden nodes that are likely to stay hidden share a query (6.4.6): see `choose_group_size`.
 - *tight bounds*: a node is queried by the boxes of nodes below it where these fit more closely.
 
@@ -39,15 +39,16 @@ PendingQueries: TypeAlias = tuple[QuerySet, list[list[int]]]
 """A query set in flight, and the nodes that each of its rows is about."""
 
 STAY_HIDDEN_PROBABILITIES: Final = tuple(0.99 - 0.7 * exp(-t) for t in range(16))
-"""The probability that a node that was hidden for t frames stays hidden in the next; almost constant from 15 on."""
+"""The probability that a node that was hidden for t frames stays hidden in the next; almost constant from 15
+on."""
 
 
 def choose_group_size(probabilities: Sequence[float]) -> int:
     """Return the number of nodes to query together, 1 or more.
 
-    `probabilities` say how likely each node stays hidden, in descending order. k nodes in one query cost
-    1 + (1 - product of their probabilities) · k queries, because all are queried again if any is visible; a single
-    node costs 1. The best k is where the nodes per query stop growing.
+    `probabilities` say how likely each node stays hidden, in descending order. k nodes in one query cost 1 +
+    (1 - product of their probabilities) · k queries, because all are queried again if any is visible; a
+    single node costs 1. The best k is where the nodes per query stop growing.
     """
     best, likely = 1.0, probabilities[0]
     for size in range(2, len(probabilities) + 1):
@@ -62,7 +63,9 @@ def choose_group_size(probabilities: Sequence[float]) -> int:
 class ChcPlusPlus(TreeCulling):
     """Draws what was visible, and queries what was hidden in batches."""
 
-    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0) -> None:
+    def __init__(
+        self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0
+    ) -> None:
         """`seed` is that of the random numbers."""
         super().__init__(scene, device, settings, is_tight=True)
         self._batch, self._persistence = settings.batch, settings.persistence
@@ -77,7 +80,9 @@ class ChcPlusPlus(TreeCulling):
             room
         )  # and how many are about hidden nodes
         self._v_queries: FixedQueue[PendingQueries] = FixedQueue(room)
-        self._results: FixedQueue[tuple[int, bool]] = FixedQueue(room)  # for leaves; they count in the next frame
+        self._results: FixedQueue[tuple[int, bool]] = FixedQueue(
+            room
+        )  # for leaves; they count in the next frame
         self._render_queue: FixedQueue[int] = FixedQueue(room)  # leaves
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
@@ -170,7 +175,8 @@ class ChcPlusPlus(TreeCulling):
             self._open(node)
 
     def _resolve(self, pending: PendingQueries, hidden: int) -> None:
-        """Read the results for previously invisible nodes, and for leaves; waits if they are not yet available."""
+        """Read the results for previously invisible nodes, and for leaves; waits if they are not yet
+        available."""
         queries, groups = pending
         answers = self._queries.read(queries)
         for (leaf,), shows in zip(groups[hidden:], answers[hidden:], strict=False):
@@ -200,8 +206,8 @@ class ChcPlusPlus(TreeCulling):
             self._frontier.open(node)
 
     def _query_i_queue(self, scene_drawer: SceneDrawer, leaves: Sequence[list[int]] = ()) -> None:
-        """Query all nodes in the i-queue, and `leaves`, in one call; nodes that are likely to stay hidden share a
-        query."""
+        """Query all nodes in the i-queue, and `leaves`, in one call; nodes that are likely to stay hidden
+        share a query."""
         self._draw_render_queue(scene_drawer)
         hidden = self._group_i_queue()
         self._i_queries.push((self._issue_queries(hidden, leaves), len(hidden)))

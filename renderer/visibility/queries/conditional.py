@@ -6,9 +6,9 @@ The traversal is that of CHC++, but a frame asks once, and never waits:
 2. What was hidden, and the visible leaves that are due, are queried with one query set.
 3. All that was hidden is drawn, each object on condition that its row of the set finds it visible.
 
-The answers are read at the beginning of the next frame, if they are available, and tell what counts as visible then.
-They decide what is asked and when, never what is seen. The price is that a hidden node becomes visible as a whole,
-and is refined by one level per frame.
+The answers are read at the beginning of the next frame, if they are available, and tell what counts as
+visible then. They decide what is asked and when, never what is seen. The price is that a hidden node becomes
+visible as a whole, and is refined by one level per frame.
 
 Conditional draws count as drawn: only the GPU knows whether they were.
 """
@@ -39,18 +39,23 @@ def _has_conditions(device: Device) -> bool:
 class ConditionalCulling(ChcPlusPlus):
     """Draws what was visible, and the rest on conditions that the GPU evaluates."""
 
-    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0) -> None:
-        """`threshold` only affects what counts as visible in the next frame: for the GPU, one sample is enough to
-        draw. The device needs `capabilities.conditional_rendering`, and occlusion queries of its own: `emulated` is
-        refused."""
+    def __init__(
+        self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0
+    ) -> None:
+        """`threshold` only affects what counts as visible in the next frame: for the GPU, one sample is
+        enough to draw. The device needs `capabilities.conditional_rendering`, and occlusion queries of its
+        own: `emulated` is refused."""
         if not _has_conditions(device):
             lacking = f"a {device.backend_name} device without both"
             refuse(rules.NO_CONDITIONAL_RENDERING, "ConditionalCulling(...)", lacking)
         if settings.emulated:
-            refuse(rules.NO_CONDITIONAL_RENDERING, "ConditionalCulling(...)", "emulated queries", "native ones")
+            refuse(
+                rules.NO_CONDITIONAL_RENDERING, "ConditionalCulling(...)", "emulated queries", "native ones"
+            )
         super().__init__(scene, device, settings, seed=seed)
         self._pending: FixedQueue[tuple[PendingQueries, int]] = FixedQueue(_MAX_PENDING)
-        """For each frame that asked, its questions, and how many of them are about hidden nodes: the first ones."""
+        """For each frame that asked, its questions, and how many of them are about hidden nodes: the first
+        ones."""
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
@@ -78,7 +83,9 @@ class ConditionalCulling(ChcPlusPlus):
         pull_up(self._visible_nodes, self._visible, self._forest.parent)
         return self._count()
 
-    def _draw_hidden(self, hidden: list[list[int]], pending: PendingQueries, scene_drawer: SceneDrawer) -> None:
+    def _draw_hidden(
+        self, hidden: list[list[int]], pending: PendingQueries, scene_drawer: SceneDrawer
+    ) -> None:
         """Draw all objects below hidden nodes, on condition that their row of the set finds them visible."""
         object_indices, nodes = self._forest.list_objects([node for group in hidden for node in group])
         if len(object_indices):
@@ -101,8 +108,8 @@ class ConditionalCulling(ChcPlusPlus):
         pull_up(visible_nodes, self._visible, self._forest.parent)
 
     def _note_visible(self, nodes: list[int]) -> None:
-        """Record that a query found a hidden node visible. If it covered several nodes, each is queried alone next
-        time."""
+        """Record that a query found a hidden node visible. If it covered several nodes, each is queried alone
+        next time."""
         if len(nodes) == 1:
             self._next_query[nodes[0]] = self._frame - 1 + self._random.randint(1, self._persistence)
             self._visible[nodes[0]] = 1

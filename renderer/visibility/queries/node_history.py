@@ -1,7 +1,7 @@
 """What CHC and CHC++ remember of each node from frame to frame, across rebuilds of the moving objects' tree.
 
-A rebuilt tree has other nodes. What was known of its objects is known of the nodes that hold them now (thesis 5.2.1):
-visible is a node with a visible object below it.
+A rebuilt tree has other nodes. What was known of its objects is known of the nodes that hold them now (thesis
+5.2.1): visible is a node with a visible object below it.
 """
 
 from __future__ import annotations
@@ -67,6 +67,8 @@ class NodeHistory:
             return reduced
 
         self.visible[forest.moving] = bytes(reduce(np.maximum, was_visible))
-        self.visited[forest.moving] = [last if is_visited else NEVER for is_visited in reduce(np.maximum, visited)]
+        self.visited[forest.moving] = [
+            last if is_visited else NEVER for is_visited in reduce(np.maximum, visited)
+        ]
         self.hidden_since[forest.moving] = reduce(np.maximum, since)
         self.next_query[forest.moving] = reduce(np.minimum, due)

@@ -37,7 +37,9 @@ class QueryCulling:
         can = device.capabilities
         if not can.shading:
             return "draws that run, to answer its occlusion queries"
-        return None if can.occlusion_queries or can.sample_counter else "occlusion queries or a sample counter"
+        return (
+            None if can.occlusion_queries or can.sample_counter else "occlusion queries or a sample counter"
+        )
 
     def _draw(self, object_indices: Indices, scene_drawer: SceneDrawer) -> None:
         scene_drawer.draw(object_indices)

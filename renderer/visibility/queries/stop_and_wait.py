@@ -18,8 +18,8 @@ from rhi import Device
 class StopAndWait(QueryCulling):
     """Queries each object in the frustum, front to back, and waits for each result before the next query.
 
-    An object is drawn only if its box is visible, given all nearer objects. CPU and GPU work in turns: while one
-    works, the other waits.
+    An object is drawn only if its box is visible, given all nearer objects. CPU and GPU work in turns: while
+    one works, the other waits.
     """
 
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:

@@ -26,7 +26,9 @@ def create_backend(*, validation: bool = False) -> ClBackend:
     try:
         import pyopencl
     except ImportError as error:
-        raise DeviceError(DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl") from error
+        raise DeviceError(
+            DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl"
+        ) from error
     from rhi.backends.cl.pocl.driver_loader import DriverLoader
     from rhi.backends.cl.pocl.kernel_cache import settle_folder
 

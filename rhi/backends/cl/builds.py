@@ -1,14 +1,15 @@
 """Builds of kernels: quickly at first, optimised later by other processes.
 
-- An optimised kernel takes PoCL up to ten times as long as one that isn't, and draws 1.2 to 2.5 times as fast. So a
-  kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When its launches
-  have taken `HOT` seconds, it is optimised in the background and replaced by the result. Both compute the same bits.
+- An optimised kernel takes PoCL up to ten times as long as one that isn't, and draws 1.2 to 2.5 times as
+  fast. So a kernel is at first compiled without optimisation, unless the optimised one is in the cache on
+  disk. When its launches have taken `HOT` seconds, it is optimised in the background and replaced by the
+  result. Both compute the same bits.
 - The kernel that has taken most time is optimised first.
-- PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
-  other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
+- PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine
+  code. So other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
 - `Optimisation.begin` begins the optimisation earlier, even before the kernel exists.
-- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
-  cache isn't a folder (`rhi.backends.cl.pocl.kernel_cache`) always do the latter.
+- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers
+  whose cache isn't a folder (`rhi.backends.cl.pocl.kernel_cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
 
@@ -52,9 +53,9 @@ class Launch(NamedTuple):
 
     Attributes:
         names: the kernels.
-        arguments: the arguments of each kernel. An `int` is an integer of 32 bits; bytes are memory that begins with
-            them and goes on with zeros; bytes with offsets are the address of such memory, with addresses of zeros
-            at these offsets.
+        arguments: the arguments of each kernel. An `int` is an integer of 32 bits; bytes are memory that
+            begins with them and goes on with zeros; bytes with offsets are the address of such memory, with
+            addresses of zeros at these offsets.
     """
 
     names: tuple[str, ...]
@@ -83,7 +84,8 @@ class Optimisation:
         self.heat = 0.0
 
     def warm(self, items: int, seconds: float) -> None:
-        """Add the work-items and the seconds of a launch of the kernels to be replaced; begin when they are hot."""
+        """Add the work-items and the seconds of a launch of the kernels to be replaced; begin when they are
+        hot."""
         self._builds.quick_work += items
         self.heat += seconds
         if self.heat >= HOT and self.done is None:
@@ -101,7 +103,9 @@ class Kernel:
 
     __slots__ = ("_items", "_name", "_optimisation", "_timed", "program")
 
-    def __init__(self, program: EvictableProgram, name: str, optimisation: Optimisation | None = None) -> None:
+    def __init__(
+        self, program: EvictableProgram, name: str, optimisation: Optimisation | None = None
+    ) -> None:
         """`optimisation`: the build that is going to replace the kernel, or None."""
         self._name = name
         self._optimisation = optimisation
@@ -142,7 +146,8 @@ class Kernel:
         return event
 
     def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
-        """Enqueue `items` work-items of a kernel that draws, whose only argument is the address of a batch table."""
+        """Enqueue `items` work-items of a kernel that draws, whose only argument is the address of a batch
+        table."""
         self._renew(items)
         if items >= LARGE_GRID:
             self.program.complete()
@@ -279,8 +284,8 @@ class Builds:
         return done
 
     def _wait_for_job(self) -> tuple[Optimisation, Future[None]] | None:
-        """Return the job whose kernels have taken most time, as soon as there is one; None when the device is closed
-        and there is none left."""
+        """Return the job whose kernels have taken most time, as soon as there is one; None when the device is
+        closed and there is none left."""
         with self._changed:
             while not self._jobs and not self._closed:
                 self._changed.wait()

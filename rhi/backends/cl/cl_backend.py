@@ -1,7 +1,7 @@
 """The OpenCL backend: rhi's contract on one queue that executes in order.
 
-- Draws are gathered into batches (`rhi.backends.cl.raster.rasteriser`). Every other command first submits the gathered
-  draws (`_flush`) and then enqueues its own work, so the queue has the order of the contract.
+- Draws are gathered into batches (`rhi.backends.cl.raster.rasteriser`). Every other command first submits the
+  gathered draws (`_flush`) and then enqueues its own work, so the queue has the order of the contract.
 - Only reads, and indirect draws and dispatches, wait for the device: OpenCL can't take sizes from memory.
 """
 
@@ -44,7 +44,8 @@ _GROUPS_BYTES: Final = 12
 def _reports_errors_as(
     call: str,
 ) -> Callable[[Callable[Concatenate[ClBackend, P], R]], Callable[Concatenate[ClBackend, P], R]]:
-    """Return a decorator that reports a method's OpenCL errors as `DeviceError` of this call and the open labels."""
+    """Return a decorator that reports a method's OpenCL errors as `DeviceError` of this call and the open
+    labels."""
 
     def decorate(method: Callable[Concatenate[ClBackend, P], R]) -> Callable[Concatenate[ClBackend, P], R]:
         @wraps(method)
@@ -79,7 +80,9 @@ class ClBackend:
         self._program: Id = 0
         self._render_pass = descriptors.PassDescriptor((0, 0))
         self._labels: list[str] = []  # the open ones, outermost first
-        self._rasteriser = Rasteriser(context, builds, self._buffers, self._textures, self._samplers, in_flight)
+        self._rasteriser = Rasteriser(
+            context, builds, self._buffers, self._textures, self._samplers, in_flight
+        )
         self._slots = self._rasteriser.bindings.slots
         self._bind = self._rasteriser.bindings.bind
         self._draw_state = self._rasteriser.state
@@ -217,7 +220,9 @@ class ClBackend:
         self._textures.write(texture, level, region, data)
 
     @_reports_errors_as("Texture.read")
-    def read_texture(self, texture: Id, level: int, region: descriptors.Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(
+        self, texture: Id, level: int, region: descriptors.Region, stencil: bool
+    ) -> NDArray[np.generic]:
         self._flush()
         texels = self._textures.read(texture, level, region, stencil)
         self._fence.release()
@@ -333,7 +338,11 @@ class ClBackend:
 
     @_reports_errors_as("device.draw_clipped")
     def draw_clipped(
-        self, vertex_array: Id, primitive: descriptors.Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: descriptors.Primitive,
+        draws: NDArray[Any],
+        clips: NDArray[np.int64],
     ) -> None:
         """See `rhi.contract.backend.SupportsClippedDraws`."""
         self._draws.draw_clipped(vertex_array, primitive, draws, clips)
@@ -351,7 +360,9 @@ class ClBackend:
         count_offset: int,
     ) -> None:
         """Draw directly, with arguments that are read back; waits if the device wrote them."""
-        self._draws.draw_indirect(vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset)
+        self._draws.draw_indirect(
+            vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
+        )
 
     @_reports_errors_as("device.dispatch")
     def dispatch(self, x: int, y: int, z: int) -> None:
@@ -366,7 +377,9 @@ class ClBackend:
         self._flush()
         words = np.frombuffer(self._buffers.read(buffer, offset, _GROUPS_BYTES), np.uint32)
         groups = words.tolist()
-        if not any(dispatch_faults(groups, "", self.capabilities)):  # as in WebGPU, another dispatch does nothing
+        if not any(
+            dispatch_faults(groups, "", self.capabilities)
+        ):  # as in WebGPU, another dispatch does nothing
             self.dispatch(*groups)
 
     # -- time --------------------------------------------------------------------------------------------
@@ -386,7 +399,11 @@ class ClBackend:
             self._sample_queries.take(query)
 
     def read_query(self, query: Id) -> int | None:
-        queries = self._timestamps if self._kinds[query] is descriptors.QueryKind.TIMESTAMP else self._sample_queries
+        queries = (
+            self._timestamps
+            if self._kinds[query] is descriptors.QueryKind.TIMESTAMP
+            else self._sample_queries
+        )
         return queries.read(query)
 
     def read_issue_time(self, query: Id) -> int | None:

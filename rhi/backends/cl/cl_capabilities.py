@@ -13,7 +13,9 @@ _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
 _MAX_LINE_WIDTH: Final = 256.0
 MAX_STORAGE_SLOTS: Final = 16  # kernels find buffers by address, so any number would do
 _MAX_ANISOTROPY: Final = 16.0
-_MAX_GROUPS: Final = (1 << 31) - 1  # PoCL counts the groups of a dispatch, and ends the process if that overflows
+_MAX_GROUPS: Final = (
+    1 << 31
+) - 1  # PoCL counts the groups of a dispatch, and ends the process if that overflows
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 

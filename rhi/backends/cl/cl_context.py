@@ -1,11 +1,13 @@
 """Selection of the OpenCL device, and its context and queue.
 
-- Devices are tried in order. The first that builds a probe kernel, runs it and computes the right numbers is used.
-  Names don't suffice: two platforms of the same name may be installed, of which one can't compile for this CPU.
-- `RHI_CL_DEVICE` selects one device by its number, or by a part of its name or its platform's. No other is tried then.
+- Devices are tried in order. The first that builds a probe kernel, runs it and computes the right numbers is
+  used. Names don't suffice: two platforms of the same name may be installed, of which one can't compile for
+  this CPU.
+- `RHI_CL_DEVICE` selects one device by its number, or by a part of its name or its platform's. No other is
+  tried then.
 - The queue executes in order, so each command reads the memory that the commands before it wrote.
-- The probe also determines whether kernels read host memory in place. If so, memory that the CPU streams to the device
-  needs no copy command.
+- The probe also determines whether kernels read host memory in place. If so, memory that the CPU streams to
+  the device needs no copy command.
 """
 
 from __future__ import annotations
@@ -37,21 +39,25 @@ _CALL: Final = "rhi.create_device('cl')"
 _ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
 _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
 _OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
-_UNWRITABLE: Final = "PoCL has none if it can't write its cache: set POCL_CACHE_DIR to a folder that can be written"
+_UNWRITABLE: Final = (
+    "PoCL has none if it can't write its cache: set POCL_CACHE_DIR to a folder that can be written"
+)
 _POCL: Final = "Portable Computing Language"
 QUICK: Final = ("-cl-opt-disable", "-Dalways_inline=noinline", "-Dnoinline=noinline,minsize")
-"""Build options: compile fast, for kernels that run once or seldom. Clang marks functions as not to be optimised; with
-`minsize`, LLVM still improves their code, which runs twice as fast after the same compile time."""
+"""Build options: compile fast, for kernels that run once or seldom. Clang marks functions as not to be
+optimised; with `minsize`, LLVM still improves their code, which runs twice as fast after the same compile
+time."""
 FLUSHES_DENORMALS: Final = "-cl-denorms-are-zero"
-"""Build option: numbers below 2^-126 count as 0. CPUs may take a hundred cycles for a product that small, as powers of
-cosines often are."""
+"""Build option: numbers below 2^-126 count as 0. CPUs may take a hundred cycles for a product that small, as
+powers of cosines often are."""
 SILENT: Final = "-w"
 """Build option: no warnings. PoCL prints their number on standard error, and pyopencl repeats them."""
 PAGE: Final = 4096
 """Alignment in bytes of host memory that drivers use in place."""
 _COMPILERS: Final = 128 << 20  # bytes of address space
 _INCLUDED: Final = str(Path(cl.__file__).parent)
-"""Folder of pyopencl's headers, an option of each program that it builds. The driver's cache keys depend on it."""
+"""Folder of pyopencl's headers, an option of each program that it builds. The driver's cache keys depend on
+it."""
 EMPTY: Final = np.zeros(0, np.uint8)
 """No data: memory that begins with it is all zeros."""
 _COUNT: Final = 64
@@ -127,7 +133,9 @@ def open_context(loading: DriverLoader | None = None) -> ClContext:
             queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
             driver = f"{describe(device)} {device.driver_version} {_INCLUDED}"
             cached = caches_kernels(device)
-            cache = KernelCache(folder if cached else None, driver, declares=cached and declares_kernels(device))
+            cache = KernelCache(
+                folder if cached else None, driver, declares=cached and declares_kernels(device)
+            )
             shares_memory = probe(context, queue, cache)
         except (cl.Error, RuntimeError) as error:
             rejected_devices.append(f"{describe(device)}: {shorten(error)}")
@@ -246,7 +254,9 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bo
     return shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
-def build_cached(context: cl.Context, cache: KernelCache, request: Request, stored: CachedProgram | None) -> cl.Program:
+def build_cached(
+    context: cl.Context, cache: KernelCache, request: Request, stored: CachedProgram | None
+) -> cl.Program:
     """Build a program from the driver's LLVM code or from its source. `stored`: its entry in the cache, or
     None; it is then added."""
     if stored is not None and not stored.code:
@@ -263,7 +273,9 @@ def build_cached(context: cl.Context, cache: KernelCache, request: Request, stor
             with suppress(cl.Error):  # the build reports the error
                 mark = make_mark()
                 compiled = compile_only(context, *request.write(mark))
-                binaries: Any = compiled.get_info(cl.program_info.BINARIES)  # nothing is generated: it isn't linked
+                binaries: Any = compiled.get_info(
+                    cl.program_info.BINARIES
+                )  # nothing is generated: it isn't linked
                 cache.store_header(binaries[0])
                 code = cache.store_code(request.key, mark)
         try:
@@ -293,9 +305,11 @@ def build(context: cl.Context, source: str, options: Sequence[str]) -> cl.Progra
 
 
 def build_again(context: cl.Context, text: str | bytes, options: Sequence[str]) -> cl.Program:
-    """Build a program that built before, from its source or from the driver's LLVM code. Unlike `build` safe in any
-    thread, since warning filters are process-wide."""
-    program = cl.Program(context, text) if isinstance(text, str) else cl.Program(context, context.devices, [text])
+    """Build a program that built before, from its source or from the driver's LLVM code. Unlike `build` safe
+    in any thread, since warning filters are process-wide."""
+    program = (
+        cl.Program(context, text) if isinstance(text, str) else cl.Program(context, context.devices, [text])
+    )
     built: cl.Program = program.build([SILENT, *options])
     return built
 

@@ -33,7 +33,8 @@ def make_error(error: Exception, call: str, given: str = "") -> DeviceError:
 
 
 class _Translation:
-    """The context manager of `translate_errors`. A generator's frame would be taken for the user's call site."""
+    """The context manager of `translate_errors`. A generator's frame would be taken for the user's call
+    site."""
 
     def __init__(self, call: str, given: str) -> None:
         self._call = call
@@ -48,12 +49,14 @@ class _Translation:
 
 
 def translate_errors(call: str, given: str = "") -> AbstractContextManager[None]:
-    """Return a context manager that turns errors of OpenCL and NumPy inside it into a `DeviceError` of `call`."""
+    """Return a context manager that turns errors of OpenCL and NumPy inside it into a `DeviceError` of
+    `call`."""
     return _Translation(call, given)
 
 
 def shorten(error: Exception) -> str:
-    """Return the line of an error's text that gives the cause: a compiler's first error, else the first line."""
+    """Return the line of an error's text that gives the cause: a compiler's first error, else the first
+    line."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     errors = [line for line in lines if "error:" in line]
     return (errors or lines or [type(error).__name__])[0]

@@ -1,10 +1,11 @@
 """The fence and timestamp queries: markers in the queue, whose events are polled without blocking.
 
-- A marker is complete when all commands before it are. PoCL completes it without a flush, other drivers need one.
-- When the device reaches a fence value, the memory kept for the commands before it is released; when the CPU has
-  waited for the whole queue, all of them.
-- A timestamp is the completion time of its marker on the device's clock, in nanoseconds. OpenCL also reports, on the
-  same clock, when the CPU enqueued the marker.
+- A marker is complete when all commands before it are. PoCL completes it without a flush, other drivers need
+  one.
+- When the device reaches a fence value, the memory kept for the commands before it is released; when the CPU
+  has waited for the whole queue, all of them.
+- A timestamp is the completion time of its marker on the device's clock, in nanoseconds. OpenCL also reports,
+  on the same clock, when the CPU enqueued the marker.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ class Fence:
     def wait(self, value: int, seconds: float) -> bool:
         """Wait until `value` is reached or `seconds` have passed; return whether it was reached.
 
-        The first polls catch small work. OpenCL's own wait returns soonest but has no timeout, so it serves waits
-        without one; waits with a timeout sleep between polls.
+        The first polls catch small work. OpenCL's own wait returns soonest but has no timeout, so it serves
+        waits without one; waits with a timeout sleep between polls.
         """
         for _ in range(_POLLS):
             if self.poll() >= value:
@@ -106,7 +107,8 @@ class Timestamps:
         self._markers[query] = cl.enqueue_marker(self._queue)
 
     def read_issue_time(self, query: Id) -> int | None:
-        """Return when the CPU enqueued a timestamp, on the device's clock in ns; None until it is available."""
+        """Return when the CPU enqueued a timestamp, on the device's clock in ns; None until it is
+        available."""
         marker = self._markers[query]
         return None if marker is None or self.read(query) is None else int(marker.profile.queued)
 

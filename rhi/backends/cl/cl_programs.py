@@ -3,12 +3,13 @@
 The OpenCL C of a compute program, whether written by the shading language or by hand, follows these rules:
 
 - It has one kernel. The kernel's arguments are the program's bindings in order: `constant T *` for a uniform;
-  `global T *` and an `int`, the number of bound elements, for storage; `global const uchar *` for a texture or
-  `global uchar *` for an image, then `global const int *`, the words of `rhi.shading.ir.texture_words`.
-- Bound ranges begin at multiples of the capabilities' alignments. Vector loads may run past their end by up to
-  `rhi.backends.cl.memory.planes.GRAIN` bytes.
-- Its `reqd_work_group_size` is the work-group's size in work-items. It divides the descriptor's work-group, which
-  counts invocations: a work-item may execute several as lanes of a vector. Without the attribute it executes one.
+  `global T *` and an `int`, the number of bound elements, for storage; `global const uchar *` for a texture
+  or `global uchar *` for an image, then `global const int *`, the words of `rhi.shading.ir.texture_words`.
+- Bound ranges begin at multiples of the capabilities' alignments. Vector loads may run past their end by up
+  to `rhi.backends.cl.memory.planes.GRAIN` bytes.
+- Its `reqd_work_group_size` is the work-group's size in work-items. It divides the descriptor's work-group,
+  which counts invocations: a work-item may execute several as lanes of a vector. Without the attribute it
+  executes one.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line
 
 
 def count_lanes(device: cl.Device) -> int:
-    """Return how many invocations a work-item executes: as many as a vector register of the device has floats, or 1 on
-    GPUs, whose compilers vectorise over work-items themselves."""
+    """Return how many invocations a work-item executes: as many as a vector register of the device has
+    floats, or 1 on GPUs, whose compilers vectorise over work-items themselves."""
     native = int(device.native_vector_width_float)
     return next((width for width in _WIDTHS if native >= width), 1)
 
@@ -114,8 +115,8 @@ class FaultBuffer:
 class ComputeProgram:
     """A compute kernel and the arguments that it was last given.
 
-    A generated kernel is built at its first launch, unless it is in the cache, so that it can be prepared before. A
-    kernel written by hand is built at once, since the driver may refuse it.
+    A generated kernel is built at its first launch, unless it is in the cache, so that it can be prepared
+    before. A kernel written by hand is built at once, since the driver may refuse it.
 
     Attributes:
         written: the bindings that the kernel writes.
@@ -149,8 +150,8 @@ class ComputeProgram:
         if descriptor.checked:
             self._faults = FaultBuffer(context.context, source.origins)
         self._fault_argument = index
-        # The last bound resources, by ids that are never reused, and the arguments made of them. The arguments are kept
-        # alive here because OpenCL doesn't promise that a kernel does.
+        # The last bound resources, by ids that are never reused, and the arguments made of them. The
+        # arguments are kept alive here because OpenCL doesn't promise that a kernel does.
         self._bound: dict[int, tuple[int, ...]] = {}
         self._argument_values: dict[int, tuple[cl.Buffer | np.int32, ...]] = {}
         self._argument_build: object = None  # the build whose kernel has these arguments
@@ -171,7 +172,9 @@ class ComputeProgram:
         except ValueError as error:
             call = f"device.program({descriptor.name})"
             raise ShaderError(SHADER_DRIVER, call, "no single kernel", "a source with one kernel") from error
-        required = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, self._context.device)
+        required = kernel.get_work_group_info(
+            cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, self._context.device
+        )
         if any(required):
             self._group = tuple(required)
         self._kernel = Kernel(program, name, optimisation)
@@ -207,7 +210,9 @@ class ComputeProgram:
                 arguments = self._arguments.collect(binding, bound)
                 previous = self._argument_values.get(index, (None, None))
                 for i, argument in enumerate(arguments):
-                    if argument != previous[i]:  # setting a number takes pyopencl 80 times as long as comparing it
+                    if (
+                        argument != previous[i]
+                    ):  # setting a number takes pyopencl 80 times as long as comparing it
                         kernel.set_arg(index + i, argument)
                 self._argument_values[index], self._bound[index] = arguments, bound
         if 0 not in groups:
@@ -259,7 +264,9 @@ def _describe_launch(descriptor: ProgramDescriptor) -> Launch:
     return Launch((_GENERATED,), (*arguments, *[b""] * descriptor.checked))
 
 
-def make_shader_error(descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str) -> ShaderError:
+def make_shader_error(
+    descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str
+) -> ShaderError:
     """Return the error for source code of `stage` that the driver rejected."""
     messages = [_read_message(row.strip()) for row in log.splitlines() if "error:" in row]
     return make_driver_error(descriptor, stage, source, messages or [(log.strip(), 0)], "OpenCL C")

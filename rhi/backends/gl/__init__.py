@@ -1,6 +1,7 @@
 """The OpenGL backend: GL 4.5 core, headless through EGL.
 
-`create_backend` is its entry point in the group `rhi.backends`. No GL library is imported before it is called.
+`create_backend` is its entry point in the group `rhi.backends`. No GL library is imported before it is
+called.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ def create_backend(*, validation: bool = False, context: HostContext | None = No
     """Create a backend with its own context.
 
     Args:
-        validation: raise the errors that the driver reports as `DeviceError` (`device-debug`). This is slower.
+        validation: raise the errors that the driver reports as `DeviceError` (`device-debug`). This is
+            slower.
         context: the context of other code to share textures with and to show images in: moderngl's, or
-            `"current"`, the one that is current on this thread. None: the backend has no window and shares nothing.
+            `"current"`, the one that is current on this thread. None: the backend has no window and shares
+            nothing.
 
     Raises:
-        DeviceError: `device-driver` if moderngl, EGL or a driver for GL 4.5 is missing; its tip says what to install.
+        DeviceError: `device-driver` if moderngl, EGL or a driver for GL 4.5 is missing; its tip says what to
+            install.
     """
     from rhi.backends.gl.gl_context import open_context
 

@@ -1,10 +1,11 @@
 """Validation mode: the driver's own messages as exceptions.
 
 - GL reports errors through a callback, and an exception can't leave a callback. So the callback collects the
-  messages, and each method of the backend raises them at its end. Debug output is synchronous, so the error names the
-  call that caused it.
+  messages, and each method of the backend raises them at its end. Debug output is synchronous, so the error
+  names the call that caused it.
 - Some drivers report nothing without a debug context, which moderngl can't request (Mesa doesn't need one). A
-  deliberate error at the start shows whether the driver is one of these; `glGetError` then follows each method.
+  deliberate error at the start shows whether the driver is one of these; `glGetError` then follows each
+  method.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class DebugOutput:
         self._messages.clear()
 
     def take(self) -> str:
-        """Return and discard the messages reported since the last call, one per line; empty if there are none."""
+        """Return and discard the messages reported since the last call, one per line; empty if there are
+        none."""
         code = self._gl.GetError() if self.is_silent else enums.NO_ERROR
         if not self._messages and code == enums.NO_ERROR:
             return ""
@@ -76,7 +78,8 @@ class DebugOutput:
 
 
 class DebugGlBackend(GlBackend):
-    """A `GlBackend` whose methods raise the errors that the driver reports as `DeviceError` (`device-debug`)."""
+    """A `GlBackend` whose methods raise the errors that the driver reports as `DeviceError`
+    (`device-debug`)."""
 
     def __init__(self, context: moderngl.Context, shared: SharedContext | None = None) -> None:
         super().__init__(context, shared)
@@ -99,7 +102,9 @@ class DebugGlBackend(GlBackend):
         base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:
-        return lambda instances: self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        return lambda instances: self.draw(
+            vertex_array, primitive, first, count, instances, base_vertex, base_instance
+        )
 
     def create_filled_buffer(self, buffer: Id, descriptor: BufferDescriptor, data: BytesLike) -> None:
         self.check(super().create_filled_buffer, "create_filled_buffer", buffer, descriptor, data)
@@ -150,13 +155,20 @@ class _CheckedQueries:
         self._backend.check(self._queries.draw, "draw_counted", vertex_array, primitive, draws, query_indices)
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        query_indices: NDArray[np.int64],
     ) -> None:
         draw = self._queries.draw_conditional
         self._backend.check(draw, "draw_conditional", vertex_array, primitive, buffer, offset, query_indices)
 
     def read(self, query_indices: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        samples: NDArray[np.int64] | None = self._backend.check(self._queries.read, "read_queries", query_indices)
+        samples: NDArray[np.int64] | None = self._backend.check(
+            self._queries.read, "read_queries", query_indices
+        )
         return samples
 
 

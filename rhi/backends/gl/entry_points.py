@@ -1,12 +1,12 @@
 """GL's entry points, called through ctypes: all functions that moderngl doesn't offer.
 
-- A declaration in `EntryPoints` is the whole binding. mypy reads it as a callable, and the ctypes prototype is
-  created from the same annotation when a context is opened.
-- Entry points that take only 32-bit integers and ctypes objects get no `argtypes`. ctypes then passes each Python
-  integer as a C int: 55 ns a call instead of 115 (with five typed arguments: 470).
+- A declaration in `EntryPoints` is the whole binding. mypy reads it as a callable, and the ctypes prototype
+  is created from the same annotation when a context is opened.
+- Entry points that take only 32-bit integers and ctypes objects get no `argtypes`. ctypes then passes each
+  Python integer as a C int: 55 ns a call instead of 115 (with five typed arguments: 470).
 - They keep the GIL, which saves 35 ns a call, except those that may wait (`_WAITS`).
-- Mesa returns a non-null address for any name, so an address doesn't show whether a function exists. GL 4.5 core is
-  required. Functions of later versions or extensions are called only where a capability says so.
+- Mesa returns a non-null address for any name, so an address doesn't show whether a function exists. GL 4.5
+  core is required. Functions of later versions or extensions are called only where a capability says so.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ Text: TypeAlias = Annotated[bytes, ctypes.c_char_p]
 
 _WAITS: Final = "may wait, so it releases the GIL"
 
-DEBUG_CALLBACK: Final = ctypes.CFUNCTYPE(None, *[ctypes.c_uint] * 4, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+DEBUG_CALLBACK: Final = ctypes.CFUNCTYPE(
+    None, *[ctypes.c_uint] * 4, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p
+)
 """(source, type, id, severity, length, message, user data); the message is an address of `length` bytes."""
 
 
@@ -113,7 +115,9 @@ class EntryPoints:
         Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Address], None], _WAITS
     ]
     ClearTexImage: Callable[[Int, Int, Int, Int, Pointer], None]
-    CopyImageSubData: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None]
+    CopyImageSubData: Callable[
+        [Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None
+    ]
     IsTexture: Callable[[Int], Int]
     GetTextureParameteriv: Callable[[Int, Int, Pointer], None]
     GetTextureLevelParameteriv: Callable[[Int, Int, Int, Pointer], None]
@@ -217,7 +221,8 @@ class EntryPoints:
 
 @cache
 def _prototypes() -> dict[str, Any]:
-    """Return the ctypes function types of all entry points, by name. They are created once, from the annotations."""
+    """Return the ctypes function types of all entry points, by name. They are created once, from the
+    annotations."""
     hints = typing.get_type_hints(EntryPoints, include_extras=True)
     return {name: _make_prototype(hint) for name, hint in hints.items()}
 

@@ -311,7 +311,7 @@ DEBUG_TYPE_UNDEFINED_BEHAVIOR: Final = 0x824E
 DEBUG_SOURCE_APPLICATION: Final = 0x824A
 DEBUG_GROUP_STACK_DEPTH: Final = 0x826D
 
-# -- contexts that share objects, and their framebuffers --------------------------------------------------------
+# -- contexts that share objects, and their framebuffers -----------------------------------------------------
 
 READ_FRAMEBUFFER: Final = 0x8CA8
 READ_FRAMEBUFFER_BINDING: Final = 0x8CAA

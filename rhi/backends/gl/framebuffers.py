@@ -39,7 +39,8 @@ class Framebuffers:
         return self._names.get(key) or self._create(key, descriptor)
 
     def get_for_color(self, texture: Id) -> int:
-        """Return GL's name of a framebuffer whose only attachment is level 0, layer 0 of `texture`, for resolves."""
+        """Return GL's name of a framebuffer whose only attachment is level 0, layer 0 of `texture`, for
+        resolves."""
         key = ((texture, 0, 0),)
         descriptor = PassDescriptor(self._textures[texture].descriptor.size, (Attachment(texture),))
         return self._names.get(key) or self._create(key, descriptor)

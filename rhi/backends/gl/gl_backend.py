@@ -1,15 +1,17 @@
 """The GL backend: rhi's contract on one OpenGL context.
 
-- moderngl creates the context, buffers, programs and vertex arrays. Its C functions also make the calls that happen
-  thousands of times a frame: binding a range and drawing. All other calls go through `entry_points`.
-- Conventions: each vertex stage ends by negating y, so texel rows, window y and gl_FragCoord.y count from the top.
-  For GL the image is mirrored, so the two windings and the origin of point coordinates are swapped. Clip control
-  could flip y too, but it would change Mesa's fill rule from top-left to bottom-left. It is used for depth 0…1 only.
-- A context is current per thread, and a process may hold several. Each method therefore first checks whether another
-  backend of this process has taken the thread (5 ns). Code outside of this package does so unnoticed: `resume` asks
-  the driver, at points where the device has time for that. A backend is used on one thread at a time.
-- Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory. llvmpipe's
-  draws are waited for before anything but a fragment reads their targets (`llvmpipe`).
+- moderngl creates the context, buffers, programs and vertex arrays. Its C functions also make the calls that
+  happen thousands of times a frame: binding a range and drawing. All other calls go through `entry_points`.
+- Conventions: each vertex stage ends by negating y, so texel rows, window y and gl_FragCoord.y count from the
+  top. For GL the image is mirrored, so the two windings and the origin of point coordinates are swapped. Clip
+  control could flip y too, but it would change Mesa's fill rule from top-left to bottom-left. It is used for
+  depth 0…1 only.
+- A context is current per thread, and a process may hold several. Each method therefore first checks whether
+  another backend of this process has taken the thread (5 ns). Code outside of this package does so unnoticed:
+  `resume` asks the driver, at points where the device has time for that. A backend is used on one thread at a
+  time.
+- Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory.
+  llvmpipe's draws are waited for before anything but a fragment reads their targets (`llvmpipe`).
 """
 
 from __future__ import annotations
@@ -72,17 +74,26 @@ _TESTS_ALPHA: Final = AlphaTest.ON
 _MAX_LABELS: Final = 60  # open at a time; GL guarantees 64
 _MAX_LABEL_BYTES: Final = 255
 _UNUSED_FEATURES: Final = (
-    enums.RASTERIZER_DISCARD, enums.COLOR_LOGIC_OP, enums.LINE_SMOOTH, enums.POLYGON_SMOOTH,
-    enums.POLYGON_OFFSET_LINE, enums.POLYGON_OFFSET_POINT, enums.SAMPLE_ALPHA_TO_ONE, enums.SAMPLE_COVERAGE,
-    enums.SAMPLE_MASK, enums.SAMPLE_SHADING, *range(enums.CLIP_DISTANCE0, enums.CLIP_DISTANCE0 + 8),
-)  # fmt: skip
+    enums.RASTERIZER_DISCARD,
+    enums.COLOR_LOGIC_OP,
+    enums.LINE_SMOOTH,
+    enums.POLYGON_SMOOTH,
+    enums.POLYGON_OFFSET_LINE,
+    enums.POLYGON_OFFSET_POINT,
+    enums.SAMPLE_ALPHA_TO_ONE,
+    enums.SAMPLE_COVERAGE,
+    enums.SAMPLE_MASK,
+    enums.SAMPLE_SHADING,
+    *range(enums.CLIP_DISTANCE0, enums.CLIP_DISTANCE0 + 8),
+)
 """Features that this backend never enables, but other code might."""
 
 _current_backends: dict[int, GlBackend] = {}
 """By thread, the backend that made its context current there last."""
 _dropped: Final[deque[tuple[moderngl.Context, Callable[[], int | None], int | None]]] = deque()
-"""Contexts of devices that were collected without being closed, each with the function that returns the current
-context, and its result for this one. They are released later, since a finalizer may run on any thread."""
+"""Contexts of devices that were collected without being closed, each with the function that returns the
+current context, and its result for this one. They are released later, since a finalizer may run on any
+thread."""
 
 
 def release_dropped() -> None:
@@ -98,7 +109,8 @@ class GlBackend:
     """A backend on one GL context. `rhi.contract.backend.Backend` documents the methods.
 
     Attributes:
-        context: moderngl's context, for features that only GL has. A caller that changes its state must restore it.
+        context: moderngl's context, for features that only GL has. A caller that changes its state must
+            restore it.
         gl: the entry points of GL.
     """
 
@@ -148,7 +160,9 @@ class GlBackend:
         self._bind_texture, self._texture_names = gl.BindTextureUnit, self._textures.names
         self._bind_sampler, self._sampler_names = gl.BindSampler, self._samplers.names
         self._drop = (
-            finalize(self, _dropped.append, (context, self._get_current, self._handle)) if shared is None else None
+            finalize(self, _dropped.append, (context, self._get_current, self._handle))
+            if shared is None
+            else None
         )
         if self._drop is not None:
             self._drop.atexit = False
@@ -187,7 +201,8 @@ class GlBackend:
                 "device.make_current",
                 "a context that the driver refuses to make current here",
                 "no context of GLX on this thread, and the device's own on no other thread",
-                "let toolkits create windows with EGL, or release their context; release_current() on the other thread",
+                "let toolkits create windows with EGL, or release their context; release_current() on the "
+                "other thread",
             )
         self._is_current = True
         self._queries.resume()
@@ -212,7 +227,8 @@ class GlBackend:
         _current_backends[thread] = self
 
     def _suspend_queries(self) -> None:
-        """Suspend the active queries, so that they don't count another device's draws. Makes this context current."""
+        """Suspend the active queries, so that they don't count another device's draws. Makes this context
+        current."""
         if self._queries.is_active:
             if self._get_current() != self._handle:
                 self.context.mglo.__enter__()
@@ -701,8 +717,15 @@ class GlBackend:
         if self._shared is not None and texture:
             descriptor = self._textures[texture].descriptor
             texel = descriptor.format
-            if descriptor.kind is not TextureKind.D2 or descriptor.samples > 1 or texel.is_depth or texel.is_integer:
-                refuse(TEXTURE_FORMAT, "device.present", repr(descriptor), "a 2D image of colors with one sample")
+            if (
+                descriptor.kind is not TextureKind.D2
+                or descriptor.samples > 1
+                or texel.is_depth
+                or texel.is_integer
+            ):
+                refuse(
+                    TEXTURE_FORMAT, "device.present", repr(descriptor), "a 2D image of colors with one sample"
+                )
         self.gl.Flush()
         self._presented = texture
 

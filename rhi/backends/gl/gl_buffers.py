@@ -1,14 +1,16 @@
 """Buffers: moderngl's own, and persistently mapped STREAM and READBACK buffers.
 
-- Tables are dictionaries by id. The two that a draw uses hold moderngl's bound C methods, which cost a tenth of a
-  ctypes call with as many arguments.
-- A STREAM buffer is mapped once, persistently and coherently. Writing it is a copy into that memory, unordered
-  as the contract allows. A READBACK buffer is mapped in the same way to be read.
-- NVIDIA's driver (580) executes a clear after a `BufferSubData` that follows it, unless the clear has finished. Copies,
-  reads and draws keep their order. So new buffers get zeros as their data, and a write waits for a buffer's clears.
-- llvmpipe lets a write wait for the fragments that read a buffer only if the buffer was made for storage, which
-  moderngl's buffers aren't (Mesa 22.3). So the backend allocates such a buffer's memory again. It does so for each
-  write of a whole storage buffer, such as a frame's lights: the write waits for nothing, and frames overlap.
+- Tables are dictionaries by id. The two that a draw uses hold moderngl's bound C methods, which cost a tenth
+  of a ctypes call with as many arguments.
+- A STREAM buffer is mapped once, persistently and coherently. Writing it is a copy into that memory,
+  unordered as the contract allows. A READBACK buffer is mapped in the same way to be read.
+- NVIDIA's driver (580) executes a clear after a `BufferSubData` that follows it, unless the clear has
+  finished. Copies, reads and draws keep their order. So new buffers get zeros as their data, and a write
+  waits for a buffer's clears.
+- llvmpipe lets a write wait for the fragments that read a buffer only if the buffer was made for storage,
+  which moderngl's buffers aren't (Mesa 22.3). So the backend allocates such a buffer's memory again. It does
+  so for each write of a whole storage buffer, such as a frame's lights: the write waits for nothing, and
+  frames overlap.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ class Buffers:
     """
 
     def __init__(self, context: moderngl.Context, gl: EntryPoints, keeps_order: bool) -> None:
-        """`keeps_order`: whether the driver's writes wait for draws that read the buffer, whatever its usage."""
+        """`keeps_order`: whether the driver's writes wait for draws that read the buffer, whatever its
+        usage."""
         self._context = context
         self._gl = gl
         self._keeps_order = keeps_order
@@ -96,7 +99,8 @@ class Buffers:
         self.bind_storage[buffer] = partial(self._begin_storage, buffer)
 
     def _begin_storage(self, buffer: Id, slot: int, offset: int, size: int) -> None:
-        """Note that shaders may write a buffer from now on, since it is bound as storage for the first time."""
+        """Note that shaders may write a buffer from now on, since it is bound as storage for the first
+        time."""
         self.note_change(buffer)
         self._stored.add(buffer)
         is_mapped = buffer in self._mappings or buffer in self._readable
@@ -124,7 +128,9 @@ class Buffers:
         gl.BufferData(target, data.nbytes, ctypes.c_void_p(data.ctypes.data), hint)
         gl.BindBuffer(target, 0)
 
-    def _create_mapped(self, zeros: NDArray[np.uint8], flags: int) -> tuple[moderngl.Buffer, memoryview | None]:
+    def _create_mapped(
+        self, zeros: NDArray[np.uint8], flags: int
+    ) -> tuple[moderngl.Buffer, memoryview | None]:
         gl, size = self._gl, len(zeros)
         name = gl.create(gl.CreateBuffers)
         gl.NamedBufferStorage(name, size, zeros.ctypes.data_as(ctypes.c_void_p), flags)
@@ -135,7 +141,8 @@ class Buffers:
         return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
 
     def watch(self, buffer: Id, call: Callable[[Id], None]) -> bool:
-        """Call `call` once, before a buffer's data next changes. Return False if changes can't be observed."""
+        """Call `call` once, before a buffer's data next changes. Return False if changes can't be
+        observed."""
         if buffer in self._mappings or buffer in self._readable or buffer in self._stored:
             return False
         self._watchers[buffer] = call

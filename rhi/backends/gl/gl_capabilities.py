@@ -1,4 +1,5 @@
-"""The capabilities of a context. Limits are queried; formats are tested by creating textures and framebuffers."""
+"""The capabilities of a context. Limits are queried; formats are tested by creating textures and
+framebuffers."""
 
 from __future__ import annotations
 
@@ -54,9 +55,13 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         max_uniform_bytes=gl.get_integer(enums.MAX_UNIFORM_BLOCK_SIZE),
         max_storage_bytes=gl.get_integer(enums.MAX_SHADER_STORAGE_BLOCK_SIZE),
         max_uniform_slots=smallest(
-            enums.MAX_VERTEX_UNIFORM_BLOCKS, enums.MAX_FRAGMENT_UNIFORM_BLOCKS, enums.MAX_COMPUTE_UNIFORM_BLOCKS
+            enums.MAX_VERTEX_UNIFORM_BLOCKS,
+            enums.MAX_FRAGMENT_UNIFORM_BLOCKS,
+            enums.MAX_COMPUTE_UNIFORM_BLOCKS,
         ),
-        max_storage_slots=smallest(enums.MAX_FRAGMENT_SHADER_STORAGE_BLOCKS, enums.MAX_COMPUTE_SHADER_STORAGE_BLOCKS),
+        max_storage_slots=smallest(
+            enums.MAX_FRAGMENT_SHADER_STORAGE_BLOCKS, enums.MAX_COMPUTE_SHADER_STORAGE_BLOCKS
+        ),
         max_texture_slots=smallest(
             enums.MAX_VERTEX_TEXTURE_IMAGE_UNITS,
             enums.MAX_TEXTURE_IMAGE_UNITS,
@@ -126,7 +131,8 @@ def _largest(gl: EntryPoints, range_of_sizes: int) -> float:
 
 
 def _probe_formats(gl: EntryPoints) -> tuple[frozenset[Format], frozenset[Format]]:
-    """Try each format; return those that textures don't support, and those that color targets don't support."""
+    """Try each format; return those that textures don't support, and those that color targets don't
+    support."""
     unsupported, unrenderable = set(), set()
     framebuffer = gl.create(gl.CreateFramebuffers)
     for texel in Format:

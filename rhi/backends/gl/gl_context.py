@@ -14,13 +14,15 @@ if TYPE_CHECKING:
 
 _CALL: Final = "rhi.create_device('gl')"
 _VERSION: Final = 450
-"""The first version in which direct state access, clip control and inverted conditional rendering are core."""
+"""The first version in which direct state access, clip control and inverted conditional rendering are
+core."""
 
 _INSTALL_DRIVER: Final = "on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
 _INSTALL_MODERNGL: Final = "pip install moderngl"
 _EGL: Final = "libEGL.so.1"
 _MAX_EGL_DEVICES: Final = 16
-"""Devices to try, in EGL's order, which has hardware before software. The user may lack the rights for the first."""
+"""Devices to try, in EGL's order, which has hardware before software. The user may lack the rights for the
+first."""
 _NO_SUCH_DEVICE: Final = "requested device index"
 CURRENT_CONTEXT: Final = "eglGetCurrentContext"
 
@@ -35,8 +37,8 @@ def open_context() -> moderngl.Context:
         import moderngl
     except ImportError as error:
         raise DeviceError(DEVICE_DRIVER, _CALL, str(error), tip=_INSTALL_MODERNGL) from error
-    # EGL finds GL's functions itself, so libGL and its X libraries aren't needed. The names are given explicitly
-    # because glcontext would search for the libraries by running ldconfig and a compiler.
+    # EGL finds GL's functions itself, so libGL and its X libraries aren't needed. The names are given
+    # explicitly because glcontext would search for the libraries by running ldconfig and a compiler.
     settings: Any = {"backend": "egl", "libgl": _EGL, "libegl": _EGL}
     obstacles = []
     for device in range(_MAX_EGL_DEVICES):
@@ -52,8 +54,8 @@ def open_context() -> moderngl.Context:
 
 
 def make_current_context_query(context: moderngl.Context, function: str) -> Callable[[], int | None]:
-    """Return the function of EGL or GLX that returns the address of the context that is current on the calling thread,
-    or None.
+    """Return the function of EGL or GLX that returns the address of the context that is current on the
+    calling thread, or None.
 
     A call takes 0.3 µs, since libglvnd asks the system for the process's id each time.
     """

@@ -1,4 +1,5 @@
-"""Draws that moderngl lacks: with base vertex or base instance, quads, indirect draws, and arrays of draws."""
+"""Draws that moderngl lacks: with base vertex or base instance, quads, indirect draws, and arrays of
+draws."""
 
 from __future__ import annotations
 
@@ -29,7 +30,9 @@ DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
 class Draws:
     """Issues the draws of one context. Each method takes the bound program."""
 
-    def __init__(self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers) -> None:
+    def __init__(
+        self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
+    ) -> None:
         self._gl = gl
         self._arrays = arrays
         self._buffers = buffers
@@ -132,8 +135,8 @@ class Draws:
     def prepare_calls(
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
     ) -> DrawCalls:
-        """Return the calls that draw an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`; not for QUADS. They are valid
-        until something else is bound or drawn."""
+        """Return the calls that draw an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`; not for QUADS. They are
+        valid until something else is bound or drawn."""
         array, mode = self._arrays.descriptors[vertex_array], repeat(MODES[primitive])
         indexed = bool(array.index_buffer)
         count, first, instances, base_instance = (

@@ -17,7 +17,9 @@ from rhi.errors import ShaderError
 _LINE: Final = re.compile(r"^(?:ERROR: |WARNING: )?\d+[:(](\d+)[):(]")
 
 
-def make_shader_error(descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: StageText) -> ShaderError:
+def make_shader_error(
+    descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: StageText
+) -> ShaderError:
     """Return the error for a program whose `stage` the driver rejected (None: linking failed).
 
     `source` is the GLSL of the stage.

@@ -28,7 +28,8 @@ def drain_errors(gl: EntryPoints) -> None:
 
 
 def find_error(gl: EntryPoints, call: str) -> DeviceError | None:
-    """Return the first error since `drain_errors`, or None. Used when resources are created, not for commands."""
+    """Return the first error since `drain_errors`, or None. Used when resources are created, not for
+    commands."""
     code = gl.GetError()
     if code == enums.NO_ERROR:
         return None

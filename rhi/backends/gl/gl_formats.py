@@ -22,7 +22,8 @@ def map_enums(kind: type[C], **words: str) -> dict[C, int]:
 
 
 class PixelFormat(NamedTuple):
-    """GL's internal format of a texel format, and the format and type of transfers between CPU and texture."""
+    """GL's internal format of a texel format, and the format and type of transfers between CPU and
+    texture."""
 
     internal: int
     format: int
@@ -30,10 +31,16 @@ class PixelFormat(NamedTuple):
 
 
 _NAMES: Final = {
-    "RGBA8_SRGB": "SRGB8_ALPHA8", "RGB10A2": "RGB10_A2", "RGB10A2UI": "RGB10_A2UI", "R11G11B10F": "R11F_G11F_B10F",
-    "D16": "DEPTH_COMPONENT16", "D24": "DEPTH_COMPONENT24", "D32F": "DEPTH_COMPONENT32F", "D24S8": "DEPTH24_STENCIL8",
+    "RGBA8_SRGB": "SRGB8_ALPHA8",
+    "RGB10A2": "RGB10_A2",
+    "RGB10A2UI": "RGB10_A2UI",
+    "R11G11B10F": "R11F_G11F_B10F",
+    "D16": "DEPTH_COMPONENT16",
+    "D24": "DEPTH_COMPONENT24",
+    "D32F": "DEPTH_COMPONENT32F",
+    "D24S8": "DEPTH24_STENCIL8",
     "D32FS8": "DEPTH32F_STENCIL8",
-}  # fmt: skip
+}
 """The formats that have another name in GL."""
 
 _INTERNAL: Final[dict[Format, int]] = {
@@ -64,7 +71,11 @@ def _describe(texel_format: Format) -> PixelFormat:
     if texel_format.is_depth:
         return PixelFormat(_INTERNAL[texel_format], enums.DEPTH_COMPONENT, enums.FLOAT)
     channels = _INTEGER_CHANNELS if texel_format.is_integer else _CHANNELS
-    kind = _PACKED_TYPES[texel_format.channel_bits] if texel_format.is_packed else _TYPES[texel_format.dtype.str[1:]]
+    kind = (
+        _PACKED_TYPES[texel_format.channel_bits]
+        if texel_format.is_packed
+        else _TYPES[texel_format.dtype.str[1:]]
+    )
     return PixelFormat(_INTERNAL[texel_format], channels[texel_format.channels], kind)
 
 
@@ -73,7 +84,9 @@ PIXEL_FORMATS: Final = {texel_format: _describe(texel_format) for texel_format i
 
 CLEAR_FORMATS: Final = PIXEL_FORMATS | {
     Format.D24S8: PixelFormat(enums.DEPTH24_STENCIL8, enums.DEPTH_STENCIL, enums.UNSIGNED_INT_24_8),
-    Format.D32FS8: PixelFormat(enums.DEPTH32F_STENCIL8, enums.DEPTH_STENCIL, enums.FLOAT_32_UNSIGNED_INT_24_8_REV),
+    Format.D32FS8: PixelFormat(
+        enums.DEPTH32F_STENCIL8, enums.DEPTH_STENCIL, enums.FLOAT_32_UNSIGNED_INT_24_8_REV
+    ),
 }
 """Formats for clears, which include the stencil part."""
 

@@ -111,17 +111,23 @@ class Egl(ContextApi):
             return None
         surface = self._function("eglGetCurrentSurface", _POINTER, ctypes.c_int)
         display = self._function("eglGetCurrentDisplay", _POINTER)()
-        return ContextBinding(context, display or 0, surface(0x3059) or 0, surface(0x305A) or 0)  # EGL_DRAW, EGL_READ
+        return ContextBinding(
+            context, display or 0, surface(0x3059) or 0, surface(0x305A) or 0
+        )  # EGL_DRAW, EGL_READ
 
     def make_current(self, binding: ContextBinding) -> bool:
         make = self._function("eglMakeCurrent", _UNSIGNED, *[_POINTER] * 4)
         return bool(make(binding.display, binding.draw, binding.read, binding.context))
 
     def create_shared(self, host: ContextBinding) -> ContextBinding | None:
-        choose = self._function("eglChooseConfig", _UNSIGNED, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER)
+        choose = self._function(
+            "eglChooseConfig", _UNSIGNED, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER
+        )
         create = self._function("eglCreateContext", _POINTER, *[_POINTER] * 4)
         config, count = _POINTER(), ctypes.c_int()
-        attributes = (ctypes.c_int * 5)(0x3033, 0, 0x3040, 8, 0x3038)  # any SURFACE_TYPE, RENDERABLE_TYPE: OPENGL
+        attributes = (ctypes.c_int * 5)(
+            0x3033, 0, 0x3040, 8, 0x3038
+        )  # any SURFACE_TYPE, RENDERABLE_TYPE: OPENGL
         choose(host.display, attributes, ctypes.byref(config), 1, ctypes.byref(count))
         if not count.value:
             return None
@@ -160,12 +166,15 @@ class Glx(ContextApi):
             return None
         display = self._function("glXGetCurrentDisplay", _POINTER)()
         draw, read = (
-            self._function(name, ctypes.c_ulong)() for name in ("glXGetCurrentDrawable", "glXGetCurrentReadDrawable")
+            self._function(name, ctypes.c_ulong)()
+            for name in ("glXGetCurrentDrawable", "glXGetCurrentReadDrawable")
         )
         return ContextBinding(context, display, draw, read)
 
     def make_current(self, binding: ContextBinding) -> bool:
-        make = self._function("glXMakeContextCurrent", ctypes.c_int, _POINTER, ctypes.c_ulong, ctypes.c_ulong, _POINTER)
+        make = self._function(
+            "glXMakeContextCurrent", ctypes.c_int, _POINTER, ctypes.c_ulong, ctypes.c_ulong, _POINTER
+        )
         return bool(make(binding.display, binding.draw, binding.read, binding.context))
 
     def create_shared(self, host: ContextBinding) -> ContextBinding | None:
@@ -196,11 +205,15 @@ class Glx(ContextApi):
     def _find_config(self, display: int, screen: int, number: int) -> int | None:
         """Return the address of the configuration with this number.
 
-        `glXChooseFBConfig` omits configurations that no window can have, but a context without a window may have
-        one of them."""
+        `glXChooseFBConfig` omits configurations that no window can have, but a context without a window may
+        have one of them."""
         count, value = ctypes.c_int(), ctypes.c_int()
-        list_all = self._function("glXGetFBConfigs", ctypes.POINTER(_POINTER), _POINTER, ctypes.c_int, _POINTER)
-        read = self._function("glXGetFBConfigAttrib", ctypes.c_int, _POINTER, _POINTER, ctypes.c_int, _POINTER)
+        list_all = self._function(
+            "glXGetFBConfigs", ctypes.POINTER(_POINTER), _POINTER, ctypes.c_int, _POINTER
+        )
+        read = self._function(
+            "glXGetFBConfigAttrib", ctypes.c_int, _POINTER, _POINTER, ctypes.c_int, _POINTER
+        )
         configs = list_all(display, screen, ctypes.byref(count))
         for index in range(count.value):
             read(display, configs[index], _CONFIG_ID, ctypes.byref(value))
@@ -230,11 +243,13 @@ class Glx(ContextApi):
 class SharedContext:
     """The device's context as a context manager, as moderngl uses contexts.
 
-    Inside, it is current. Afterwards the host's context is, or none on a thread where the host's never was. The
-    first exit makes current what was current before the context was created (`before`).
+    Inside, it is current. Afterwards the host's context is, or none on a thread where the host's never was.
+    The first exit makes current what was current before the context was created (`before`).
     """
 
-    def __init__(self, api: ContextApi, host: ContextBinding, own: ContextBinding, before: ContextBinding) -> None:
+    def __init__(
+        self, api: ContextApi, host: ContextBinding, own: ContextBinding, before: ContextBinding
+    ) -> None:
         self.api = api
         self.host = host
         self._own = own
@@ -321,8 +336,8 @@ def _describe_version(api: ContextApi) -> str:
 class HostFramebuffer:
     """Copies images to the host's framebuffer, in the host's context.
 
-    The target is the whole window, or, if the host has bound a framebuffer of its own, the viewport there. An image
-    is copied bit for bit, its top row uppermost, and scaled if the target has another size.
+    The target is the whole window, or, if the host has bound a framebuffer of its own, the viewport there. An
+    image is copied bit for bit, its top row uppermost, and scaled if the target has another size.
 
     Mesa gives a window's back buffer the size that the window has as its context becomes current, until
     buffers are swapped. So buffers are swapped if the context was current without an image (`note_idle`) and

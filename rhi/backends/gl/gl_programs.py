@@ -1,16 +1,17 @@
 """Programs and vertex arrays: the code that a draw executes and the inputs that it reads.
 
-- A `LinkedProgram` is a program with a table from vertex array to the C function that draws it. The backend keeps the
-  table of the bound program, so a draw is one look-up and one call. Programs that write memory or have an
-  alpha test have other functions in their tables, so ordinary programs pay nothing for them.
+- A `LinkedProgram` is a program with a table from vertex array to the C function that draws it. The backend
+  keeps the table of the bound program, so a draw is one look-up and one call. Programs that write memory or
+  have an alpha test have other functions in their tables, so ordinary programs pay nothing for them.
 - moderngl ties a vertex array to one program, so entries of a table are created on first use.
-- Each vertex stage ends by negating y, because GL's window y points up and ours down (`backend` says why clip control
-  doesn't do this).
-- GL's core profile has no alpha test. Instead, a program gets a variant for each comparison, compiled on first use,
-  whose fragment stage ends with the test. The reference is a uniform.
-- llvmpipe's vertex stages read textures while these may still be drawn, so a draw whose vertex stage reads one first
-  waits (`llvmpipe`).
-- Both endings are added by renaming `main` and calling it from a new one, which keeps the line numbers of the source.
+- Each vertex stage ends by negating y, because GL's window y points up and ours down (`backend` says why clip
+  control doesn't do this).
+- GL's core profile has no alpha test. Instead, a program gets a variant for each comparison, compiled on
+  first use, whose fragment stage ends with the test. The reference is a uniform.
+- llvmpipe's vertex stages read textures while these may still be drawn, so a draw whose vertex stage reads
+  one first waits (`llvmpipe`).
+- Both endings are added by renaming `main` and calling it from a new one, which keeps the line numbers of the
+  source.
 """
 
 from __future__ import annotations
@@ -53,10 +54,12 @@ _TITLES: Final = {
 
 
 class VertexArrays:
-    """The vertex arrays of one context. Their GL objects are created once for each linked program that uses them.
+    """The vertex arrays of one context. Their GL objects are created once for each linked program that uses
+    them.
 
     Attributes:
-        check_context: called before draws create something on first use; raises if another context is current.
+        check_context: called before draws create something on first use; raises if another context is
+            current.
     """
 
     def __init__(
@@ -76,7 +79,9 @@ class VertexArrays:
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
         array = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
         for binding, stream in enumerate(descriptor.streams):
-            gl.VertexArrayVertexBuffer(array.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride)
+            gl.VertexArrayVertexBuffer(
+                array.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
+            )
             gl.VertexArrayBindingDivisor(array.glo, binding, int(stream.per_instance))
             for attribute in stream.attributes:
                 texel, location = attribute.format, attribute.location
@@ -143,7 +148,8 @@ class LinkedProgram(dict[Id, Render]):
         self.memory_barrier()
 
     def use(self, vertex_array: Id) -> int:
-        """Bind the program and a vertex array, for draws through an entry point. Return the vertex array's GL name."""
+        """Bind the program and a vertex array, for draws through an entry point. Return the vertex array's GL
+        name."""
         self.prepare(vertex_array)
         if self._finish is not None:
             self._finish()
@@ -213,7 +219,8 @@ class Programs:
         arrays: VertexArrays,
         finish: Callable[[], None] | None,
     ) -> None:
-        """`finish` is called before draws whose vertex stage reads textures, if the driver doesn't wait for them."""
+        """`finish` is called before draws whose vertex stage reads textures, if the driver doesn't wait for
+        them."""
         self._context = context
         self._gl = gl
         self._arrays = arrays
@@ -237,7 +244,8 @@ class Programs:
                 linked.forget(vertex_array)
 
     def get_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> LinkedProgram:
-        """Return the variant that discards fragments unless `alpha function reference`, creating it on first use."""
+        """Return the variant that discards fragments unless `alpha function reference`, creating it on first
+        use."""
         state = self._programs[program]
         if function not in state.variants:
             fragment = add_alpha_test(state.descriptor, function)
@@ -292,7 +300,9 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> St
     source = descriptor.emit("glsl", Stage.FRAGMENT)
     declared = _OUTPUT.search(source.text)
     alpha = f"{declared[1] if declared else output.name}.a"
-    passes = "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
+    passes = (
+        "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
+    )
     return _extend_main(source, f"if (!({passes})) discard;", "uniform float rhi_alpha_reference;")
 
 

@@ -1,13 +1,14 @@
 """Queries. None of them makes the CPU wait unless it is asked to.
 
-- Occlusion queries are GL's own until the first COUNTER query exists. GL has no running samples-passed counter, and
-  allows only one active samples-passed query. So from then on a chain of such queries is always running, and a new
-  one begins wherever the count is taken (`SampleCounter`). An occlusion query is then the difference of two counts,
-  which is the thesis's emulation (4.4.2).
-- If a query begins again while llvmpipe is still counting for it, llvmpipe adds both counts. So a query that begins
-  before its last result is available gets another GL query.
-- Some GPUs have one counter for all contexts of a process: NVIDIA's driver adds what another context draws to a query
-  that is active here. So none stays active while another device's context draws (`suspend`, `resume`).
+- Occlusion queries are GL's own until the first COUNTER query exists. GL has no running samples-passed
+  counter, and allows only one active samples-passed query. So from then on a chain of such queries is always
+  running, and a new one begins wherever the count is taken (`SampleCounter`). An occlusion query is then the
+  difference of two counts, which is the thesis's emulation (4.4.2).
+- If a query begins again while llvmpipe is still counting for it, llvmpipe adds both counts. So a query that
+  begins before its last result is available gets another GL query.
+- Some GPUs have one counter for all contexts of a process: NVIDIA's driver adds what another context draws to
+  a query that is active here. So none stays active while another device's context draws (`suspend`,
+  `resume`).
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ class CounterValue:
 class SampleCounter:
     """A running count of samples passed, made of consecutive GL queries, called segments.
 
-    `take` ends the active segment and begins the next. A count is the sum of all segments before it. Segments are
-    added in order as their results become available, so a sum never omits one. No query is active outside `start`
-    and `stop`.
+    `take` ends the active segment and begins the next. A count is the sum of all segments before it. Segments
+    are added in order as their results become available, so a sum never omits one. No query is active outside
+    `start` and `stop`.
     """
 
     def __init__(
@@ -104,7 +105,8 @@ class SampleCounter:
                 count.value = self._total
 
     def restart(self) -> None:
-        """Replace all segments that have no result yet by a new one. They count nothing; no query is active."""
+        """Replace all segments that have no result yet by a new one. They count nothing; no query is
+        active."""
         for _, counts in self._closed:
             for count in counts:
                 count.value = self._total

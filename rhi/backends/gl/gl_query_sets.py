@@ -1,10 +1,10 @@
 """Query sets: many occlusion queries in a loop of three GL calls per query, and one call per result.
 
-- GL names each query and has no calls for many. So this saves Python time: queries and the addresses of their results
-  are looked up once per set, and the arguments of all draws are extracted from an array at once.
+- GL names each query and has no calls for many. So this saves Python time: queries and the addresses of their
+  results are looked up once per set, and the arguments of all draws are extracted from an array at once.
 - Results become available in order: if the last one is available, GL guarantees those before it.
-- While a COUNTER is running, GL's only active query belongs to it. Queries are then differences of it, made one by
-  one. The same goes for draws that need the CPU (QUADS).
+- While a COUNTER is running, GL's only active query belongs to it. Queries are then differences of it, made
+  one by one. The same goes for draws that need the CPU (QUADS).
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ class _DrawingBackend(Backend, Protocol):
 class GlQuerySet:
     """The queries of a set; see `rhi.contract.backend.PreparedQueries`."""
 
-    def __init__(self, backend: _DrawingBackend, gl: EntryPoints, queries: Queries, ids: Sequence[Id]) -> None:
+    def __init__(
+        self, backend: _DrawingBackend, gl: EntryPoints, queries: Queries, ids: Sequence[Id]
+    ) -> None:
         self._backend = backend
         self._gl = gl
         self._queries = queries
@@ -80,7 +82,12 @@ class GlQuerySet:
                 end(samples_passed)
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        query_indices: NDArray[np.int64],
     ) -> None:
         self._plain.draw_conditional(vertex_array, primitive, buffer, offset, query_indices)
 

@@ -1,12 +1,13 @@
 """Render states: a table from each state's type to the function that applies it.
 
-- Some states go to GL together (stencil function, reference and mask; bias and slope). Each such function reads the
-  others from `values`, which holds the latest values. Passes use `values` too: clears have to ignore the write masks
-  and the scissor, which GL's clears obey, and a pass of another size changes `Viewport.TARGET`.
-- A depth test that is off lets all fragments pass but must not stop depth writes, as GL's disabled test does. So GL's
-  test is disabled only when writes are off too; otherwise it compares with ALWAYS.
-- Window coordinates are given to GL unchanged, since programs flip y. Integers are converted, since users create
-  states from NumPy scalars, of which ctypes accepts only floats.
+- Some states go to GL together (stencil function, reference and mask; bias and slope). Each such function
+  reads the others from `values`, which holds the latest values. Passes use `values` too: clears have to
+  ignore the write masks and the scissor, which GL's clears obey, and a pass of another size changes
+  `Viewport.TARGET`.
+- A depth test that is off lets all fragments pass but must not stop depth writes, as GL's disabled test does.
+  So GL's test is disabled only when writes are off too; otherwise it compares with ALWAYS.
+- Window coordinates are given to GL unchanged, since programs flip y. Integers are converted, since users
+  create states from NumPy scalars, of which ctypes accepts only floats.
 """
 
 from __future__ import annotations
@@ -23,10 +24,15 @@ from rhi.backends.gl.gl_formats import map_enums
 from rhi.backends.gl.platform_states import DepthClamp
 from rhi.contract import states
 
-COMPARISONS: Final = map_enums(states.Comparison, LESS_EQUAL="LEQUAL", GREATER_EQUAL="GEQUAL", NOT_EQUAL="NOTEQUAL")
+COMPARISONS: Final = map_enums(
+    states.Comparison, LESS_EQUAL="LEQUAL", GREATER_EQUAL="GEQUAL", NOT_EQUAL="NOTEQUAL"
+)
 _DEPTH_FUNCTIONS: Final = {f: COMPARISONS[states.Comparison(f.value)] for f in states.DepthFunction}
 _FACES: Final = {states.CullMode.FRONT: enums.FRONT, states.CullMode.BACK: enums.BACK}
-_WINDINGS: Final = {states.FrontFace.COUNTER_CLOCKWISE: enums.CW, states.FrontFace.CLOCKWISE: enums.CCW}  # y is flipped
+_WINDINGS: Final = {
+    states.FrontFace.COUNTER_CLOCKWISE: enums.CW,
+    states.FrontFace.CLOCKWISE: enums.CCW,
+}  # y is flipped
 _FACTORS: Final = map_enums(states.BlendFactor, SOURCE="SRC", DESTINATION="DST", CONSTANT="CONSTANT_COLOR")
 _EQUATIONS: Final = {
     states.BlendOperation.ADD: enums.FUNC_ADD,
@@ -57,8 +63,8 @@ class RenderStates:
     """
 
     def __init__(self, gl: EntryPoints, has_offset_clamp: bool, alpha_changed: Callable[[], None]) -> None:
-        """Apply the defaults. `alpha_changed` is called when a state of the alpha test changes; programs do the
-        test."""
+        """Apply the defaults. `alpha_changed` is called when a state of the alpha test changes; programs do
+        the test."""
         self._gl = gl
         self._has_offset_clamp = has_offset_clamp
         self._size = (0, 0)
@@ -74,7 +80,9 @@ class RenderStates:
             states.ColorWrite: self._color_write,
             states.BlendFunction: self._blend,
             states.BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
-            states.StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is states.StencilTest.ON),
+            states.StencilTest: lambda value: self._switch(
+                enums.STENCIL_TEST, value is states.StencilTest.ON
+            ),
             states.StencilFront: lambda face: self._stencil_face(enums.FRONT, face),
             states.StencilBack: lambda face: self._stencil_face(enums.BACK, face),
             states.StencilReference: self._stencil_functions,
@@ -106,7 +114,9 @@ class RenderStates:
             for state, value in changes:
                 values[state] = value
                 apply[state](value)
-        except BaseException:  # creating a variant with an alpha test failed; the device counts all changes as sent
+        except (
+            BaseException
+        ):  # creating a variant with an alpha test failed; the device counts all changes as sent
             values.update(changes)
             self.apply_all()
             raise
@@ -200,7 +210,8 @@ class RenderStates:
 
     def _stencil_face(self, side: int, face: states.StencilFront | states.StencilBack) -> None:
         operations = (
-            _STENCIL_OPERATIONS[operation] for operation in (face.stencil_fail, face.depth_fail, face.both_pass)
+            _STENCIL_OPERATIONS[operation]
+            for operation in (face.stencil_fail, face.depth_fail, face.both_pass)
         )
         self._gl.StencilOpSeparate(side, *operations)
         self._stencil_functions(None)
@@ -208,7 +219,9 @@ class RenderStates:
     def _stencil_functions(self, _: object) -> None:
         gl, values = self._gl, self.values
         reference, mask = values[states.StencilReference], values[states.StencilReadMask]
-        front, back = (COMPARISONS[values[face].function] for face in (states.StencilFront, states.StencilBack))
+        front, back = (
+            COMPARISONS[values[face].function] for face in (states.StencilFront, states.StencilBack)
+        )
         gl.StencilFuncSeparate(enums.FRONT, front, int(reference.front), int(mask.front))
         gl.StencilFuncSeparate(enums.BACK, back, int(reference.back), int(mask.back))
 
@@ -241,7 +254,9 @@ class RenderStates:
         self, call: Callable[..., object], arguments: Iterable[tuple[Any, ...]], clips: NDArray[np.int64]
     ) -> None:
         """Call a function with each of `arguments` (n) in one of the rectangles `clips` (n, 4)."""
-        corners = np.clip(np.concatenate([clips[:, :2], clips[:, :2] + clips[:, 2:]], axis=1), 0, _SCISSOR_LIMIT)
+        corners = np.clip(
+            np.concatenate([clips[:, :2], clips[:, :2] + clips[:, 2:]], axis=1), 0, _SCISSOR_LIMIT
+        )
         corners[:, 2:] -= corners[:, :2]
         scissor = self._gl.Scissor
         try:

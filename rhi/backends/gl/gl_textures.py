@@ -23,12 +23,21 @@ from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
 _ANY_SIZE: Final = (1 << 31) - 1
 _TARGETS: Final = map_enums(TextureKind, D2="TEXTURE_2D", D3="TEXTURE_3D", CUBE="TEXTURE_CUBE_MAP")
 _TRANSFERS: Final = {
-    enums.PACK_ALIGNMENT: 1, enums.PACK_ROW_LENGTH: 0, enums.PACK_IMAGE_HEIGHT: 0, enums.PACK_SKIP_PIXELS: 0,
-    enums.PACK_SKIP_ROWS: 0, enums.PACK_SKIP_IMAGES: 0, enums.PACK_SWAP_BYTES: 0,
-    enums.UNPACK_ALIGNMENT: 1, enums.UNPACK_ROW_LENGTH: 0, enums.UNPACK_IMAGE_HEIGHT: 0,
-    enums.UNPACK_SKIP_PIXELS: 0, enums.UNPACK_SKIP_ROWS: 0, enums.UNPACK_SKIP_IMAGES: 0,
+    enums.PACK_ALIGNMENT: 1,
+    enums.PACK_ROW_LENGTH: 0,
+    enums.PACK_IMAGE_HEIGHT: 0,
+    enums.PACK_SKIP_PIXELS: 0,
+    enums.PACK_SKIP_ROWS: 0,
+    enums.PACK_SKIP_IMAGES: 0,
+    enums.PACK_SWAP_BYTES: 0,
+    enums.UNPACK_ALIGNMENT: 1,
+    enums.UNPACK_ROW_LENGTH: 0,
+    enums.UNPACK_IMAGE_HEIGHT: 0,
+    enums.UNPACK_SKIP_PIXELS: 0,
+    enums.UNPACK_SKIP_ROWS: 0,
+    enums.UNPACK_SKIP_IMAGES: 0,
     enums.UNPACK_SWAP_BYTES: 0,
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +91,9 @@ class Textures:
         kind = next((kind for kind, number in _TARGETS.items() if number == target), None)
         size = get(enums.TEXTURE_WIDTH), get(enums.TEXTURE_HEIGHT)
         internal = get(enums.TEXTURE_INTERNAL_FORMAT)
-        format = next((candidate for candidate, pixel in PIXEL_FORMATS.items() if pixel.internal == internal), None)
+        format = next(
+            (candidate for candidate, pixel in PIXEL_FORMATS.items() if pixel.internal == internal), None
+        )
         if kind is None or format is None:
             return f"a texture of target {target:#06x} and format {internal:#06x}"
         layers = 6 if kind is TextureKind.CUBE else get(enums.TEXTURE_DEPTH)
@@ -174,7 +185,9 @@ class Textures:
         """Write texels from an address, or from an offset in the buffer that is bound for unpacking."""
         r, (_, texel, kind) = region, gl_texture.pixel
         if gl_texture.target == enums.TEXTURE_2D:
-            self._gl.TextureSubImage2D(gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels)
+            self._gl.TextureSubImage2D(
+                gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels
+            )
         else:
             self._gl.TextureSubImage3D(
                 gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels
@@ -206,7 +219,9 @@ class Textures:
         )
         return pixels
 
-    def copy_to_buffer(self, source: Id, level: int, region: Region, buffer: int, offset: int, row_bytes: int) -> None:
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, buffer: int, offset: int, row_bytes: int
+    ) -> None:
         """Copy texels to GL's buffer `buffer`."""
         gl = self._gl
         gl_texture = self._textures[source]
@@ -215,7 +230,18 @@ class Textures:
         gl.PixelStorei(enums.PACK_ROW_LENGTH, row_bytes // gl_texture.descriptor.format.transfer_bytes)
         gl.BindBuffer(enums.PIXEL_PACK_BUFFER, buffer)
         gl.GetTextureSubImage(
-            gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, _ANY_SIZE, offset
+            gl_texture.name,
+            level,
+            r.x,
+            r.y,
+            r.layer,
+            r.width,
+            r.height,
+            r.layers,
+            texel,
+            kind,
+            _ANY_SIZE,
+            offset,
         )
         gl.BindBuffer(enums.PIXEL_PACK_BUFFER, 0)
         gl.PixelStorei(enums.PACK_ROW_LENGTH, 0)

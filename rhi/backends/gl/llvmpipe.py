@@ -1,9 +1,9 @@
 """Workarounds for Mesa's software rasteriser, llvmpipe.
 
-- **Freed memory stays in the C heap.** For each draw whose uniforms changed, llvmpipe stores 18 kB (a copy of all its
-  state), and frees them when the scene is done. Above a threshold of 128 kB, glibc returns freed memory at the end of
-  its heap to the system. Each draw then costs four page faults to get it back: 11 µs a draw instead of 1.8
-  (`docs/backends-gl.md`).
+- **Freed memory stays in the C heap.** For each draw whose uniforms changed, llvmpipe stores 18 kB (a copy of
+  all its state), and frees them when the scene is done. Above a threshold of 128 kB, glibc returns freed
+  memory at the end of its heap to the system. Each draw then costs four page faults to get it back: 11 µs a
+  draw instead of 1.8 (`docs/backends-gl.md`).
 - **Draws are finished before llvmpipe itself reads textures.** It draws on threads of its own. Everything but
   fragments runs elsewhere, at once: reads and copies of textures, work-groups, vertex stages. Before these,
   llvmpipe asks whether a texture is in use by a pass that isn't finished. It takes the first pass that uses
@@ -20,8 +20,8 @@ from typing import Final
 
 from rhi.backends.gl.entry_points import EntryPoints
 
-# mallopt's parameter, and bytes. A scene is at most 36 MiB. Setting the first threshold stops glibc from adjusting
-# the second, so the second is set to the value at which the adjustment ends.
+# mallopt's parameter, and bytes. A scene is at most 36 MiB. Setting the first threshold stops glibc from
+# adjusting the second, so the second is set to the value at which the adjustment ends.
 _TRIM_THRESHOLD: Final = (-1, 64 << 20)
 _MMAP_THRESHOLD: Final = (-3, 32 << 20)
 _VARIABLES: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")

@@ -56,7 +56,9 @@ class LoopChecks:
             elif opened and line == opened[-1][0] + "}":
                 _, counter, test = opened.pop()
                 note = f"atomicCounterIncrement(rhi_cut_short_{first}[{counter - first}]);"
-                lines[number] += "" if calls.search(test) else f" if (!rhi_break_{counter} && ({test})) {note}"
+                lines[number] += (
+                    "" if calls.search(test) else f" if (!rhi_break_{counter} && ({test})) {note}"
+                )
                 lines[number] += " }"
             elif opened and not line.lstrip().startswith("case "):
                 lines[number] = _BREAK.sub(f"{{ rhi_break_{opened[-1][1]} = true; break; }}", line)
@@ -64,7 +66,9 @@ class LoopChecks:
         if not count or opened or "#if" in source.text:
             del self._lines[first:]
             return source
-        declared = f"layout(binding = 0, offset = {4 * first}) uniform atomic_uint rhi_cut_short_{first}[{count}]; "
+        declared = (
+            f"layout(binding = 0, offset = {4 * first}) uniform atomic_uint rhi_cut_short_{first}[{count}]; "
+        )
         return StageText(_FIRST.sub(declared, "\n".join(lines), count=1), source.origins)
 
     def take(self) -> ShaderError | None:

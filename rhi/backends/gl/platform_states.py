@@ -6,8 +6,8 @@ from rhi.contract.states import PlatformState
 
 
 class DepthClamp(PlatformState):
-    """Whether depth beyond the viewport's range is clamped to it, instead of clipping triangles at the near and the far
-    plane: shadow casters in front of the light's near plane still cast."""
+    """Whether depth beyond the viewport's range is clamped to it, instead of clipping triangles at the near
+    and the far plane: shadow casters in front of the light's near plane still cast."""
 
     OFF = "off"
     ON = "on"

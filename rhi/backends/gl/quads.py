@@ -1,8 +1,8 @@
 """Quads, which GL's core profile lacks. They are drawn as indexed triangles 0 1 2, 0 2 3 of each quad.
 
-Quads without indices share one index buffer. The indices of others are read back, which waits for the GPU, and expanded
-once: the result is kept until a command changes them. Changes of mapped memory, and of buffers that shaders may write,
-can't be observed; draws from such a buffer expand their indices each time.
+Quads without indices share one index buffer. The indices of others are read back, which waits for the GPU,
+and expanded once: the result is kept until a command changes them. Changes of mapped memory, and of buffers
+that shaders may write, can't be observed; draws from such a buffer expand their indices each time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
 class QuadIndices:
     """The index buffers with which quads are drawn as triangles."""
 
-    def __init__(self, context: moderngl.Context, buffers: Buffers, check_context: Callable[[], None]) -> None:
+    def __init__(
+        self, context: moderngl.Context, buffers: Buffers, check_context: Callable[[], None]
+    ) -> None:
         """`check_context` raises if another context is current."""
         self._context = context
         self._buffers = buffers
@@ -46,7 +48,8 @@ class QuadIndices:
             self._forget(buffer)
 
     def expand(self, buffer: Id, form: IndexFormat, first: int, quads: int) -> tuple[int, int]:
-        """Return GL's name of a buffer with the triangle indices of indexed quads, and the byte at which they begin.
+        """Return GL's name of a buffer with the triangle indices of indexed quads, and the byte at which they
+        begin.
 
         The name is valid until the next call, or until `buffer` changes.
 
@@ -75,8 +78,8 @@ class QuadIndices:
             expanded.release()
 
     def reserve(self, quads: int) -> int:
-        """Return GL's name of a buffer with 32-bit indices for at least `quads` quads without indices, whose first
-        vertex is the draw's base vertex. Growth changes the name."""
+        """Return GL's name of a buffer with 32-bit indices for at least `quads` quads without indices, whose
+        first vertex is the draw's base vertex. Growth changes the name."""
         if self._buffer is None or quads > self._capacity:
             self._check_context()
             if self._buffer is not None:

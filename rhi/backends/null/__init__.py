@@ -1,7 +1,8 @@
 """The null backend: real memory and real execution order, but no GPU. Draws are counted, not rasterised.
 
 `create_backend()` returns the backend itself. A device created with `rhi.create_device("null")` always has a
-`rhi.commands.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
+`rhi.commands.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated
+clock.
 """
 
 from rhi.backends.null.answers import AnswerLog, RecordedAnswers
@@ -51,12 +52,13 @@ def create_backend(
     simulation: Simulation | None = None,
     faults: Faults | None = None,
 ) -> Backend:
-    """Create a null backend. `validation` has no effect, since there is no driver whose messages it could enable.
+    """Create a null backend. `validation` has no effect, since there is no driver whose messages it could
+    enable.
 
     Args:
         profile: the capabilities to present: a name of `PROFILES`, or a `Capabilities`.
-        simulation: execute commands on a simulated clock (in a `SimulatedBackend`). None: execute them when something
-            depends on them.
+        simulation: execute commands on a simulated clock (in a `SimulatedBackend`). None: execute them when
+            something depends on them.
         faults: the faults to inject (by a `FaultInjector` in front of the backend).
 
     Raises:

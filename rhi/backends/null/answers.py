@@ -2,8 +2,8 @@
 
 - Answers come from a number, a script, a mapping by query, a function, or a run on another backend.
 - An answer belongs to one use of a query: its n-th begin (for a counter, its n-th write).
-- `AnswerLog` is a backend in front of another that records the answers of its queries. Ids are assigned in the order
-  of creation, so the same program uses the same ids on the null device.
+- `AnswerLog` is a backend in front of another that records the answers of its queries. Ids are assigned in
+  the order of creation, so the same program uses the same ids on the null device.
 - None means that the answer is unknown. It is never treated as zero.
 """
 
@@ -39,9 +39,12 @@ class RecordedAnswers:
         return cls({(int(query), int(use)): int(samples) for query, use, samples in rows})
 
 
-Answers: TypeAlias = int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
-"""Samples of queries: one number for all; a script, in the order in which OCCLUSION queries end; a mapping by query
-id; a function of the id; or the answers of another run. None, a missing key and the end of a script mean unknown."""
+Answers: TypeAlias = (
+    int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
+)
+"""Samples of queries: one number for all; a script, in the order in which OCCLUSION queries end; a mapping by
+query id; a function of the id; or the answers of another run. None, a missing key and the end of a script
+mean unknown."""
 
 AnswerFunction: TypeAlias = Callable[[Id, int, int], object]
 """A function (query id, number of its use, index among the ended queries or −1) → samples."""
@@ -58,14 +61,18 @@ def make_answer_function(answers: Answers) -> AnswerFunction:
         return lambda query, use, result_index: given.get(query)
     if isinstance(answers, Sequence) and not isinstance(answers, str):
         script = tuple(answers)
-        return lambda query, use, result_index: script[result_index] if 0 <= result_index < len(script) else None
+        return lambda query, use, result_index: (
+            script[result_index] if 0 <= result_index < len(script) else None
+        )
     return lambda query, use, result_index: given
 
 
 class AnswerLog(ForwardingBackend):
-    """A backend in front of another that records the answers of its queries: `rhi.Device(AnswerLog(backend))`.
+    """A backend in front of another that records the answers of its queries:
+    `rhi.Device(AnswerLog(backend))`.
 
-    Only answers that the program reads are recorded. If a query begins twice and is read once, one use stays unknown.
+    Only answers that the program reads are recorded. If a query begins twice and is read once, one use stays
+    unknown.
     """
 
     def __init__(self, backend: Backend) -> None:

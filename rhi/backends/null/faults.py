@@ -1,8 +1,9 @@
 """Fault injection: a backend in front of the null backend that fails like real devices, at selected calls.
 
-- A `Faults` says what fails, and when. `Faults.from_seed` chooses one fault for a program from a clean run of it.
-- A creation or compilation that fails never reaches the backend behind, as the contract requires. A lost device stays
-  lost: every further call except `close` fails.
+- A `Faults` says what fails, and when. `Faults.from_seed` chooses one fault for a program from a clean run of
+  it.
+- A creation or compilation that fails never reaches the backend behind, as the contract requires. A lost
+  device stays lost: every further call except `close` fails.
 - Counts start at 0 and follow the order of the calls.
 """
 
@@ -82,13 +83,15 @@ class FaultInjector(ForwardingBackend):
         self._queries = 0
         self._lost = False
         self._presented = 0
-        self._signalled: dict[int, int] = {}  # by fence value not yet seen, the number of frames presented before
+        self._signalled: dict[
+            int, int
+        ] = {}  # by fence value not yet seen, the number of frames presented before
         self._observed = 0
         self._silent: Id = 0
 
     def forward(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """Forward a command of a command buffer with its call site. It is none of the commands that this class
-        defines."""
+        """Forward a command of a command buffer with its call site. It is none of the commands that this
+        class defines."""
         self._enter(op)
         forward(self.backend, op, arguments, code, offset)
 

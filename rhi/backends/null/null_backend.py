@@ -1,9 +1,10 @@
 """A queue of commands in front of real memory, without a GPU.
 
-- Calls are appended to a flat queue (`op, arguments…`, as in `rhi.commands.stream`). Only creation is immediate.
-- The queue is executed in order when something depends on it: a signal, a wait, a read. So commands that read memory
-  (indirect arguments, copies, counters) see what it holds at their place in the stream. `simulation` executes the
-  same queue on its own clock.
+- Calls are appended to a flat queue (`op, arguments…`, as in `rhi.commands.stream`). Only creation is
+  immediate.
+- The queue is executed in order when something depends on it: a signal, a wait, a read. So commands that read
+  memory (indirect arguments, copies, counters) see what it holds at their place in the stream. `simulation`
+  executes the same queue on its own clock.
 - STREAM buffers are written immediately, without the queue, as on hardware that maps them. So memory that is
   overwritten too early shows the new contents.
 - Shaders are executed only on request, and only compute shaders (`shaders`).
@@ -106,8 +107,8 @@ class NullBackend(CommandMethods):
     def answer_queries(self, answers: Answers) -> None:
         """Set the answers of occlusion and counter queries.
 
-        They are a number for all queries, a script in the order in which queries end, a mapping by query id, a
-        function of the id, or answers recorded on another backend (`AnswerLog`). They take precedence over
+        They are a number for all queries, a script in the order in which queries end, a mapping by query id,
+        a function of the id, or answers recorded on another backend (`AnswerLog`). They take precedence over
         `count_samples`, which is used where they are unknown.
         """
         self._queries.answer(answers)
@@ -115,8 +116,9 @@ class NullBackend(CommandMethods):
     def run_shaders(self, stand_ins: Mapping[Id, StandIn] = MappingProxyType({})) -> None:
         """Execute each dispatch on NumPy, from the next command on.
 
-        `stand_ins`, by a program's id, are called in place of their programs, for each dispatch and each draw (for
-        each draw of an indirect command): see `shaders.StandIn`. Draws without a stand-in execute no shader.
+        `stand_ins`, by a program's id, are called in place of their programs, for each dispatch and each draw
+        (for each draw of an indirect command): see `shaders.StandIn`. Draws without a stand-in execute no
+        shader.
         """
         self._run()
         self._shaders.run(stand_ins)
@@ -131,7 +133,8 @@ class NullBackend(CommandMethods):
 
     @property
     def indirect_draws(self) -> tuple[ExecutedIndirectDraws, ...]:
-        """The last 1,024 `draw_indirect` commands with the arguments that they read, in order of execution."""
+        """The last 1,024 `draw_indirect` commands with the arguments that they read, in order of
+        execution."""
         self._run()
         return tuple(self._indirect_draws)
 
@@ -184,7 +187,9 @@ class NullBackend(CommandMethods):
         self._run()
         return self._buffers.read_buffer(buffer, offset, size)
 
-    def read_texture(self, texture: Id, level: int, region: descriptors.Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(
+        self, texture: Id, level: int, region: descriptors.Region, stencil: bool
+    ) -> NDArray[np.generic]:
         self._run()
         return self._textures.read_texture(texture, level, region, stencil)
 
@@ -339,7 +344,9 @@ class NullBackend(CommandMethods):
         )
         if self._follows_draws:
             for count, instances, first, base_vertex, base_instance in resolved.tolist():
-                self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+                self._follow_draw(
+                    vertex_array, primitive, first, count, instances, base_vertex, base_instance
+                )
         else:
             draws_vertices = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
             self._count_unfollowed(len(resolved), bool(draws_vertices))
@@ -385,7 +392,8 @@ class NullBackend(CommandMethods):
                 self._shaders.draw(draw)
 
     def _count_unfollowed(self, draws: int, draws_vertices: bool) -> None:
-        """Count draws whose samples aren't counted. `draws_vertices` says whether any of them has vertices."""
+        """Count draws whose samples aren't counted. `draws_vertices` says whether any of them has
+        vertices."""
         outcome = self._state.outcome
         self._draws[outcome] += draws
         if draws_vertices and outcome is not DrawOutcome.DROPPED:

@@ -1,11 +1,11 @@
 """The capabilities that a null device presents: profiles of other devices.
 
-The limits of the OpenGL profiles are the smallest that a specification allows (OpenGL 3.3 and 4.5 core, tables of
-chapters 6 and 23; OpenGL ES 3.0.6, chapter 6), for a port that uses nothing beyond it. What runs within them runs on
-every such driver. There are two exceptions: multi-sampled targets have 4 samples, which the specifications guarantee
-for renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest alignment that a driver may require.
-`webgpu` is what every implementation of WebGPU guarantees (section 3.6.2, without optional features): the backend
-`wgpu` declares the same with `RHI_WGPU_PROFILE=core`.
+The limits of the OpenGL profiles are the smallest that a specification allows (OpenGL 3.3 and 4.5 core,
+tables of chapters 6 and 23; OpenGL ES 3.0.6, chapter 6), for a port that uses nothing beyond it. What runs
+within them runs on every such driver. There are two exceptions: multi-sampled targets have 4 samples, which
+the specifications guarantee for renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest
+alignment that a driver may require. `webgpu` is what every implementation of WebGPU guarantees (section
+3.6.2, without optional features): the backend `wgpu` declares the same with `RHI_WGPU_PROFILE=core`.
 """
 
 from __future__ import annotations
@@ -28,17 +28,32 @@ _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FL
 _INTEGERS: Final = frozenset(form for form in COLOR_FORMATS if form.is_integer)
 _WORDS: Final = frozenset({Format.R32F, Format.R32UI, Format.R32I})
 _STORED: Final = _WORDS | {
-    Format.RGBA8, Format.RGBA8_SNORM, Format.RGBA8UI, Format.RGBA16F, Format.RGBA16UI, Format.RG32F, Format.RG32UI,
-    Format.RG32I, Format.RGBA32F, Format.RGBA32UI, Format.RGBA32I,
-}  # fmt: skip
+    Format.RGBA8,
+    Format.RGBA8_SNORM,
+    Format.RGBA8UI,
+    Format.RGBA16F,
+    Format.RGBA16UI,
+    Format.RG32F,
+    Format.RG32UI,
+    Format.RG32I,
+    Format.RGBA32F,
+    Format.RGBA32UI,
+    Format.RGBA32I,
+}
 _UNSTORED: Final = frozenset(COLOR_FORMATS) - _STORED
 _UNLOADED: Final = frozenset(COLOR_FORMATS) - _WORDS
 _WIDE: Final = frozenset(
     {
-        Format.RG32F, Format.RGBA32F, Format.R32UI, Format.RG32UI, Format.RGBA32UI, Format.R32I, Format.RG32I,
+        Format.RG32F,
+        Format.RGBA32F,
+        Format.R32UI,
+        Format.RG32UI,
+        Format.RGBA32UI,
+        Format.R32I,
+        Format.RG32I,
         Format.RGBA32I,
     }
-)  # fmt: skip
+)
 
 
 def _device(name: str) -> Capabilities:
@@ -58,41 +73,107 @@ def _device(name: str) -> Capabilities:
 
 PROFILES: Final[Mapping[str, Capabilities]] = {
     "everything": Capabilities(
-        backend="null", device="null", driver=f"NumPy {np.__version__}", shading=False, sample_counter=True,
-        alpha_test=True, max_anisotropy=16.0, max_shared_bytes=1 << 16, texture_buffer_copies=True,
-        max_point_size=64.0, max_line_width=64.0, wireframe=True, max_storage_slots=16,
+        backend="null",
+        device="null",
+        driver=f"NumPy {np.__version__}",
+        shading=False,
+        sample_counter=True,
+        alpha_test=True,
+        max_anisotropy=16.0,
+        max_shared_bytes=1 << 16,
+        texture_buffer_copies=True,
+        max_point_size=64.0,
+        max_line_width=64.0,
+        wireframe=True,
+        max_storage_slots=16,
     ),
     "gl-4.5": replace(
-        _device("gl-4.5"), max_texture_size=16384, max_texture_layers=2048, max_uniform_slots=14, sample_counter=True,
+        _device("gl-4.5"),
+        max_texture_size=16384,
+        max_texture_layers=2048,
+        max_uniform_slots=14,
+        sample_counter=True,
         blend_per_target=True,
     ),
     "gl-3.3": replace(
-        _device("gl-3.3"), max_texture_size=1024, max_texture_layers=256, max_storage_bytes=0, max_storage_slots=0,
-        max_image_slots=0, compute=False,
+        _device("gl-3.3"),
+        max_texture_size=1024,
+        max_texture_layers=256,
+        max_storage_bytes=0,
+        max_storage_slots=0,
+        max_image_slots=0,
+        compute=False,
     ),
     "gles-3": replace(
-        _device("gles-3"), max_texture_size=2048, max_texture_layers=256, max_color_targets=4, max_storage_bytes=0,
-        max_storage_slots=0, max_image_slots=0, compute=False, occlusion_queries=False, conditional_rendering=False,
-        timestamps=False, unsupported_formats=_UNORM16, unrenderable_formats=_SNORM | _UNORM16 | _FLOAT,
+        _device("gles-3"),
+        max_texture_size=2048,
+        max_texture_layers=256,
+        max_color_targets=4,
+        max_storage_bytes=0,
+        max_storage_slots=0,
+        max_image_slots=0,
+        compute=False,
+        occlusion_queries=False,
+        conditional_rendering=False,
+        timestamps=False,
+        unsupported_formats=_UNORM16,
+        unrenderable_formats=_SNORM | _UNORM16 | _FLOAT,
     ),
     "webgpu": replace(
-        _device("webgpu"), max_texture_size=8192, max_texture_layers=256, max_uniform_bytes=1 << 16, max_image_slots=4,
-        max_work_group=(256, 256, 64), max_work_group_invocations=256, max_shared_bytes=16384, max_anisotropy=16.0,
-        max_target_bytes=32, max_uniform_slots=8, sample_counts=(1, 4), copy_alignment=4, copy_row_alignment=256,
-        vertex_alignment=4, compressed_size_step=4, indirect_count=True, alpha_test=True, depth_bias_clamp=True,
-        blend_per_target=True, conditional_rendering=False, timestamps=False, stencil_per_face=False,
-        precise_triangles=False, precise_clipping=False, precise_lines=False, list_restart=False, border_colors=False,
-        draw_index=False, early_depth=False, vertex_writes=False, unsupported_formats=_UNORM16 | {Format.D32FS8},
-        unrenderable_formats=_SNORM | _UNORM16 | {Format.R11G11B10F}, unfilterable_formats=FLOAT32_FORMATS,
-        unblendable_formats=FLOAT32_FORMATS, unresolvable_formats=_INTEGERS - _WIDE | {Format.R32F},
-        single_sampled_formats=_WIDE, unstorable_formats=_UNSTORED, unloadable_formats=_UNLOADED,
+        _device("webgpu"),
+        max_texture_size=8192,
+        max_texture_layers=256,
+        max_uniform_bytes=1 << 16,
+        max_image_slots=4,
+        max_work_group=(256, 256, 64),
+        max_work_group_invocations=256,
+        max_shared_bytes=16384,
+        max_anisotropy=16.0,
+        max_target_bytes=32,
+        max_uniform_slots=8,
+        sample_counts=(1, 4),
+        copy_alignment=4,
+        copy_row_alignment=256,
+        vertex_alignment=4,
+        compressed_size_step=4,
+        indirect_count=True,
+        alpha_test=True,
+        depth_bias_clamp=True,
+        blend_per_target=True,
+        conditional_rendering=False,
+        timestamps=False,
+        stencil_per_face=False,
+        precise_triangles=False,
+        precise_clipping=False,
+        precise_lines=False,
+        list_restart=False,
+        border_colors=False,
+        draw_index=False,
+        early_depth=False,
+        vertex_writes=False,
+        unsupported_formats=_UNORM16 | {Format.D32FS8},
+        unrenderable_formats=_SNORM | _UNORM16 | {Format.R11G11B10F},
+        unfilterable_formats=FLOAT32_FORMATS,
+        unblendable_formats=FLOAT32_FORMATS,
+        unresolvable_formats=_INTEGERS - _WIDE | {Format.R32F},
+        single_sampled_formats=_WIDE,
+        unstorable_formats=_UNSTORED,
+        unloadable_formats=_UNLOADED,
     ),
     "opencl-cpu": replace(
-        _device("opencl-cpu"), sample_counts=(1,), max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),
-        max_work_group_invocations=4096, max_dispatch_groups=(1 << 31) - 1, uniform_alignment=128,
-        storage_alignment=128, sample_counter=True, conditional_rendering=False, alpha_to_coverage=False,
+        _device("opencl-cpu"),
+        sample_counts=(1,),
+        max_uniform_bytes=1 << 16,
+        max_work_group=(4096, 4096, 4096),
+        max_work_group_invocations=4096,
+        max_dispatch_groups=(1 << 31) - 1,
+        uniform_alignment=128,
+        storage_alignment=128,
+        sample_counter=True,
+        conditional_rendering=False,
+        alpha_to_coverage=False,
     ),
-}  # fmt: skip
+}
 """Capabilities by profile name. `everything` is the default of a null device."""
 
 

@@ -35,8 +35,8 @@ class ExecutedIndirectDraws:
     """An indirect draw command with the arguments that it read when it was executed.
 
     Attributes:
-        draws: an array of `rhi.DRAW`, with or without indices, as long as the number of draws; empty if conditional
-            rendering dropped them.
+        draws: an array of `rhi.DRAW`, with or without indices, as long as the number of draws; empty if
+            conditional rendering dropped them.
     """
 
     vertex_array: Id
@@ -54,7 +54,8 @@ def read_indirect_draws(
     count_offset: int,
     indexed: bool,
 ) -> NDArray[np.void]:
-    """Return the draws of an indirect command as an array of `rhi.DRAW`, from the present contents of the buffers."""
+    """Return the draws of an indirect command as an array of `rhi.DRAW`, from the present contents of the
+    buffers."""
     if count_buffer:
         draws = min(draws, int(buffers.words(count_buffer, count_offset, 1)[0]))
     result = np.zeros(draws, DRAW)

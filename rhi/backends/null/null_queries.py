@@ -1,11 +1,12 @@
 """Queries, on a device that rasterises nothing: the caller provides the numbers of samples.
 
-- `count_samples(f)`: `f(draw)` returns the samples that a draw passes. They are added to the running counter (COUNTER
-  queries) and to OCCLUSION queries, so emulated queries work as on hardware.
+- `count_samples(f)`: `f(draw)` returns the samples that a draw passes. They are added to the running counter
+  (COUNTER queries) and to OCCLUSION queries, so emulated queries work as on hardware.
 - `answer_queries(a)`: gives the answers themselves (`answers`).
-- Reading an answer that is still unknown is refused (`null-samples`); it is never zero. It is known to be zero where
-  no draw was executed.
-- A counter that has passed a draw with unknown samples stays unknown: differences of its values would be wrong.
+- Reading an answer that is still unknown is refused (`null-samples`); it is never zero. It is known to be
+  zero where no draw was executed.
+- A counter that has passed a draw with unknown samples stays unknown: differences of its values would be
+  wrong.
 """
 
 from __future__ import annotations

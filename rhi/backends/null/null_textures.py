@@ -1,7 +1,7 @@
 """Textures in host memory and the commands that change them, and the descriptors of samplers.
 
-- A texture is one array (layers, height, width, channels) per level, as stored. Depth is kept as float32 with the
-  values that the format can represent; stencil is in arrays of its own.
+- A texture is one array (layers, height, width, channels) per level, as stored. Depth is kept as float32 with
+  the values that the format can represent; stencil is in arrays of its own.
 - Multi-sampled textures keep one sample per texel: without rasterisation all samples of a texel are equal.
 - The methods named like commands are called when the queue reaches the command (`backend`), never earlier.
 """

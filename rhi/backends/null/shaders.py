@@ -1,10 +1,10 @@
 """Executes shaders on request: compute shaders on NumPy, and stand-ins for programs.
 
-- The NumPy source of a compute stage (`ProgramDescriptor.emit`) is executed on the bound memory, in the order of the
-  commands.
-- Nothing is rasterised, so fragment stages never run. What fragments write to memory depends on what is visible, and
-  only the caller knows that. So the caller provides a *stand-in*: a function that is called in place of a program,
-  for each of its draws and dispatches.
+- The NumPy source of a compute stage (`ProgramDescriptor.emit`) is executed on the bound memory, in the order
+  of the commands.
+- Nothing is rasterised, so fragment stages never run. What fragments write to memory depends on what is
+  visible, and only the caller knows that. So the caller provides a *stand-in*: a function that is called in
+  place of a program, for each of its draws and dispatches.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
 from rhi.contract.layout import Layout, dtype_of, element_dtype
 
 StandIn: TypeAlias = Callable[[Mapping[str, Any], Draw | None], object]
-"""A function called in place of a program, with the bound resources by name, and the draw (None for a dispatch).
-Storage is an array of its elements (n,), a uniform an array of one element. Both are the memory itself, to be read
-and written. Textures and images are `HostTexture`s."""
+"""A function called in place of a program, with the bound resources by name, and the draw (None for a
+dispatch). Storage is an array of its elements (n,), a uniform an array of one element. Both are the memory
+itself, to be read and written. Textures and images are `HostTexture`s."""
 
 
 class Shaders:

@@ -1,8 +1,8 @@
 """Adapters, and the device that is opened on one of them.
 
-Features are requested if the adapter has them. `RHI_WGPU_ADAPTER` names an adapter by a part of its description;
-`RHI_WGPU_PROFILE=core` opens a device with the limits of the WebGPU specification and without features of this
-implementation.
+Features are requested if the adapter has them. `RHI_WGPU_ADAPTER` names an adapter by a part of its
+description; `RHI_WGPU_PROFILE=core` opens a device with the limits of the WebGPU specification and without
+features of this implementation.
 """
 
 from __future__ import annotations
@@ -90,7 +90,9 @@ def open_host() -> Host:
     except RuntimeError as error:
         raise DeviceError(DEVICE_DRIVER, call, str(error), tip=_TIP) from error
     name = os.environ.get("RHI_WGPU_ADAPTER", "").lower()
-    matching = [a for a in adapters if a.info["backend_type"] in _PLATFORMS and name in str(dict(a.info)).lower()]
+    matching = [
+        a for a in adapters if a.info["backend_type"] in _PLATFORMS and name in str(dict(a.info)).lower()
+    ]
     if not matching:
         available = ", ".join(a.info["device"] for a in adapters) or "none"
         given = f"no adapter of {', '.join(_PLATFORMS)}" + (f" named {name!r}" if name else "")

@@ -1,9 +1,10 @@
 """The command encoder of a device, its open pass, and submissions.
 
-- A pass of the contract is one or more render passes of WebGPU, its segments: whatever WebGPU forbids inside a pass
-  ends the segment, and the next draw begins another, which loads the contents. Clears happen in the first one only.
-- Writes of the queue happen before the whole next submission, so what the open encoder uses is submitted before it is
-  written. Resources note the number of the encoder that uses them (`serial`).
+- A pass of the contract is one or more render passes of WebGPU, its segments: whatever WebGPU forbids inside
+  a pass ends the segment, and the next draw begins another, which loads the contents. Clears happen in the
+  first one only.
+- Writes of the queue happen before the whole next submission, so what the open encoder uses is submitted
+  before it is written. Resources note the number of the encoder that uses them (`serial`).
 - A compute pass stays open from one dispatch to the next: WebGPU orders dispatches of a pass.
 - WebGPU can't draw to a slice of a 3D texture. A 2D texture stands in for it during a segment.
 """

@@ -1,6 +1,7 @@
 """wgpu-native's own functions: what wgpu-py lacks (fences, submissions) or makes slow (draws).
 
-- This is the only module that uses the C interface. wgpu-py gives no guarantees for it, so its version is pinned.
+- This is the only module that uses the C interface. wgpu-py gives no guarantees for it, so its version is
+  pinned.
 - `lib` has the functions as they are. Their errors surface when the encoder is finished.
   `checked` has the same functions, and raises their errors at once.
 - Using a released handle aborts the process. So whoever stores a handle also stores its object.
@@ -63,10 +64,12 @@ _FUNCTIONS: Final = (
 
 def _parse_types() -> None:
     """Make cffi parse all types of the interface at once. Left alone, it parses each type when it is first
-    named, and reads all type names again each time: 80 % of the time to the first frame. It caches parsed types
-    by their text."""
+    named, and reads all type names again each time: 80 % of the time to the first frame. It caches parsed
+    types by their text."""
     parsed = getattr(ffi, "_parsed_types", {})  # if it is renamed, only time is lost
-    names = [name for name in ffi.list_types()[0] if name.startswith("WGPU") and not name.startswith("WGPUProc")]
+    names = [
+        name for name in ffi.list_types()[0] if name.startswith("WGPU") and not name.startswith("WGPUProc")
+    ]
     names += ["char", "uint32_t"]
     pointers = ", ".join(f"{name} *, {name}(*)[]" for name in names)
     types = ffi.typeof(f"void(*)({pointers}, {', '.join(_FUNCTIONS)})").args
@@ -99,7 +102,8 @@ process."""
 
 
 def retain_callbacks(device: GpuObject) -> None:
-    """Keep the callbacks of wgpu-py alive beyond their device, which calls them when it is lost or released."""
+    """Keep the callbacks of wgpu-py alive beyond their device, which calls them when it is lost or
+    released."""
     _callbacks.extend((device._uncaptured_error_callback, device._device_lost_callback))
 
 
@@ -204,7 +208,8 @@ class Mappings:
 
 
 def write_queue(device: GpuObject, buffer: Handle, offset: int, data: Any, start: int, size: int) -> None:
-    """Write a part of `data`, a buffer of Python, before the next submission. Offset and size are multiples of 4."""
+    """Write a part of `data`, a buffer of Python, before the next submission. Offset and size are multiples
+    of 4."""
     with ffi.from_buffer("uint8_t[]", data) as source:  # released at once: else an error keeps it in a cycle
         checked.wgpuQueueWriteBuffer(device.queue._internal, buffer, offset, source + start, size)
 

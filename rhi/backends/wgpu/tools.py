@@ -1,8 +1,8 @@
 """The backend's own programs, for copies that WebGPU lacks.
 
 - Depth is read by a compute stage, since copies of 24-bit depth don't exist; stencil too.
-- A part of a depth texture is copied by drawing it. Stencil has no output, so it is drawn bit by bit: bits are zeroed,
-  then replaced where a fragment finds a one.
+- A part of a depth texture is copied by drawing it. Stencil has no output, so it is drawn bit by bit: bits
+  are zeroed, then replaced where a fragment finds a one.
 - Mip levels are drawn from the level above, if the format can be drawn to; images are drawn to windows.
 - Arguments of indirect draws are listed tightly, with no instances beyond the count.
 - Indices of quads are expanded to triangles.
@@ -161,7 +161,9 @@ class Tools:
 
     def _compute_pipeline(self, code: str) -> GpuObject:
         module = self.device.create_shader_module(code=code)
-        return self.device.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
+        return self.device.create_compute_pipeline(
+            layout="auto", compute={"module": module, "entry_point": "main"}
+        )
 
     def halve(self, encoder: GpuObject, form: str, source: GpuObject, target: GpuObject) -> None:
         """Draw a level of a texture from the view of the one above."""
@@ -172,8 +174,12 @@ class Tools:
         size = self.constants([*target.size[:2], 0, 0])
         self._draw(encoder, _BLIT, target.format, [source, size], target.create_view())
 
-    def _draw(self, encoder: GpuObject, code: str, form: str, resources: Sequence[object], target: GpuObject) -> None:
-        pipeline = self.get_or_create((code, form), lambda: self._render_pipeline(code, [{"format": form}], None))
+    def _draw(
+        self, encoder: GpuObject, code: str, form: str, resources: Sequence[object], target: GpuObject
+    ) -> None:
+        pipeline = self.get_or_create(
+            (code, form), lambda: self._render_pipeline(code, [{"format": form}], None)
+        )
         color = {"view": target, "load_op": "clear", "store_op": "store"}
         render = encoder.begin_render_pass(color_attachments=[color])
         render.set_pipeline(pipeline)
@@ -181,7 +187,9 @@ class Tools:
         render.draw(3)
         render.end()
 
-    def _render_pipeline(self, code: str, targets: Sequence[Any], depth: Mapping[str, Any] | None) -> GpuObject:
+    def _render_pipeline(
+        self, code: str, targets: Sequence[Any], depth: Mapping[str, Any] | None
+    ) -> GpuObject:
         module = self.get_or_create(("module", code), lambda: self.device.create_shader_module(code=code))
         return self.device.create_render_pipeline(
             layout="auto",
@@ -201,7 +209,8 @@ class Tools:
         x: int,
         y: int,
     ) -> None:
-        """Copy a region of a depth texture to another by drawing it; with a view of its stencil, also that."""
+        """Copy a region of a depth texture to another by drawing it; with a view of its stencil, also
+        that."""
         info = {"view": target, "depth_load_op": "load", "depth_store_op": "store"}
         if stencil is not None:
             info |= {"stencil_load_op": "load", "stencil_store_op": "store"}
@@ -211,7 +220,9 @@ class Tools:
 
         def draw(pipeline: GpuObject, view: GpuObject, bit: int, everywhere: int) -> None:
             render.set_pipeline(pipeline)
-            render.set_bind_group(0, self.group(pipeline, [view, self.constants([*way, bit, everywhere], np.int32)]))
+            render.set_bind_group(
+                0, self.group(pipeline, [view, self.constants([*way, bit, everywhere], np.int32)])
+            )
             render.draw(3)
 
         draw(self.get_or_create(("depth", form), lambda: self._depth_pipeline(form)), source, 0, 0)
@@ -252,6 +263,8 @@ def expand_fan(indices: NDArray[np.generic], restart: int | None) -> NDArray[np.
         parts = np.split(indices, np.nonzero(indices == restart)[0])
         parts = [part[part != restart] for part in parts]
     triangles = [
-        np.stack([part[1:-1], part[2:], np.full(len(part) - 2, part[0])], 1) for part in parts if len(part) > 2
+        np.stack([part[1:-1], part[2:], np.full(len(part) - 2, part[0])], 1)
+        for part in parts
+        if len(part) > 2
     ]
     return np.concatenate(triangles).astype(np.uint32) if triangles else np.zeros((0, 3), np.uint32)

@@ -1,9 +1,10 @@
 """The wgpu backend: rhi's contract on one device of wgpu-native.
 
 - wgpu-py creates resources; what happens often goes to wgpu-native directly (`native`).
-- Clip space, the order of rows and the provoking vertex are the same as in the contract, so nothing is flipped.
-- WebGPU checks all commands when they are submitted: what it refuses then is raised as `device-driver`, by the call
-  that submits.
+- Clip space, the order of rows and the provoking vertex are the same as in the contract, so nothing is
+  flipped.
+- WebGPU checks all commands when they are submitted: what it refuses then is raised as `device-driver`, by
+  the call that submits.
 """
 
 from __future__ import annotations
@@ -58,7 +59,12 @@ class WgpuBackend:
         self._samplers = Samplers(device)
         self.capabilities = query_capabilities(host, self._textures)
         self._bindings = BoundResources(
-            device, self._stream, self._buffers, self._textures, self._samplers, self.capabilities.unfilterable_formats
+            device,
+            self._stream,
+            self._buffers,
+            self._textures,
+            self._samplers,
+            self.capabilities.unfilterable_formats,
         )
         self._states = States()
         self._pipelines = Pipelines(device, self.capabilities)
@@ -72,7 +78,9 @@ class WgpuBackend:
             self._tools,
             host.features,
         )
-        self._queries = Queries(device, self._stream, mappings, "timestamp-query-inside-passes" in host.features)
+        self._queries = Queries(
+            device, self._stream, mappings, "timestamp-query-inside-passes" in host.features
+        )
         self._has_pads = is_fourth_uniform_faulty(host.info["device"])
         self._programs: dict[Id, GpuProgram] = {}
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
@@ -196,7 +204,9 @@ class WgpuBackend:
         """See `rhi.contract.backend.SupportsPreparedKernels`."""
         done: Future[None] = Future()
         if vertex_array and (colors or depth is not None):
-            self._draws.prepare_pipeline(self._programs[program], vertex_array, (tuple(colors), depth, samples), states)
+            self._draws.prepare_pipeline(
+                self._programs[program], vertex_array, (tuple(colors), depth, samples), states
+            )
         done.set_result(None)
         return [done]
 

@@ -173,7 +173,8 @@ class BoundResources:
         self.moved = False
 
     def copied(self, program: GpuProgram) -> dict[int, GpuObject]:
-        """Return copies of the textures that a program both samples and stores to, by slot. Ends the open pass."""
+        """Return copies of the textures that a program both samples and stores to, by slot. Ends the open
+        pass."""
         stored = {self.images[slot][0] for slot in program.written_images}
         return {
             slot: self._textures.copy_whole(self.sampled[slot][0])
@@ -206,18 +207,24 @@ class BoundResources:
                     self._users.setdefault(part[1], set()).add(key)
         return group
 
-    def sampling_copies(self, program: GpuProgram, layout: PipelineLayout, copies: dict[int, GpuObject]) -> GpuObject:
+    def sampling_copies(
+        self, program: GpuProgram, layout: PipelineLayout, copies: dict[int, GpuObject]
+    ) -> GpuObject:
         """Return a bind group of textures, some of them copies; it isn't cached."""
         return self._make(program, layout, 2, copies)
 
-    def _make(self, program: GpuProgram, layout: PipelineLayout, index: int, copies: dict[int, GpuObject]) -> GpuObject:
+    def _make(
+        self, program: GpuProgram, layout: PipelineLayout, index: int, copies: dict[int, GpuObject]
+    ) -> GpuObject:
         entries: list[dict[str, Any]] = []
         if index == 0:
             for slot in program.uniforms:
                 buffer, size = self.uniforms[slot]
                 part = {"buffer": self._buffers[buffer].object, "offset": 0, "size": -(-size // 16) * 16}
                 entries.append({"binding": 2 * slot, "resource": part})
-            entries += [{"binding": binding, "resource": part} for binding in program.pads]  # any buffer will do
+            entries += [
+                {"binding": binding, "resource": part} for binding in program.pads
+            ]  # any buffer will do
         elif index == 1:
             for slot in program.storages:
                 buffer, offset, size = self.storages[slot]

@@ -20,7 +20,13 @@ from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 
 _USAGE: Final = wgpu.BufferUsage
 ALL_USES: Final = (
-    _USAGE.COPY_SRC | _USAGE.COPY_DST | _USAGE.VERTEX | _USAGE.INDEX | _USAGE.UNIFORM | _USAGE.STORAGE | _USAGE.INDIRECT
+    _USAGE.COPY_SRC
+    | _USAGE.COPY_DST
+    | _USAGE.VERTEX
+    | _USAGE.INDEX
+    | _USAGE.UNIFORM
+    | _USAGE.STORAGE
+    | _USAGE.INDIRECT
 )
 READ: Final = _USAGE.COPY_DST | _USAGE.MAP_READ
 _GAP: Final = 256
@@ -30,8 +36,8 @@ _MAX_STAGING: Final = 1 << 22
 
 
 class GpuBuffer:
-    """A buffer: its object, its handle, the encoder that uses it, and the copy of a STREAM buffer. `version` counts the
-    commands that may have changed it."""
+    """A buffer: its object, its handle, the encoder that uses it, and the copy of a STREAM buffer. `version`
+    counts the commands that may have changed it."""
 
     __slots__ = ("descriptor", "dirty", "handle", "object", "serial", "shadow", "size", "version")
 
@@ -102,7 +108,9 @@ class Buffers:
         if not size:
             return
         if target.shadow is not None:
-            self._write_shadow(target, offset, view.cast("B") if view.format != "B" or view.ndim != 1 else view)
+            self._write_shadow(
+                target, offset, view.cast("B") if view.format != "B" or view.ndim != 1 else view
+            )
             return
         bytes_ = view.tobytes() if not view.contiguous else view
         if offset % 4 or size % 4:

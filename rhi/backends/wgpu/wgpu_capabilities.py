@@ -28,7 +28,16 @@ _TRIANGLE: Final = """
 @fragment fn fs() -> @location(0) vec4<f32> { return vec4<f32>(); }
 """
 _ALWAYS_BLEND: Final = frozenset(
-    {Format.R8, Format.RG8, Format.RGBA8, Format.RGBA8_SRGB, Format.R16F, Format.RG16F, Format.RGBA16F, Format.RGB10A2}
+    {
+        Format.R8,
+        Format.RG8,
+        Format.RGBA8,
+        Format.RGBA8_SRGB,
+        Format.R16F,
+        Format.RG16F,
+        Format.RGBA16F,
+        Format.RGB10A2,
+    }
 )
 
 
@@ -40,7 +49,9 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
     formats = _Formats(host.device, textures)
     unsupported = frozenset(format for format in Format if not textures.usage(format, TextureKind.D2, 1))
     unrenderable = frozenset(f for f in COLOR_FORMATS if not formats.is_target(f, 1))
-    targets = [format for format in (*COLOR_FORMATS, *DEPTH_FORMATS) if format not in unrenderable | unsupported]
+    targets = [
+        format for format in (*COLOR_FORMATS, *DEPTH_FORMATS) if format not in unrenderable | unsupported
+    ]
     single = frozenset(format for format in targets if not formats.is_target(format, 4))
     many = [format for format in targets if format not in single]
     stage = "per-shader-stage"
@@ -55,7 +66,9 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         max_texture_layers=min(limits["max-texture-array-layers"], limits["max-texture-dimension-3d"]),
         max_color_targets=min(limits["max-color-attachments"], MAX_TARGETS),
         max_target_bytes=limits["max-color-attachment-bytes-per-sample"],
-        sample_counts=tuple(n for n in SAMPLE_COUNTS if n in (1, 4) or all(formats.is_target(f, n) for f in many)),
+        sample_counts=tuple(
+            n for n in SAMPLE_COUNTS if n in (1, 4) or all(formats.is_target(f, n) for f in many)
+        ),
         max_vertex_attributes=min(16, limits["max-vertex-attributes"]),
         max_uniform_bytes=limits["max-uniform-buffer-binding-size"],
         max_storage_bytes=limits["max-storage-buffer-binding-size"],
@@ -64,7 +77,9 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
             limits["max-dynamic-uniform-buffers-per-pipeline-layout"],
         ),
         max_storage_slots=min(limits[f"max-storage-buffers-{stage}"], _MAX_STORAGE),
-        max_texture_slots=min(limits[f"max-sampled-textures-{stage}"], limits[f"max-samplers-{stage}"], _MAX_TEXTURES),
+        max_texture_slots=min(
+            limits[f"max-sampled-textures-{stage}"], limits[f"max-samplers-{stage}"], _MAX_TEXTURES
+        ),
         max_image_slots=min(limits[f"max-storage-textures-{stage}"], 8),
         max_work_group=(
             limits["max-compute-workgroup-size-x"],
@@ -128,7 +143,9 @@ class _Formats:
 
     def is_target(self, format: Format, samples: int) -> bool:
         """Whether textures of a format and a number of samples can be targets."""
-        return bool(self._textures.usage(format, TextureKind.D2, samples) & wgpu.TextureUsage.RENDER_ATTACHMENT)
+        return bool(
+            self._textures.usage(format, TextureKind.D2, samples) & wgpu.TextureUsage.RENDER_ATTACHMENT
+        )
 
     def blends(self, format: Format) -> bool:
         """Whether draws can blend with a format; not for integer formats."""
@@ -147,11 +164,15 @@ class _Formats:
 
     def resolves(self, format: Format) -> bool:
         """Whether four samples of a format can be resolved."""
-        return format.kind in (ChannelKind.UNORM, ChannelKind.SRGB) or self._works(lambda: self._resolve(format))
+        return format.kind in (ChannelKind.UNORM, ChannelKind.SRGB) or self._works(
+            lambda: self._resolve(format)
+        )
 
     def _resolve(self, format: Format) -> None:
         usage = wgpu.TextureUsage.RENDER_ATTACHMENT
-        source, target = (self._textures.make(TextureDescriptor((4, 4), format, samples=n), usage) for n in (4, 1))
+        source, target = (
+            self._textures.make(TextureDescriptor((4, 4), format, samples=n), usage) for n in (4, 1)
+        )
         color = {
             "view": source.create_view(),
             "resolve_target": target.create_view(),

@@ -1,13 +1,14 @@
 """Draws and dispatches.
 
-- A prepared draw is one call of wgpu-native if nothing has changed, two if only the offset of a uniform has, and a few
-  more for another mesh of the same layout.
+- A prepared draw is one call of wgpu-native if nothing has changed, two if only the offset of a uniform has,
+  and a few more for another mesh of the same layout.
 - A program that writes memory draws in a segment of its own: WebGPU makes writes visible between passes only.
-- Fans and quads are drawn as indexed triangles. Without indices, all share one index buffer for each kind. Indexed
-  quads are expanded on the device, once for each version of their buffer; indexed fans, which may restart, on the CPU,
-  which waits.
-- Draws without indices have records of 5 words in the contract and of 4 in WebGPU, so a compute stage rewrites
-  their arguments. It also rewrites arguments with other strides, or with counts that the device can't read.
+- Fans and quads are drawn as indexed triangles. Without indices, all share one index buffer for each kind.
+  Indexed quads are expanded on the device, once for each version of their buffer; indexed fans, which may
+  restart, on the CPU, which waits.
+- Draws without indices have records of 5 words in the contract and of 4 in WebGPU, so a compute stage
+  rewrites their arguments. It also rewrites arguments with other strides, or with counts that the device
+  can't read.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ _draw_indexed: Final = lib.wgpuRenderPassEncoderDrawIndexed
 
 
 class GpuVertexArray:
-    """A vertex array. `key` is the same object for all arrays of one layout, `restarts` the index format of its
-    strips' pipelines."""
+    """A vertex array. `key` is the same object for all arrays of one layout, `restarts` the index format of
+    its strips' pipelines."""
 
     __slots__ = ("descriptor", "expanded", "indexed", "key", "restarts")
 
@@ -63,7 +64,9 @@ class GpuVertexArray:
         self.indexed = descriptor.index_buffer != 0
         self.restarts = descriptor.index_format if self.indexed else None
         self.key = key
-        self.expanded: tuple[tuple[int, int, int], GpuObject] | None = None  # quads: (first, quads, version), indices
+        self.expanded: tuple[tuple[int, int, int], GpuObject] | None = (
+            None  # quads: (first, quads, version), indices
+        )
 
 
 class Draws:
@@ -99,7 +102,9 @@ class Draws:
         self.arrays: dict[Id, GpuVertexArray] = {}
         self._keys: dict[object, object] = {}
         self._current: tuple[Id, Primitive] | None = None  # what the pass is ready to draw
-        self._alike: tuple[object, ...] | None = None  # the layout, primitive and restarts that its pipeline is for
+        self._alike: tuple[object, ...] | None = (
+            None  # the layout, primitive and restarts that its pipeline is for
+        )
         self._layout: PipelineLayout | None = None
         self._alone = False  # the last draw wrote memory, so the next one begins a segment
         self._shared_indices: dict[Primitive, tuple[int, GpuObject]] = {}
@@ -228,7 +233,9 @@ class Draws:
         copies = bool(program.written_images and program.textures)
         if primitive in _CONVERTED or program.descriptor.writes_memory or copies:
             draw = self.draw
-            return lambda instances: draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+            return lambda instances: draw(
+                vertex_array, primitive, first, count, instances, base_vertex, base_instance
+            )
         stream = self._stream
         states = self._states
         bindings = self._bindings
@@ -328,7 +335,11 @@ class Draws:
         expanded = self._buffers.temporary(24 * quads)
         encoder = self._stream.outside()
         buffer = self._buffers.use(descriptor.index_buffer)
-        resources = [{"buffer": buffer.object}, {"buffer": expanded}, self._tools.constants([first, quads, short, 0])]
+        resources = [
+            {"buffer": buffer.object},
+            {"buffer": expanded},
+            self._tools.constants([first, quads, short, 0]),
+        ]
         self._tools.compute(encoder, EXPAND_QUADS, resources, -(-quads // 64))
         array.expanded = key, expanded
         return expanded
@@ -379,7 +390,9 @@ class Draws:
             return
         stride = stride or _RECORD
         if primitive is _FAN or not self._has_base_instances:
-            self._draw_each(vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset)
+            self._draw_each(
+                vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
+            )
             return
         indexed = self.arrays[vertex_array].indexed
         arguments = self._buffers.use(buffer)
@@ -387,18 +400,27 @@ class Draws:
         assert program is not None
         safe = not program.descriptor.writes_memory  # else the program may bind the same buffer
         many = (
-            lib.wgpuRenderPassEncoderMultiDrawIndexedIndirect if indexed else lib.wgpuRenderPassEncoderMultiDrawIndirect
+            lib.wgpuRenderPassEncoderMultiDrawIndexedIndirect
+            if indexed
+            else lib.wgpuRenderPassEncoderMultiDrawIndirect
         )
         if indexed and safe and stride == _RECORD and not count_buffer:
             many(self.ready(vertex_array, primitive), arguments.handle, offset, draws)
         elif indexed and safe and stride == _RECORD and self._counts_draws:
             counts = self._buffers.use(count_buffer)
             lib.wgpuRenderPassEncoderMultiDrawIndexedIndirectCount(
-                self.ready(vertex_array, primitive), arguments.handle, offset, counts.handle, count_offset, draws
+                self.ready(vertex_array, primitive),
+                arguments.handle,
+                offset,
+                counts.handle,
+                count_offset,
+                draws,
             )
             counts.serial = self._stream.serial
         else:
-            listed = self._list_draws(arguments, offset, stride, draws, 5 if indexed else 4, count_buffer, count_offset)
+            listed = self._list_draws(
+                arguments, offset, stride, draws, 5 if indexed else 4, count_buffer, count_offset
+            )
             many(self.ready(vertex_array, primitive), listed._internal, 0, draws)
         arguments.serial = self._stream.serial
 
@@ -451,7 +473,9 @@ class Draws:
             base_vertex = int(words[3:4].view(np.int32)[0]) if indexed else 0
             base_instance = fifth if indexed else fourth
             faults = draw_faults(elements, indexed, first, count, instances, base_vertex, base_instance)
-            if next(faults, None) is None:  # WebGPU would refuse all commands because of a draw beyond the mesh
+            if (
+                next(faults, None) is None
+            ):  # WebGPU would refuse all commands because of a draw beyond the mesh
                 self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     # -- dispatches --------------------------------------------------------------------------------------

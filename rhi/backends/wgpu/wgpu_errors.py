@@ -21,7 +21,8 @@ _LOCATION: Final = re.compile(r"wgsl:(\d+):\d+")
 
 @contextmanager
 def translate_errors(call: str, memory: bool = False) -> Iterator[None]:
-    """Raise errors of wgpu as `DeviceError`s; with `memory`, a size that is too large counts as missing memory."""
+    """Raise errors of wgpu as `DeviceError`s; with `memory`, a size that is too large counts as missing
+    memory."""
     try:
         yield
     except (wgpu.GPUError, OverflowError) as error:
@@ -38,7 +39,9 @@ def make_error(call: str, error: Exception, memory: bool = False) -> DeviceError
     return DeviceError(DEVICE_DRIVER, call, text)
 
 
-def make_shader_error(descriptor: ProgramDescriptor, stage: Stage, text: StageText, error: Exception) -> ShaderError:
+def make_shader_error(
+    descriptor: ProgramDescriptor, stage: Stage, text: StageText, error: Exception
+) -> ShaderError:
     """Return the error for a stage whose text naga refuses."""
     return make_driver_error(descriptor, stage, text, _messages(str(error)), "WGSL")
 

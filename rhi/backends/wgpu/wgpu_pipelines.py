@@ -1,8 +1,8 @@
 """Render states, and pipelines that contain most of them.
 
-Viewport, scissor, blend color and stencil reference are set in a pass; everything else is a part of a pipeline.
-A program caches its pipelines by the layouts of bindings and vertices, the topology, the states and the
-targets.
+Viewport, scissor, blend color and stencil reference are set in a pass; everything else is a part of a
+pipeline. A program caches its pipelines by the layouts of bindings and vertices, the topology, the states and
+the targets.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ TargetFormats = tuple[tuple[Format, ...], Format | None, int]
 _DYNAMIC: Final = frozenset({Viewport, Scissor, BlendColor, StencilReference})
 _ALPHA: Final = frozenset({AlphaTest, AlphaFunction, AlphaReference})
 _BAKED: Final = tuple(state for state in DEFAULTS if state not in _DYNAMIC | _ALPHA)
-_TRIANGLES: Final = frozenset({Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN, Primitive.QUADS})
+_TRIANGLES: Final = frozenset(
+    {Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN, Primitive.QUADS}
+)
 _EMPTY: Final = "@fragment fn main() {}"
 _TESTED: Final = AlphaTest.ON
 
@@ -219,7 +221,11 @@ class Pipelines:
             if self._empty is None:
                 self._empty = self._device.create_shader_module(code=_EMPTY)
             return {"module": self._empty, "entry_point": "main", "targets": entries}
-        stage = {"module": program.get_fragment_module(has_depth=not lone), "entry_point": "main", "targets": entries}
+        stage = {
+            "module": program.get_fragment_module(has_depth=not lone),
+            "entry_point": "main",
+            "targets": entries,
+        }
         alpha = states.alpha
         if alpha is not None and program.tests_alpha:
             stage["constants"] = {"rhi_alpha_test": float(alpha[0]), "rhi_alpha_reference": alpha[1]}
@@ -232,7 +238,10 @@ class Pipelines:
         blend: BlendFunction = states.values[BlendFunction][number]
         if not blend.is_off and not format.is_integer and written:
             if format in self._unblendable:
-                given, allowed = f"blending on {format}", "formats outside of capabilities.unblendable_formats"
+                given, allowed = (
+                    f"blending on {format}",
+                    "formats outside of capabilities.unblendable_formats",
+                )
                 raise DeviceError(DEVICE_CAPABILITY, "draw", given, allowed)
             entry["blend"] = {
                 "color": _blend(blend.operation, blend.source, blend.destination),

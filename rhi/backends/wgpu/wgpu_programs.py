@@ -1,11 +1,12 @@
 """Programs: shader modules of their stages, and layouts of their bindings.
 
 - Each kind of binding has a group: uniforms 0, storage 1, textures and samplers 2, images 3.
-- Uniforms have dynamic offsets, so a group depends on buffers and sizes only: draws that walk through a ring share it.
-- Uniform slots have even bindings. The odd ones are pads, buffers that no shader reads, where a driver can't read the
-  fourth of a stage (`is_fourth_uniform_faulty`).
-- A layout says whether a texture of floats is filtered. Depth that is read as floats isn't, nor are other formats on
-  some devices, so a program has a layout for each set of slots with such textures.
+- Uniforms have dynamic offsets, so a group depends on buffers and sizes only: draws that walk through a ring
+  share it.
+- Uniform slots have even bindings. The odd ones are pads, buffers that no shader reads, where a driver can't
+  read the fourth of a stage (`is_fourth_uniform_faulty`).
+- A layout says whether a texture of floats is filtered. Depth that is read as floats isn't, nor are other
+  formats on some devices, so a program has a layout for each set of slots with such textures.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ class GpuProgram:
         pads: the bindings of its pads, by the stages that count them.
     """
 
-    def __init__(self, device: GpuObject, program: Id, descriptor: ProgramDescriptor, *, has_pads: bool) -> None:
+    def __init__(
+        self, device: GpuObject, program: Id, descriptor: ProgramDescriptor, *, has_pads: bool
+    ) -> None:
         self.id = program
         self.descriptor = descriptor
         self.modules: dict[Stage, GpuObject] = {}
@@ -74,10 +77,14 @@ class GpuProgram:
         for stage in sorted(descriptor.stages, key=lambda stage: stage.value):
             self._compile(stage)
         self._types = {(b.kind, b.slot): b.type for b in descriptor.bindings}
-        slots = {kind: tuple(sorted(b.slot for b in descriptor.bindings if b.kind is kind)) for kind in BindingKind}
+        slots = {
+            kind: tuple(sorted(b.slot for b in descriptor.bindings if b.kind is kind)) for kind in BindingKind
+        }
         self.uniforms, self.storages = slots[BindingKind.UNIFORM], slots[BindingKind.STORAGE]
         self.textures, self.images = slots[BindingKind.TEXTURE], slots[BindingKind.IMAGE]
-        self.groups = 4 if self.images else 3 if self.textures else 2 if self.storages else 1 if self.uniforms else 0
+        self.groups = (
+            4 if self.images else 3 if self.textures else 2 if self.storages else 1 if self.uniforms else 0
+        )
         self.written = tuple(s for s in self.storages if self._access.get((1, s)) == "read_write")
         self.written_images = tuple(s for s in self.images if self._access.get((3, s)) != "read")
         types = {slot: self.texture_type(slot) for slot in self.textures}
@@ -89,7 +96,9 @@ class GpuProgram:
     def _assign_pad_slots(self) -> dict[int, int]:
         pads: dict[int, int] = {}
         for stage in (_VISIBILITY[stage] for stage in self.modules):
-            read = [slot for slot in self.uniforms if self._get_visibility(BindingKind.UNIFORM, 2 * slot) & stage]
+            read = [
+                slot for slot in self.uniforms if self._get_visibility(BindingKind.UNIFORM, 2 * slot) & stage
+            ]
             if len(read) > _FAULTY:
                 binding = 2 * read[_FAULTY] - 1
                 pads[binding] = pads.get(binding, 0) | stage
@@ -113,8 +122,8 @@ class GpuProgram:
             self._fragment = source.text
 
     def get_fragment_module(self, *, has_depth: bool) -> GpuObject:
-        """Return the module of the fragment stage for passes with depth or without it. WebGPU refuses to write depth
-        that isn't there, so it goes to a color that isn't there, which is dropped."""
+        """Return the module of the fragment stage for passes with depth or without it. WebGPU refuses to
+        write depth that isn't there, so it goes to a color that isn't there, which is dropped."""
         if has_depth or _DEPTH not in self._fragment:
             return self.modules[Stage.FRAGMENT]
         if self._flat is None:
@@ -162,7 +171,9 @@ class GpuProgram:
     def _storages(self) -> list[dict[str, Any]]:
         return [
             self._entry(
-                BindingKind.STORAGE, slot, buffer={"type": "storage" if slot in self.written else "read-only-storage"}
+                BindingKind.STORAGE,
+                slot,
+                buffer={"type": "storage" if slot in self.written else "read-only-storage"},
             )
             for slot in self.storages
         ]
@@ -179,7 +190,11 @@ class GpuProgram:
                 sample, sampler = "unfilterable-float", "non-filtering"
             else:
                 sample, sampler = "float", "filtering"
-            texture = {"sample_type": sample, "view_dimension": DIMENSIONS[type.kind], "multisampled": type.samples}
+            texture = {
+                "sample_type": sample,
+                "view_dimension": DIMENSIONS[type.kind],
+                "multisampled": type.samples,
+            }
             entries.append(self._entry(BindingKind.TEXTURE, 2 * slot, texture=texture))
             entries.append(self._entry(BindingKind.TEXTURE, 2 * slot + 1, sampler={"type": sampler}))
         return entries
@@ -189,6 +204,10 @@ class GpuProgram:
         for slot in self.images:
             type = self.image_type(slot)
             access = _ACCESS[self._access.get((3, slot)) or "read_write"]
-            image = {"access": access, "format": FORMATS[type.format], "view_dimension": DIMENSIONS[type.kind]}
+            image = {
+                "access": access,
+                "format": FORMATS[type.format],
+                "view_dimension": DIMENSIONS[type.kind],
+            }
             entries.append(self._entry(BindingKind.IMAGE, slot, storage_texture=image))
         return entries

@@ -32,7 +32,9 @@ class Samplers:
         """Return a sampler; without `filters`, one that reads single texels."""
         key = (sampler, filters, compares)
         if key not in self._samplers:
-            self._samplers[key] = self._make(self._descriptors.get(sampler, SamplerDescriptor()), filters, compares)
+            self._samplers[key] = self._make(
+                self._descriptors.get(sampler, SamplerDescriptor()), filters, compares
+            )
         return self._samplers[key]
 
     def _make(self, descriptor: SamplerDescriptor, filters: bool, compares: bool) -> GpuObject:
@@ -42,7 +44,9 @@ class Samplers:
         linear = filters and descriptor.minify is descriptor.magnify is descriptor.mip is Filter.LINEAR
         settings: dict[str, object] = {}
         if compares:
-            settings["compare"] = word(descriptor.compare.value) if descriptor.compare is not None else "always"
+            settings["compare"] = (
+                word(descriptor.compare.value) if descriptor.compare is not None else "always"
+            )
         with translate_errors("device.sampler"):
             return self._device.create_sampler(
                 address_mode_u=WRAPS[descriptor.wrap_u],

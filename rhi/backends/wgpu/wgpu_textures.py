@@ -111,7 +111,8 @@ class Textures:
         with translate_errors(call, memory=True):
             self.objects[texture] = GpuTexture(self.make(descriptor, usage, form), descriptor, form)
         if descriptor.kind is TextureKind.D3:
-            # Without this, reading an unwritten slice makes wgpu clear all slices, also those that copies wrote.
+            # Without this, reading an unwritten slice makes wgpu clear all slices, also those that copies
+            # wrote.
             for level in range(descriptor.levels):
                 (width, height), depth = descriptor.level_size(level), descriptor.level_layers(level)
                 texels = bytes(width * height * depth * descriptor.format.transfer_bytes)
@@ -131,14 +132,23 @@ class Textures:
         return gpu_texture
 
     def view(
-        self, texture: Id, dimension: str, level: int, levels: int, layer: int, layers: int, aspect: str = "all"
+        self,
+        texture: Id,
+        dimension: str,
+        level: int,
+        levels: int,
+        layer: int,
+        layers: int,
+        aspect: str = "all",
     ) -> GpuObject:
         """Return a view of a texture, which the open encoder will use."""
         gpu_texture = self.use(texture)
         key = (dimension, level, levels, layer, layers, aspect)
         view = gpu_texture.views.get(key)
         if view is None:
-            form = {"stencil-only": "stencil8", "depth-only": gpu_texture.form.removesuffix("-stencil8")}.get(aspect)
+            form = {"stencil-only": "stencil8", "depth-only": gpu_texture.form.removesuffix("-stencil8")}.get(
+                aspect
+            )
             with translate_errors("view"):
                 view = gpu_texture.views[key] = gpu_texture.object.create_view(
                     dimension=dimension,
@@ -252,12 +262,16 @@ class Textures:
         layout = {"buffer": buffer, "offset": offset, "bytes_per_row": row_bytes, "rows_per_image": r.height}
         return texture.copy_location(level, r.x, r.y, r.layer), layout, (r.width, r.height, r.layers)
 
-    def copy_to_buffer(self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int) -> None:
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
         encoder, r = self._stream.outside(), region
         texture, buffer = self.use(source), self._buffers.use(target)
         buffer.version += 1
         if not texture.descriptor.format.is_depth:
-            encoder.copy_texture_to_buffer(*self._copy_sides(texture, level, r, buffer.object, offset, row_bytes))
+            encoder.copy_texture_to_buffer(
+                *self._copy_sides(texture, level, r, buffer.object, offset, row_bytes)
+            )
         elif buffer.descriptor.usage is not BufferUsage.READBACK:
             self._read_depth(source, level, r, buffer.object, offset, row_bytes, False)
         else:  # programs can't write it
@@ -267,16 +281,29 @@ class Textures:
             encoder = self._stream.outside()
             rows, step = (1, row * r.height * r.layers) if row_bytes == row else (r.height * r.layers, row)
             for number in range(rows):
-                encoder.copy_buffer_to_buffer(between, number * row, buffer.object, offset + number * row_bytes, step)
+                encoder.copy_buffer_to_buffer(
+                    between, number * row, buffer.object, offset + number * row_bytes, step
+                )
 
-    def copy_from_buffer(self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region) -> None:
+    def copy_from_buffer(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
         encoder = self._stream.outside()
         buffer = self._buffers.use(source).object
-        copy_location, layout, size = self._copy_sides(self.use(target), level, region, buffer, offset, row_bytes)
+        copy_location, layout, size = self._copy_sides(
+            self.use(target), level, region, buffer, offset, row_bytes
+        )
         encoder.copy_buffer_to_texture(layout, copy_location, size)
 
     def _read_depth(
-        self, texture: Id, level: int, r: Region, target: GpuObject, offset: int, row_bytes: int, stencil: bool
+        self,
+        texture: Id,
+        level: int,
+        r: Region,
+        target: GpuObject,
+        offset: int,
+        row_bytes: int,
+        stencil: bool,
     ) -> None:
         encoder = self._stream.outside()
         aspect, code = ("stencil-only", STENCIL_READ) if stencil else ("depth-only", DEPTH_READ)
@@ -313,7 +340,9 @@ class Textures:
             encoder.copy_buffer_to_texture(layout, copy_location, size)
         else:
             encoder.copy_texture_to_texture(
-                old.copy_location(source_level, r.x, r.y, r.layer), new.copy_location(target_level, x, y, layer), size
+                old.copy_location(source_level, r.x, r.y, r.layer),
+                new.copy_location(target_level, x, y, layer),
+                size,
             )
 
     def copy_whole(self, source: Id) -> GpuObject:
@@ -353,7 +382,9 @@ class Textures:
             return
         form, has_stencil = old.form, old.descriptor.format.has_stencil
         for number in range(r.layers):
-            depth, stencil = self._depth_views(encoder, source, source_level, r.layer + number, old is new, has_stencil)
+            depth, stencil = self._depth_views(
+                encoder, source, source_level, r.layer + number, old is new, has_stencil
+            )
             into = self.view(target, "2d", target_level, 1, layer + number, 1)
             with translate_errors("copy_texture"):
                 self._tools.draw_depth(encoder, form, depth, stencil, into, r, x, y)
@@ -364,12 +395,16 @@ class Textures:
         """Return the views of the depth and the stencil of a layer, or of a copy of it."""
         if not copied:
             depth = self.view(texture, "2d", level, 1, layer, 1, "depth-only")
-            return depth, self.view(texture, "2d", level, 1, layer, 1, "stencil-only") if has_stencil else None
+            return depth, self.view(
+                texture, "2d", level, 1, layer, 1, "stencil-only"
+            ) if has_stencil else None
         gpu_texture = self.objects[texture]
         descriptor = gpu_texture.descriptor
         size = descriptor.level_size(level)
         between = self.make(TextureDescriptor(size, descriptor.format), _TRANSFERS | _USAGE.RENDER_ATTACHMENT)
-        encoder.copy_texture_to_texture(gpu_texture.copy_location(level, 0, 0, layer), {"texture": between}, (*size, 1))
+        encoder.copy_texture_to_texture(
+            gpu_texture.copy_location(level, 0, 0, layer), {"texture": between}, (*size, 1)
+        )
         depth = between.create_view(aspect="depth-only", format=gpu_texture.form.removesuffix("-stencil8"))
         return depth, between.create_view(aspect="stencil-only", format="stencil8") if has_stencil else None
 
@@ -384,7 +419,11 @@ class Textures:
         gpu_texture = self.objects[texture]
         descriptor = gpu_texture.descriptor
         usage = self.usage(descriptor.format, descriptor.kind, 1)
-        if descriptor.kind is TextureKind.D3 or not usage & _USAGE.RENDER_ATTACHMENT or descriptor.format.is_integer:
+        if (
+            descriptor.kind is TextureKind.D3
+            or not usage & _USAGE.RENDER_ATTACHMENT
+            or descriptor.format.is_integer
+        ):
             self._halve_on_cpu(texture, descriptor)
             return
         encoder = self._stream.outside()

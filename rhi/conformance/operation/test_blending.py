@@ -27,11 +27,15 @@ COLORS = np.stack([_GRID[:, 0], 1 - _GRID[:, 0], _GRID[:, 1] * 0.7 + 0.1, _GRID[
 
 
 def blended(device: Device, function: BlendFunction, bits: int = 32) -> tuple[Any, Any, float, str]:
-    """Return result, expected, tolerance and its reason, with source color x in column x and destination color y in
-    row y of a target of 8 bits, or of 32 where floats of so many blend, and 16 where not."""
+    """Return result, expected, tolerance and its reason, with source color x in column x and destination
+    color y in row y of a target of 8 bits, or of 32 where floats of so many blend, and 16 where not."""
     if Format.RGBA32F in device.capabilities.unblendable_formats:
         bits = min(bits, 16)
-    format, tolerance = {8: (Format.RGBA8, 1.01 / 255), 16: (Format.RGBA16F, 2e-3), 32: (Format.RGBA32F, 1e-6)}[bits]
+    format, tolerance = {
+        8: (Format.RGBA8, 1.01 / 255),
+        16: (Format.RGBA16F, 2e-3),
+        32: (Format.RGBA32F, 1e-6),
+    }[bits]
     reason = f"blending in {bits} bits, before and after"
     destination = np.broadcast_to(COLORS[:, None], (16, 16, 4))
     source = np.broadcast_to(COLORS[None, :], (16, 16, 4))
@@ -82,9 +86,13 @@ def test_a_named_function_does_what_its_name_says(device: Device, name: str) -> 
 
 def test_alpha_can_be_blended_differently_from_color(device: Device) -> None:
     function = BlendFunction(
-        BlendFactor.ONE, BlendFactor.ONE, BlendOperation.ADD,
-        BlendFactor.ZERO, BlendFactor.CONSTANT, BlendOperation.REVERSE_SUBTRACT,
-    )  # fmt: skip
+        BlendFactor.ONE,
+        BlendFactor.ONE,
+        BlendOperation.ADD,
+        BlendFactor.ZERO,
+        BlendFactor.CONSTANT,
+        BlendOperation.REVERSE_SUBTRACT,
+    )
     assert_near(*blended(device, function))
 
 
@@ -140,7 +148,9 @@ def test_any_function_blends_as_numpy_does(device: Device, function: BlendFuncti
 
 
 def test_without_a_scope_nothing_blends(device: Device) -> None:
-    assert_same(draw_once(device, (2, 2), Format.RGBA8, rectangle(color=(0.2, 0.2, 0.2, 0.2)), clear=(1, 1, 1, 1)), 51)
+    assert_same(
+        draw_once(device, (2, 2), Format.RGBA8, rectangle(color=(0.2, 0.2, 0.2, 0.2)), clear=(1, 1, 1, 1)), 51
+    )
 
 
 def test_draws_blend_in_order(device: Device) -> None:
@@ -175,7 +185,9 @@ def test_overlapping_points_all_add_up(device: Device) -> None:
 
 def test_integer_targets_do_not_blend(device: Device) -> None:
     rows, clear = rectangle(color=(3, 4, 5, 6)), (100, 100, 100, 100)
-    drawn = draw_once(device, (2, 2), Format.RGBA8UI, rows, BlendFunction.ADDITIVE, shader=UintColored, clear=clear)
+    drawn = draw_once(
+        device, (2, 2), Format.RGBA8UI, rows, BlendFunction.ADDITIVE, shader=UintColored, clear=clear
+    )
     assert_same(drawn, (3, 4, 5, 6))
 
 
@@ -197,7 +209,11 @@ def test_srgb_targets_blend_in_linear_light(device: Device) -> None:
     ("format", "mask"),
     [
         *((Format.RGBA8, mask) for mask in range(16)),
-        *((f, mask) for f in (Format.RG16F, Format.RGB10A2, Format.RGBA16F, Format.RGBA32F) for mask in (5, 6, 9, 10)),
+        *(
+            (f, mask)
+            for f in (Format.RG16F, Format.RGB10A2, Format.RGBA16F, Format.RGBA32F)
+            for mask in (5, 6, 9, 10)
+        ),
     ],
 )
 def test_color_write_chooses_channels(device: Device, format: Format, mask: int) -> None:

@@ -322,7 +322,9 @@ def test_two_fields_of_a_uniform_are_written_together(device: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    "fields", [{"time": 4, "tiem": 5}, {"time": 4, "position": (1, 2)}], ids=["unknown name", "too few numbers"]
+    "fields",
+    [{"time": 4, "tiem": 5}, {"time": 4, "position": (1, 2)}],
+    ids=["unknown name", "too few numbers"],
 )
 def test_a_write_of_a_wrong_field_is_refused_and_writes_none(device: Device, fields: dict[str, Any]) -> None:
     with device.uniform(Scene(**FIRST)) as scene:

@@ -1,4 +1,5 @@
-"""Clears under draws: a backend may defer a clear until it draws, so the result must not depend on what is drawn where.
+"""Clears under draws: a backend may defer a clear until it draws, so the result must not depend on what is
+drawn where.
 
 Targets are larger than a rasteriser's tiles, and their sizes aren't multiples of a tile's.
 """
@@ -12,7 +13,17 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import BlendFunction, ColorWrite, DepthFunction, DepthWrite, Device, Format, State, StencilTest, Texture
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    DepthFunction,
+    DepthWrite,
+    Device,
+    Format,
+    State,
+    StencilTest,
+    Texture,
+)
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.formats import require_format, require_renderable, require_samples
 from rhi.conformance.shaders import Colored, IntColored, UintColored
@@ -54,9 +65,13 @@ def test_a_clear_reaches_all_texels_around_a_draw(device: Device, size: tuple[in
 
 
 def draw_over(
-    device: Device, image: Texture, shader: type[Shader], clear: tuple[float, float, float, float], together: bool,
+    device: Device,
+    image: Texture,
+    shader: type[Shader],
+    clear: tuple[float, float, float, float],
+    together: bool,
     blend: BlendFunction = BlendFunction.OFF,
-) -> None:  # fmt: skip
+) -> None:
     """Return the target after a clear and a rectangle, in one pass or in two."""
     with device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, color=(0.25, 1, 0.5, 0.75))) as mesh:
         if not together:
@@ -89,7 +104,10 @@ def test_blending_reads_what_was_cleared(device: Device) -> None:
 @pytest.mark.parametrize("depth", [0.25, 0.75])
 def test_a_depth_format_is_cleared_under_a_draw(device: Device, format: Format, depth: float) -> None:
     require_format(device, format)
-    with device.texture(SIZE, format) as target, device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, depth=0.5)) as mesh:
+    with (
+        device.texture(SIZE, format) as target,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, depth=0.5)) as mesh,
+    ):
         with device.render_pass(depth=target, clear_depth=depth), device.states(DepthFunction.GREATER):
             device.draw(device.program(Colored), mesh)
         passes = box(60, 3, 30, 40) & (depth < 0.5)
@@ -112,7 +130,10 @@ def test_a_depth_that_draws_do_not_write_is_cleared_under_them(device: Device, s
 @pytest.mark.parametrize("used", [False, True], ids=["test off", "test on"])
 def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, used: bool) -> None:
     require_format(device, Format.D24S8)
-    with device.texture(SIZE, Format.D24S8) as target, device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh:
+    with (
+        device.texture(SIZE, Format.D24S8) as target,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh,
+    ):
         with (
             device.render_pass(depth=target, clear_depth=0.25, clear_stencil=7),
             device.states(StencilTest.ON if used else StencilTest.OFF),
@@ -122,8 +143,12 @@ def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, use
         assert_mask(target.read() > 0.3, box(60, 3, 30, 40))
 
 
-@pytest.mark.parametrize("first", [(ColorWrite.OFF,), (rhi.DepthTest.OFF, DepthWrite.OFF)], ids=["depth", "color"])
-def test_what_the_first_draw_leaves_out_is_cleared_for_the_second(device: Device, first: tuple[State, ...]) -> None:
+@pytest.mark.parametrize(
+    "first", [(ColorWrite.OFF,), (rhi.DepthTest.OFF, DepthWrite.OFF)], ids=["depth", "color"]
+)
+def test_what_the_first_draw_leaves_out_is_cleared_for_the_second(
+    device: Device, first: tuple[State, ...]
+) -> None:
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.D32F) as depth,
@@ -136,7 +161,9 @@ def test_what_the_first_draw_leaves_out_is_cleared_for_the_second(device: Device
             device.draw(device.program(Colored), right)
         color_only = first != (ColorWrite.OFF,)
         in_color = box(80, 0, 70, 70) | (box(0, 0, 70, 70) & color_only)
-        in_depth = np.where(box(80, 0, 70, 70), 0.75, np.where(box(0, 0, 70, 70) & (not color_only), 0.5, 0.25))
+        in_depth = np.where(
+            box(80, 0, 70, 70), 0.75, np.where(box(0, 0, 70, 70) & (not color_only), 0.5, 0.25)
+        )
         assert_mask(image.read()[..., 1], in_color)
         assert_same(image.read()[..., 0], 255)
         assert_same(depth.read(), in_depth)
@@ -172,7 +199,10 @@ def make_texture(device: Device) -> None:
 def test_other_commands_may_stand_between_a_clear_and_its_draws(
     device: Device, between: Callable[[Device], None]
 ) -> None:
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh:
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh,
+    ):
         with device.render_pass(image, clear=RED):
             between(device)
             device.draw(device.program(Colored), mesh)

@@ -1,4 +1,5 @@
-"""Triangles that the view or the eye plane cuts, and triangles too thin for careless planes: coverage, depth, weights.
+"""Triangles that the view or the eye plane cuts, and triangles too thin for careless planes: coverage, depth,
+weights.
 
 `rhi.conformance.triangles` makes them and computes in float64 what they must give.
 """
@@ -51,14 +52,16 @@ def count(device: Device, triangles: Any, *states: Any) -> NDArray[Any]:
     )
 
 
-# -- coverage ----------------------------------------------------------------------------------------------------------
+# -- coverage ------------------------------------------------------------------------------------------------
 
 
 def test_a_triangle_with_a_corner_just_behind_the_eye_is_drawn(device: Device) -> None:
     assert count(device, AT_THE_EYE).sum() == 289
 
 
-@pytest.mark.parametrize("family", [family for family in CUT if family is not exam.beyond_the_guard_band], ids=named)
+@pytest.mark.parametrize(
+    "family", [family for family in CUT if family is not exam.beyond_the_guard_band], ids=named
+)
 def test_a_cut_triangle_covers_what_float64_says(device: Device, family: Family) -> None:
     """Texels farther than 1/256 texel from every edge and cut."""
     require_blendable(device, Format.RGBA32F)
@@ -72,14 +75,17 @@ def test_a_cut_triangle_covers_what_float64_says(device: Device, family: Family)
 
 @pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("wide", [exam.CELL, 16384])
-def test_a_triangle_that_reaches_far_beyond_the_view_covers_what_float64_says(device: Device, wide: int) -> None:
+def test_a_triangle_that_reaches_far_beyond_the_view_covers_what_float64_says(
+    device: Device, wide: int
+) -> None:
     result = examine(device, exam.beyond_the_guard_band, 0, wide)
     assert_same(result.wrong, 0)
     assert result.drawn > 40_000
 
 
 def test_triangles_around_the_eye_share_their_edges(device: Device) -> None:
-    """A fan whose centre lies in the view and whose rim lies before and behind the eye covers each texel once."""
+    """A fan whose centre lies in the view and whose rim lies before and behind the eye covers each texel
+    once."""
     rng = np.random.default_rng(2)
     for _ in range(12):
         spokes = int(rng.integers(5, 12))
@@ -145,12 +151,14 @@ def test_a_corner_that_is_no_number_harms_no_other_triangle(
     assert (mixed <= alone + 1).all()
 
 
-# -- depth and weights -------------------------------------------------------------------------------------------------
+# -- depth and weights ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("family", [*CUT, *WHOLE], ids=named)
-def test_depth_is_that_of_float64_and_stays_in_the_range_of_the_corners(device: Device, family: Family) -> None:
+def test_depth_is_that_of_float64_and_stays_in_the_range_of_the_corners(
+    device: Device, family: Family
+) -> None:
     """Also of triangles of a pixel and of slivers."""
     result = examine(device, family, 5)
     assert_same(result.wrong, 0)
@@ -172,7 +180,8 @@ def test_weights_lie_between_0_and_1(device: Device, family: Family) -> None:
 @pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("family", [exam.of_a_pixel, exam.slivers], ids=named)
 def test_no_sample_lies_beyond_the_corners_depths(device: Device, samples: int, family: Family) -> None:
-    """Against a target as near as the nearest corner nothing passes, nor against one as far as the farthest."""
+    """Against a target as near as the nearest corner nothing passes, nor against one as far as the
+    farthest."""
     if samples not in device.capabilities.sample_counts:
         pytest.skip(f"sample_counts is {device.capabilities.sample_counts}")
     program, seen = device.program(FlatColored), 0
@@ -192,11 +201,14 @@ def test_no_sample_lies_beyond_the_corners_depths(device: Device, samples: int, 
                 ):
                     with (
                         device.render_pass(
-                            image, depth, clear=(0, 0, 0, 0), clear_depth=float(clear),
+                            image,
+                            depth,
+                            clear=(0, 0, 0, 0),
+                            clear_depth=float(clear),
                             resolve=resolved if samples > 1 else None,
                         ),
                         device.states(CullMode.NONE, function),
-                    ):  # fmt: skip
+                    ):
                         device.draw(program, mesh)
                     drawn.append(int(np.count_nonzero((resolved if samples > 1 else image).read())))
             assert drawn[1:] == [0, 0], triangle.tolist()
@@ -228,16 +240,23 @@ def test_a_triangle_has_the_same_depth_under_any_scissor(device: Device, family:
 
 
 def tilted_grid(degrees: float, distance: float, cells: int = 24) -> tuple[Floats, Floats]:
-    """Return the clip positions (n, 4) of the triangles of a plane that a 90° projection with reversed depth sees from
-    a height, turned by an angle from facing the eye; and the inverse distances (h, w) at the middles of its pixels."""
+    """Return the clip positions (n, 4) of the triangles of a plane that a 90° projection with reversed depth
+    sees from a height, turned by an angle from facing the eye; and the inverse distances (h, w) at the
+    middles of its pixels."""
     tilt, along = np.radians(degrees), np.linspace(-0.7, 0.7, cells + 1)
     x, y = np.meshgrid(along, along)
     points = np.stack([x, y * np.cos(tilt), 1.0 + y * np.sin(tilt), np.ones_like(x)], axis=2) * distance
     first = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1)
-    corner = np.stack([first, first + 1, first + cells + 2, first, first + cells + 2, first + cells + 1], axis=1)
+    corner = np.stack(
+        [first, first + 1, first + cells + 2, first, first + cells + 2, first + cells + 1], axis=1
+    )
     homogeneous = points.reshape(-1, 4)[corner.reshape(-1)]
-    clip = np.stack([homogeneous[:, 0], homogeneous[:, 1], np.full(len(homogeneous), 0.5), homogeneous[:, 2]], axis=1)
-    up = 1.0 - (np.arange(SIZE[1]) + 0.5) / SIZE[1] * 2.0  # a ray is (x, up, 1): it meets the sheet at this distance
+    clip = np.stack(
+        [homogeneous[:, 0], homogeneous[:, 1], np.full(len(homogeneous), 0.5), homogeneous[:, 2]], axis=1
+    )
+    up = (
+        1.0 - (np.arange(SIZE[1]) + 0.5) / SIZE[1] * 2.0
+    )  # a ray is (x, up, 1): it meets the sheet at this distance
     inverse = (np.cos(tilt) - up * np.sin(tilt)) / (distance * np.cos(tilt))
     return clip, np.repeat(inverse[:, None], SIZE[0], axis=1)
 
@@ -249,8 +268,8 @@ def tilted_grid(degrees: float, distance: float, cells: int = 24) -> tuple[Float
 def test_small_triangles_of_a_tilted_plane_have_the_distance_of_the_plane(
     device: Device, degrees: float, distance: float, is_reversed: bool
 ) -> None:
-    """Within a share of the distance that doesn't grow with it: what two surfaces must be apart to be told apart. Of
-    standard depth, which is 1 less that, as far as its digits reach."""
+    """Within a share of the distance that doesn't grow with it: what two surfaces must be apart to be told
+    apart. Of standard depth, which is 1 less that, as far as its digits reach."""
     clip, inverse = tilted_grid(degrees, distance)
     if not is_reversed:
         clip[:, 2] = clip[:, 3] - 0.5

@@ -1,4 +1,5 @@
-"""Command buffers: recorded commands execute at each submission, with the contents that resources have then."""
+"""Command buffers: recorded commands execute at each submission, with the contents that resources have
+then."""
 
 from __future__ import annotations
 
@@ -221,7 +222,9 @@ def test_a_buffer_can_be_submitted_inside_of_labels_and_scopes(recording: rhi.De
 # -- draws -------------------------------------------------------------------------------------------------
 
 
-def scene(encoder: rhi.Encoder, device: rhi.Device, image: rhi.Texture, program: Any, mesh: Any, tints: Any) -> None:
+def scene(
+    encoder: rhi.Encoder, device: rhi.Device, image: rhi.Texture, program: Any, mesh: Any, tints: Any
+) -> None:
     """Record a pass of eight columns with changing states."""
     with encoder.render_pass(image, clear=(0.5, 0, 0, 1)), encoder.states(rhi.CullMode.NONE):
         for i in range(8):
@@ -250,7 +253,10 @@ def make_scene(device: rhi.Device) -> tuple[Any, ...]:
 @pixels
 def test_what_is_drawn_later_is_what_is_drawn_at_once(device: rhi.Device) -> None:
     parts = make_scene(device)
-    with device.texture(SIZE, rhi.Format.RGBA16F) as direct, device.texture(SIZE, rhi.Format.RGBA16F) as later:
+    with (
+        device.texture(SIZE, rhi.Format.RGBA16F) as direct,
+        device.texture(SIZE, rhi.Format.RGBA16F) as later,
+    ):
         scene(device, device, direct, *parts)
         commands = record(device, lambda c: scene(c, device, later, *parts))
         assert_same(later.read(), 0)
@@ -321,7 +327,9 @@ def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: rhi.Device, me
 
 
 @pixels
-def test_a_draw_after_a_submission_binds_its_own(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
+def test_a_draw_after_a_submission_binds_its_own(
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
+) -> None:
     parts = [device.uniform(Tint(color=(value, 0, 0, 1))) for value in (0.2, 1.0)]
     program = device.program(Tinted)
 
@@ -399,7 +407,9 @@ def test_transient_things_of_all_kinds_lie_side_by_side(device: rhi.Device) -> N
                     mesh.draws(6 * i, 6),
                     tint=commands.transient.uniform(Tint(color=(i, 0, 0, 1))),
                 )
-                corner = rectangle(-1 + (i + 1) / 4, -1, -1 + (i + 2) / 4, 1, color=(i + 1, 0, 0, 1))[[0, 1, 2, 5]]
+                corner = rectangle(-1 + (i + 1) / 4, -1, -1 + (i + 2) / 4, 1, color=(i + 1, 0, 0, 1))[
+                    [0, 1, 2, 5]
+                ]
                 for indices in ([0, 1, 2], [0, 2, 3]):
                     half = commands.transient.mesh(colored, corner, np.array(indices, "u2"))
                     commands.draw(colored, half)
@@ -636,7 +646,9 @@ def test_dispatches_can_be_recorded(device: rhi.Device) -> None:
     numbers = np.arange(4, dtype=np.int32)
     with device.storage(int, numbers) as rows, device.buffer(np.array([4, 1, 1], "u4")) as groups:
         with device.record() as commands:
-            commands.dispatch(device.program(Add), 4, shift=commands.transient.uniform(Shift(amount=3)), numbers=rows)
+            commands.dispatch(
+                device.program(Add), 4, shift=commands.transient.uniform(Shift(amount=3)), numbers=rows
+            )
             commands.dispatch(device.program(Double), 4, numbers=rows)
             commands.dispatch_indirect(device.program(Double), groups, 0, numbers=rows)
         assert_same(rows.read(), numbers)

@@ -69,7 +69,9 @@ def assert_decoded(format: CompressedFormat, actual: NDArray[Any], blocks: NDArr
             np.concatenate([linear_to_srgb(v[..., :3]), v[..., 3:]], axis=-1) for v in (actual, expected)
         )
         slack = 0.5 / 255 + slack
-    reason = "BC7 is exact; Direct3D asks for 1 stored number and 3 % of what the ends of BC1 to BC5 differ by"
+    reason = (
+        "BC7 is exact; Direct3D asks for 1 stored number and 3 % of what the ends of BC1 to BC5 differ by"
+    )
     assert_near(actual, expected, slack, reason)
 
 

@@ -38,12 +38,17 @@ class InvocationIndices(sl.Shader):
             sl.uint(sl.group_id().x), sl.uint(sl.group_id().y), sl.uint(sl.group_id().z), sl.uint(i)
         )
         self.local_indices[i] = sl.uvec4(
-            sl.uint(sl.local_id().x), sl.uint(sl.local_id().y), sl.uint(sl.local_id().z), sl.uint(sl.local_index())
+            sl.uint(sl.local_id().x),
+            sl.uint(sl.local_id().y),
+            sl.uint(sl.local_id().z),
+            sl.uint(sl.local_index()),
         )
 
 
 @pytest.mark.parametrize("groups", [(1, 1, 1), (3, 1, 1), (1, 5, 1), (1, 1, 4), (3, 2, 2)], ids=str)
-def test_every_invocation_runs_once_and_reads_its_indices(device: Device, groups: tuple[int, int, int]) -> None:
+def test_every_invocation_runs_once_and_reads_its_indices(
+    device: Device, groups: tuple[int, int, int]
+) -> None:
     shape = (groups[2], groups[1] * 2, groups[0] * 4)
     count = int(np.prod(shape))
     with device.storage(sl.uvec4, count) as where, device.storage(sl.uvec4, count) as local:
@@ -64,7 +69,9 @@ class Count(sl.Shader):
         sl.atomic_add(self.total[0], sl.uint(1))
 
 
-@pytest.mark.parametrize(("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)])
+@pytest.mark.parametrize(
+    ("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)]
+)
 def test_a_number_of_groups_has_one_to_three_dimensions(device: Device, groups: Any, expected: int) -> None:
     with device.storage(sl.uint, 1) as total:
         device.dispatch(device.program(Count), groups, total=total)
@@ -176,7 +183,9 @@ MIXED: dict[str, Any] = {
 
 
 def test_structs_lie_where_their_dtype_says(device: Device) -> None:
-    inner = [Inner(weight=weight, axis=(weight + 1, weight + 2, weight + 3)) for weight in (24.0, 100.0, 104.0)]
+    inner = [
+        Inner(weight=weight, axis=(weight + 1, weight + 2, weight + 3)) for weight in (24.0, 100.0, 104.0)
+    ]
     value = Mixed(**MIXED, h=inner[0], o=inner[1:])
     rows: Any = np.zeros(3, Mixed.dtype)
     for name, part in MIXED.items():
@@ -221,7 +230,12 @@ def test_matrices_that_are_only_read_have_their_rows_in_order(device: Device) ->
     (a, b), (c, d), (e, f) = values = [np.arange(2.0 * n * n).reshape(2, n, n) for n in (2, 3, 4)]
     for name, value in zip(("two", "three", "four"), values, strict=True):
         rows[name][:, :, : value.shape[2]] = value
-    expected = [(*a @ (1, 2), *b[1]), (*c @ (1, 2, 3), d[1, 2]), (*d @ (1, 2, 3), b[0, 1]), e[2] + f @ (1, 2, 3, 4)]
+    expected = [
+        (*a @ (1, 2), *b[1]),
+        (*c @ (1, 2, 3), d[1, 2]),
+        (*d @ (1, 2, 3), b[0, 1]),
+        e[2] + f @ (1, 2, 3, 4),
+    ]
     with device.storage(Matrices, rows) as matrices, device.storage(sl.vec4, 4) as results:
         device.dispatch(device.program(ReadMatrices), 1, matrices=matrices, results=results)
         assert_same(results.read(), expected)
@@ -457,7 +471,9 @@ def image_copy(pixel_format: Format, annotation: Any) -> Any:
 IMAGES: dict[ChannelKind, Any] = {ChannelKind.UINT: sl.UintImage2D, ChannelKind.INT: sl.IntImage2D}
 
 
-@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not ChannelKind.SRGB], ids=lambda f: f.name)
+@pytest.mark.parametrize(
+    "format", [f for f in COLOR_FORMATS if f.kind is not ChannelKind.SRGB], ids=lambda f: f.name
+)
 @pytest.mark.requires("max_image_slots")
 def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format) -> None:
     require_images(device, format)

@@ -1,4 +1,5 @@
-"""Draws on condition of a query set's rows: the device decides about each, as if it were alone in a condition."""
+"""Draws on condition of a query set's rows: the device decides about each, as if it were alone in a
+condition."""
 
 from __future__ import annotations
 
@@ -39,7 +40,9 @@ class Numbered(Flat):
 def columns(device: rhi.Device) -> Iterator[rhi.Mesh]:
     """Yield a mesh of the columns of the image at depth 0.25, then of the same at depth 0.75."""
     rectangles = [
-        texel_rectangle(column, 0, 1, SIZE[1], SIZE, depth=depth) for depth in (0.25, 0.75) for column in range(COLUMNS)
+        texel_rectangle(column, 0, 1, SIZE[1], SIZE, depth=depth)
+        for depth in (0.25, 0.75)
+        for column in range(COLUMNS)
     ]
     with device.mesh(np.concatenate(rectangles)) as mesh:
         yield mesh
@@ -149,7 +152,9 @@ def test_a_set_may_decide_often_and_count_anew(
         assert (queries.wait() > 0).tolist() == [column not in hidden for column in range(COLUMNS)]
 
 
-def test_several_sets_decide_side_by_side(device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any) -> None:
+def test_several_sets_decide_side_by_side(
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any
+) -> None:
     program, sets = device.program(Colored), [device.query_set(COLUMNS) for _ in range(3)]
     hidden = [[0, 1], [2, 3, 4], [5]]
     for queries, wall in zip(sets, hidden, strict=True):
@@ -158,9 +163,14 @@ def test_several_sets_decide_side_by_side(device: rhi.Device, columns: rhi.Mesh,
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         for set_index, queries in enumerate(sets):
             columns_of_set = range(2 * set_index, 2 * set_index + 2)
-            device.draw_conditional(program, columns, parts(columns, columns_of_set), queries, list(columns_of_set))
+            device.draw_conditional(
+                program, columns, parts(columns, columns_of_set), queries, list(columns_of_set)
+            )
     assert lit(image) == [
-        2 * set_index + i for set_index in range(3) for i in (0, 1) if 2 * set_index + i not in hidden[set_index]
+        2 * set_index + i
+        for set_index in range(3)
+        for i in (0, 1)
+        if 2 * set_index + i not in hidden[set_index]
     ]
     for queries in sets:
         queries.destroy()
@@ -197,7 +207,9 @@ def test_conditions_end_with_the_call(
     query.destroy()
 
 
-def test_no_draws_decide_nothing(device: rhi.Device, columns: rhi.Mesh, image: Any, queries: rhi.QuerySet) -> None:
+def test_no_draws_decide_nothing(
+    device: rhi.Device, columns: rhi.Mesh, image: Any, queries: rhi.QuerySet
+) -> None:
     program = device.program(Colored)
     with device.render_pass(image):
         device.draw_counted(program, columns, parts(columns, [0]), queries)
@@ -208,12 +220,16 @@ def test_no_draws_decide_nothing(device: rhi.Device, columns: rhi.Mesh, image: A
     assert not lit(image)
 
 
-def test_indexed_draws_are_dropped_too(device: rhi.Device, image: Any, depth: Any, queries: rhi.QuerySet) -> None:
+def test_indexed_draws_are_dropped_too(
+    device: rhi.Device, image: Any, depth: Any, queries: rhi.QuerySet
+) -> None:
     corners = [texel_rectangle(column, 0, 1, SIZE[1], SIZE) for column in range(COLUMNS)]
     with device.mesh(np.concatenate(corners), np.arange(6)) as mesh:
         program = device.program(Colored)
         draws = mesh.draws(0, 6, base_vertex=6 * np.arange(COLUMNS))
-        none = mesh.draws(0, np.where(np.isin(np.arange(COLUMNS), HIDDEN), 0, 6), base_vertex=6 * np.arange(COLUMNS))
+        none = mesh.draws(
+            0, np.where(np.isin(np.arange(COLUMNS), HIDDEN), 0, 6), base_vertex=6 * np.arange(COLUMNS)
+        )
         with device.render_pass(image, depth):
             device.draw_counted(program, mesh, none, queries)
         with device.render_pass(image, clear=(0, 0, 0, 1)):
@@ -249,8 +265,12 @@ def test_a_command_buffer_decides_at_each_submission(
 def test_only_rows_that_counted_decide(device: rhi.Device, columns: rhi.Mesh, image: Any, wrong: str) -> None:
     program, queries = device.program(Colored), device.query_set(4)
     draws = parts(columns, [0, 1])
-    quads = device.mesh(np.concatenate([texel_rectangle(0, 0, 1, 1, SIZE)] * 4), primitive=rhi.Primitive.QUADS)
-    mesh, rows = (quads, [1, 2]) if wrong == "quads" else (columns, [1, 0] if wrong == "another row" else [1, 2])
+    quads = device.mesh(
+        np.concatenate([texel_rectangle(0, 0, 1, 1, SIZE)] * 4), primitive=rhi.Primitive.QUADS
+    )
+    mesh, rows = (
+        (quads, [1, 2]) if wrong == "quads" else (columns, [1, 0] if wrong == "another row" else [1, 2])
+    )
     rule = {
         "never counted": rules.QUERY_STATE,
         "another row": rules.QUERY_INDICES,
@@ -261,7 +281,9 @@ def test_only_rows_that_counted_decide(device: rhi.Device, columns: rhi.Mesh, im
             device.draw_counted(program, columns, parts(columns, [8, 9]), queries, [1, 2])
         before = device.statistics
         with pytest.raises(rhi.ValidationError, match=rf"^\[{rule[wrong].id}\]"):
-            device.draw_conditional(program, mesh, quads.draws([0, 4], 4) if mesh is quads else draws, queries, rows)
+            device.draw_conditional(
+                program, mesh, quads.draws([0, 4], 4) if mesh is quads else draws, queries, rows
+            )
         assert device.statistics.draws == before.draws
         device.draw_counted(program, columns, parts(columns, [8, 9]), queries, [1, 2])
         device.draw_conditional(program, columns, draws, queries, [1, 2])

@@ -21,13 +21,23 @@ from rhi.shading import vec4
 pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (4, 4)
-BITS = {rhi.Format.D16: 16, rhi.Format.D24: 24, rhi.Format.D24S8: 24, rhi.Format.D32F: 24, rhi.Format.D32FS8: 24}
+BITS = {
+    rhi.Format.D16: 16,
+    rhi.Format.D24: 24,
+    rhi.Format.D24S8: 24,
+    rhi.Format.D32F: 24,
+    rhi.Format.D32FS8: 24,
+}
 
 
 def depth_after(
-    device: rhi.Device, *draws: VertexRows, clear: float = 0.0, states: tuple[rhi.State, ...] = (rhi.DepthTest.ON,),
-    format: rhi.Format = rhi.Format.D32F, size: tuple[int, int] = SIZE,
-) -> NDArray[Any]:  # fmt: skip
+    device: rhi.Device,
+    *draws: VertexRows,
+    clear: float = 0.0,
+    states: tuple[rhi.State, ...] = (rhi.DepthTest.ON,),
+    format: rhi.Format = rhi.Format.D32F,
+    size: tuple[int, int] = SIZE,
+) -> NDArray[Any]:
     """Return the depth buffer after one draw for each of `draws`, in order."""
     with device.texture(size, format) as depth:
         with device.render_pass(depth=depth, clear_depth=clear), device.states(*states):
@@ -56,7 +66,9 @@ def test_standard_depth_is_a_function_and_a_clear_away(device: rhi.Device) -> No
 def test_clip_depth_is_stored_as_it_is(device: rhi.Device, format: rhi.Format, depth: float) -> None:
     """Clip depth runs from 0 to 1, not from −1 to 1."""
     require_format(device, format)
-    after = depth_after(device, rectangle(depth=depth), clear=0.6, states=(rhi.DepthFunction.ALWAYS,), format=format)
+    after = depth_after(
+        device, rectangle(depth=depth), clear=0.6, states=(rhi.DepthFunction.ALWAYS,), format=format
+    )
     assert_near(after, depth, 2.0 ** -BITS[format], "the format's bits")
 
 
@@ -65,7 +77,9 @@ def test_16_bits_of_depth_are_the_nearest(device: rhi.Device, near: float) -> No
     """Whole steps and parts of one, of both halves of a step, in all parts of the range."""
     require_format(device, rhi.Format.D16)
     steps = np.round(65535 * near) + np.array([-0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.4])
-    columns = [rectangle(-1 + 2 * i / 9, -1, -1 + 2 * (i + 1) / 9, 1, depth=s / 65535) for i, s in enumerate(steps)]
+    columns = [
+        rectangle(-1 + 2 * i / 9, -1, -1 + 2 * (i + 1) / 9, 1, depth=s / 65535) for i, s in enumerate(steps)
+    ]
     after = depth_after(device, np.concatenate(columns), format=rhi.Format.D16, size=(9, 2))
     assert_near(after * 65535, np.broadcast_to(np.round(steps), (2, 9)), 1e-2, "whole steps, read as float32")
 
@@ -98,11 +112,15 @@ def test_float_depth_is_not_squeezed_on_its_way(device: rhi.Device) -> None:
     """An intermediate mapping to −1…1 would lose the low bits of depths near 0."""
     depths = np.float32(2.0) ** -np.arange(8, 24, dtype=np.float32)
     for depth in depths[::5]:
-        assert_near(depth_after(device, rectangle(depth=depth)), depth, depth * 2.0**-20, "interpolation in float32")
+        assert_near(
+            depth_after(device, rectangle(depth=depth)), depth, depth * 2.0**-20, "interpolation in float32"
+        )
 
 
 @pytest.mark.parametrize("function", list(rhi.DepthFunction), ids=lambda f: f.name)
-def test_a_depth_function_compares_fragment_with_stored(device: rhi.Device, function: rhi.DepthFunction) -> None:
+def test_a_depth_function_compares_fragment_with_stored(
+    device: rhi.Device, function: rhi.DepthFunction
+) -> None:
     stored = 0.5
     for new in (0.25, 0.5, 0.75):
         passes = bool(compare(function, new, stored))
@@ -111,10 +129,13 @@ def test_a_depth_function_compares_fragment_with_stored(device: rhi.Device, func
 
 
 @pytest.mark.parametrize("function", list(rhi.DepthFunction), ids=lambda f: f.name)
-def test_a_fragment_that_fails_the_depth_test_writes_no_color(device: rhi.Device, function: rhi.DepthFunction) -> None:
+def test_a_fragment_that_fails_the_depth_test_writes_no_color(
+    device: rhi.Device, function: rhi.DepthFunction
+) -> None:
     with device.texture((3, 1), rhi.Format.R8) as image, device.texture((3, 1), rhi.Format.D32F) as depth:
         columns = [
-            rectangle(-1 + 2 * i / 3, -1, -1 + 2 * (i + 1) / 3, 1, depth=d) for i, d in enumerate((0.25, 0.5, 0.75))
+            rectangle(-1 + 2 * i / 3, -1, -1 + 2 * (i + 1) / 3, 1, depth=d)
+            for i, d in enumerate((0.25, 0.5, 0.75))
         ]
         with (
             device.mesh(np.concatenate(columns)) as mesh,
@@ -224,8 +245,8 @@ def test_a_viewport_maps_depth_into_its_range(device: rhi.Device, near: float, f
 
 @pytest.mark.parametrize("format", [rhi.Format.D16, rhi.Format.D24S8, rhi.Format.D32F], ids=lambda f: f.name)
 def test_a_depth_bias_is_counted_in_steps_of_the_format(device: rhi.Device, format: rhi.Format) -> None:
-    """The unit of a bias is the smallest difference in depth that is certain to be distinguished: one or two steps of
-    the format."""
+    """The unit of a bias is the smallest difference in depth that is certain to be distinguished: one or two
+    steps of the format."""
     require_format(device, format)
     step = 2.0 ** -BITS[format]
     plain = depth_after(device, rectangle(depth=0.6), format=format)
@@ -259,7 +280,9 @@ def test_a_polygon_offset_is_counted_in_the_polygon_s_slope(device: rhi.Device, 
 
 
 def test_a_polygon_offset_does_not_move_what_faces_the_camera(device: rhi.Device) -> None:
-    assert_near(depth_after(device, rectangle(depth=0.5), states=(rhi.PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32")
+    assert_near(
+        depth_after(device, rectangle(depth=0.5), states=(rhi.PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32"
+    )
 
 
 @pytest.mark.requires("depth_bias_clamp")
@@ -281,7 +304,8 @@ def test_a_polygon_offset_is_kept_within_its_clamp(device: rhi.Device, sign: flo
 def test_depth_that_a_bias_moves_beyond_the_range_is_its_end(
     device: rhi.Device, format: rhi.Format, function: rhi.DepthFunction, units: float, end: float
 ) -> None:
-    """A depth that is biased beyond the range is clamped to its end: it passes a test for equality with the end."""
+    """A depth that is biased beyond the range is clamped to its end: it passes a test for equality with the
+    end."""
     require_format(device, format)
     with (
         device.texture(SIZE, rhi.Format.R8) as image,
@@ -297,7 +321,9 @@ def test_depth_that_a_bias_moves_beyond_the_range_is_its_end(
 
 def test_lines_and_points_are_not_offset(device: rhi.Device) -> None:
     rows = rectangle(depth=0.5)
-    stored = draw_once(device, SIZE, rhi.Format.D24S8, rows, rhi.DepthBias(1000.0), primitive=rhi.Primitive.POINTS)
+    stored = draw_once(
+        device, SIZE, rhi.Format.D24S8, rows, rhi.DepthBias(1000.0), primitive=rhi.Primitive.POINTS
+    )
     assert_near(stored[stored > 0], 0.5, 2.0**-23, "24 bits of depth")
 
 
@@ -337,8 +363,8 @@ def test_two_programs_with_the_same_positions_give_the_same_depth(device: rhi.De
 def test_the_same_triangle_has_the_same_depth_whatever_the_scissor(
     device: rhi.Device, nearest: float, window: tuple[int, int]
 ) -> None:
-    """OpenGL 4.5, appendix A, rule 2: geometry drawn scissor by scissor passes EQUAL against the depth of one draw
-    of the whole."""
+    """OpenGL 4.5, appendix A, rule 2: geometry drawn scissor by scissor passes EQUAL against the depth of one
+    draw of the whole."""
     size = (90, 70)
     rng = np.random.default_rng(0)
     positions = np.ones((30, 4))
@@ -352,7 +378,10 @@ def test_the_same_triangle_has_the_same_depth_whatever_the_scissor(
         device.mesh(corners(positions)) as mesh,
         device.states(rhi.CullMode.NONE),
     ):
-        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0), device.states(rhi.ColorWrite.OFF):
+        with (
+            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0),
+            device.states(rhi.ColorWrite.OFF),
+        ):
             device.draw(program, mesh)
         width, height = window
         with device.render_pass(image, depth), device.states(rhi.DepthFunction.EQUAL, rhi.DepthWrite.OFF):

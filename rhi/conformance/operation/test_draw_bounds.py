@@ -1,8 +1,8 @@
 """Draws that name what doesn't exist: what the CPU knows is refused, the rest reads within the buffers.
 
-A point of each vertex, or of each instance, shows its own number. Buffers beside the mesh hold other numbers, so a draw
-that reads beyond its buffers shows them, or ends the process. Which of the mesh's numbers it shows instead, or none, is
-the platform's choice (as in WebGPU's robust buffer access).
+A point of each vertex, or of each instance, shows its own number. Buffers beside the mesh hold other numbers,
+so a draw that reads beyond its buffers shows them, or ends the process. Which of the mesh's numbers it shows
+instead, or none, is the platform's choice (as in WebGPU's robust buffer access).
 """
 
 from __future__ import annotations
@@ -84,7 +84,9 @@ def guarded(device: Device) -> Iterator[list[Buffer]]:
 
 @pytest.fixture
 def indexed(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
-    with device.mesh(make_vertices(OWN), np.arange(COUNT, dtype=np.uint32), primitive=Primitive.POINTS) as mesh:
+    with device.mesh(
+        make_vertices(OWN), np.arange(COUNT, dtype=np.uint32), primitive=Primitive.POINTS
+    ) as mesh:
         guarded.append(device.buffer(np.repeat(make_vertices(FOREIGN), 512)))
         yield mesh
 
@@ -118,10 +120,12 @@ def assert_own(device: Device, mesh: Mesh, draw: Any) -> None:
     """Assert that a draw shows nothing but numbers of the mesh, and that the next one is right."""
     image = show(device, draw)
     assert np.isin(image, [0.0, *OWN]).all(), image
-    assert_same(show(device, lambda: device.draw(device.program(Numbered), mesh.view(0, 1))), OWN * (OWN == 1))
+    assert_same(
+        show(device, lambda: device.draw(device.program(Numbered), mesh.view(0, 1))), OWN * (OWN == 1)
+    )
 
 
-# -- refused -----------------------------------------------------------------------------------------------------
+# -- refused -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("base", [COUNT, COUNT + 1, 1 << 29])
@@ -144,8 +148,12 @@ def test_the_last_vertex_is_a_base_vertex(device: Device, indexed: Mesh) -> None
     assert_same(show(device, lambda: device.draw(device.program(Numbered), view)), OWN * (OWN == COUNT))
 
 
-@pytest.mark.parametrize(("base", "instances"), [(0, COUNT + 1), (1, COUNT), (COUNT, 1), (COUNT + 1, 1), (0, 1 << 30)])
-def test_instances_beyond_their_data_are_refused(device: Device, instanced: Mesh, base: int, instances: int) -> None:
+@pytest.mark.parametrize(
+    ("base", "instances"), [(0, COUNT + 1), (1, COUNT), (COUNT, 1), (COUNT + 1, 1), (0, 1 << 30)]
+)
+def test_instances_beyond_their_data_are_refused(
+    device: Device, instanced: Mesh, base: int, instances: int
+) -> None:
     program, view = device.program(Numbered), instanced.view(base_instance=base)
     draws = instanced.draws(0, 1, instances=[1, instances], base_instance=[0, base])
     with device.texture(SIZE, Format.R32F) as image, device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -173,12 +181,14 @@ def test_a_program_that_reads_no_instances_draws_more_of_them(device: Device) ->
     with device.mesh(
         make_vertices(OWN), instances={"other": np.zeros(2, np.float32)}, primitive=Primitive.POINTS
     ) as mesh:
-        image = show(device, lambda: device.draw(device.program(Counted), mesh.view(0, 1, base_instance=3), 5))
+        image = show(
+            device, lambda: device.draw(device.program(Counted), mesh.view(0, 1, base_instance=3), 5)
+        )
         assert image[0] in (5.0, 8.0)  # whether an instance's index counts from the base
         assert not image[1:].any()
 
 
-# -- only the device knows -----------------------------------------------------------------------------------------
+# -- only the device knows -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("by_device", [False, True], ids=["by the CPU", "by the device"])
@@ -206,13 +216,25 @@ def test_a_negative_base_vertex_reads_the_mesh(device: Device, indexed: Mesh, ba
 
 @pytest.mark.parametrize(
     ("mesh_name", "name", "value"),
-    [("indexed", "count", 9), ("indexed", "count", 100_000), ("indexed", "first", COUNT), ("indexed", "first", 1 << 20),
-     ("indexed", "base_vertex", COUNT), ("indexed", "base_vertex", -1), ("indexed", "base_vertex", 1 << 30),
-     ("indexed", "base_vertex", -(1 << 31)), ("plain", "count", 9), ("plain", "count", 100_000),
-     ("plain", "first", COUNT), ("plain", "first", 1 << 30), ("instanced", "instances", 9),
-     ("instanced", "instances", 100_000), ("instanced", "base_instance", COUNT),
-     ("instanced", "base_instance", 1 << 30)],
-)  # fmt: skip
+    [
+        ("indexed", "count", 9),
+        ("indexed", "count", 100_000),
+        ("indexed", "first", COUNT),
+        ("indexed", "first", 1 << 20),
+        ("indexed", "base_vertex", COUNT),
+        ("indexed", "base_vertex", -1),
+        ("indexed", "base_vertex", 1 << 30),
+        ("indexed", "base_vertex", -(1 << 31)),
+        ("plain", "count", 9),
+        ("plain", "count", 100_000),
+        ("plain", "first", COUNT),
+        ("plain", "first", 1 << 30),
+        ("instanced", "instances", 9),
+        ("instanced", "instances", 100_000),
+        ("instanced", "base_instance", COUNT),
+        ("instanced", "base_instance", 1 << 30),
+    ],
+)
 def test_indirect_arguments_read_the_mesh(
     device: Device, request: pytest.FixtureRequest, mesh_name: str, name: str, value: int
 ) -> None:
@@ -226,7 +248,9 @@ def test_indirect_arguments_read_the_mesh(
 
 @pytest.mark.requires("indirect_count")
 @pytest.mark.parametrize("count", [3, 1000, (1 << 32) - 1])
-def test_an_indirect_count_is_at_most_the_draws_of_the_command(device: Device, plain: Mesh, count: int) -> None:
+def test_an_indirect_count_is_at_most_the_draws_of_the_command(
+    device: Device, plain: Mesh, count: int
+) -> None:
     draws = plain.draws([0, 1, 2, 3], 1)
     with device.buffer(draws) as arguments, device.buffer(np.array([count], np.uint32)) as counts:
         indirect = IndirectDraws(arguments, 2, count=counts)
@@ -290,18 +314,28 @@ class Bounded(sl.Shader):
         self.results[x + self.far[1]] = 1.0
         self.results[x] = 3.0
         return sl.vec4(
-            self.words[x - 2], table[x + self.far[0]] + table[x], sl.ddx(self.words[self.far[0] - x]), table[3]
+            self.words[x - 2],
+            table[x + self.far[0]] + table[x],
+            sl.ddx(self.words[self.far[0] - x]),
+            table[3],
         )
 
 
 @pytest.mark.requires("max_storage_slots")
 def test_the_stages_of_a_draw_are_bounded_too(device: Device) -> None:
     words = np.array([5, 6, 7, 8], "f4")
-    results, far = device.storage(float, np.zeros(4, "f4")), device.storage(int, np.array([100000, 500000000], "i4"))
+    results, far = (
+        device.storage(float, np.zeros(4, "f4")),
+        device.storage(int, np.array([100000, 500000000], "i4")),
+    )
     with device.texture((8, 2), Format.RGBA32F) as target:
         with device.render_pass(target, clear=(0, 0, 0, 0)):
             device.draw(
-                device.program(Bounded), device.mesh(3), words=device.storage(float, words), far=far, results=results
+                device.program(Bounded),
+                device.mesh(3),
+                words=device.storage(float, words),
+                far=far,
+                results=results,
             )
         back = target.read()
     for x in range(8):

@@ -12,7 +12,8 @@ pytestmark = pytest.mark.requires("draws", "shading")
 
 
 def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
-    """The work grows until its signal was seen unfinished twice: then it is too long to finish before the wait."""
+    """The work grows until its signal was seen unfinished twice: then it is too long to finish before the
+    wait."""
     unfinished = 0
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
@@ -30,10 +31,11 @@ def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
 
 @pytest.mark.requires("timestamps")
 def test_more_work_takes_more_time(device: Device) -> None:
-    """Whole passes are timed: within a pass, a device that works tile by tile has no separate time for each draw.
+    """Whole passes are timed: within a pass, a device that works tile by tile has no separate time for each
+    draw.
 
-    A busy machine can only add to a time. So the small work is the minimum of several runs, and the large work grows
-    until it takes longer in spite of that.
+    A busy machine can only add to a time. So the small work is the minimum of several runs, and the large
+    work grows until it takes longer in spite of that.
     """
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)

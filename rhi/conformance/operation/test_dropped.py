@@ -1,4 +1,5 @@
-"""Resources that nobody holds any more: they are destroyed as by `destroy`, once the GPU no longer uses them."""
+"""Resources that nobody holds any more: they are destroyed as by `destroy`, once the GPU no longer uses
+them."""
 
 from __future__ import annotations
 
@@ -47,9 +48,12 @@ def created(device: Device, since: int) -> list[int]:
 
 
 def destroyed(device: Device, since: int) -> list[int]:
-    """Return those that were destroyed, in ascending order. What other tests have left behind doesn't count."""
+    """Return those that were destroyed, in ascending order. What other tests have left behind doesn't
+    count."""
     own = created(device, since)
-    return sorted(command.values[0] for command in device.stream[since:].filter(Op.DESTROY) if command.values[0] in own)
+    return sorted(
+        command.values[0] for command in device.stream[since:].filter(Op.DESTROY) if command.values[0] in own
+    )
 
 
 @pytest.fixture
@@ -101,8 +105,11 @@ def test_the_garbage_collector_may_drop_a_resource(recording: Device, since: int
     assert destroyed(recording, since) == created(recording, since)
 
 
-def test_creations_destroy_what_was_dropped_in_a_program_without_frames(recording: Device, since: int) -> None:
-    """They wait for two lots of 64 MiB at most, so of 600 buffers of 1 MiB at least 400 are gone at the end."""
+def test_creations_destroy_what_was_dropped_in_a_program_without_frames(
+    recording: Device, since: int
+) -> None:
+    """They wait for two lots of 64 MiB at most, so of 600 buffers of 1 MiB at least 400 are gone at the
+    end."""
     for _ in range(600):
         recording.buffer(1 << 18, np.dtype("u4"))
     assert len(destroyed(recording, since)) >= 400
@@ -125,7 +132,9 @@ def test_a_draw_has_what_was_dropped_right_after_it(device: Device) -> None:
 @pytest.mark.requires("draws", "shading")
 def test_a_pass_holds_its_targets(device: Device) -> None:
     with device.texture((4, 4), Format.RGBA8) as copy:
-        with device.render_pass([device.texture((4, 4), Format.RGBA8, label="dropped"), copy], clear=(0, 0, 0, 0)):
+        with device.render_pass(
+            [device.texture((4, 4), Format.RGBA8, label="dropped"), copy], clear=(0, 0, 0, 0)
+        ):
             device.signal()
             device.finish()
             device.draw(device.program(Colored), device.mesh(rectangle()))

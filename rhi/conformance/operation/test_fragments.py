@@ -1,4 +1,5 @@
-"""Fragments with side effects: discard, early depth test, written depth, atomics, and the order of effects."""
+"""Fragments with side effects: discard, early depth test, written depth, atomics, and the order of
+effects."""
 
 from __future__ import annotations
 
@@ -93,7 +94,9 @@ def test_a_texel_runs_one_fragment_however_many_of_its_samples_are_covered(
     ):
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
-        texels = 2 if primitive is rhi.Primitive.POINTS else 5  # from the middle of texel 2 to that of texel 6
+        texels = (
+            2 if primitive is rhi.Primitive.POINTS else 5
+        )  # from the middle of texel 2 to that of texel 6
         assert_same(total.read(), texels)
 
 
@@ -150,7 +153,10 @@ def test_a_fragment_s_own_depth_is_clamped(device: rhi.Device) -> None:
     with device.texture(SIZE, rhi.Format.D32F) as depth, device.texture(SIZE, rhi.Format.R8) as image:
         for value, expected in ((-1.0, 0.0), (2.0, 1.0)):
             with device.mesh(rectangle(color=(value, 0, 0, 0))) as mesh:
-                with device.render_pass(image, depth, clear_depth=0.5), device.states(rhi.DepthFunction.ALWAYS):
+                with (
+                    device.render_pass(image, depth, clear_depth=0.5),
+                    device.states(rhi.DepthFunction.ALWAYS),
+                ):
                     device.draw(device.program(DepthFromColor), mesh)
             assert_same(depth.read(), expected)
 
@@ -282,7 +288,9 @@ class Sum(sl.Shader):
 
 
 @pytest.mark.requires("compute")
-def test_a_dispatch_reads_what_fragments_wrote(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
+def test_a_dispatch_reads_what_fragments_wrote(
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
+) -> None:
     with device.storage(sl.uint, 64) as values, device.storage(sl.uint, 1) as total:
         with device.render_pass(image), device.states(rhi.ColorWrite.OFF):
             device.draw(device.program(Fill), mesh, out=values)
@@ -311,7 +319,13 @@ def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(dev
         "color": np.ones((3, 4), "f4"),
     }
     drawn = draw_once(
-        device, SIZE, rhi.Format.RGBA32F, slim, shader=WaterfallAtEdges, indices=np.arange(3), clear=(-1, -1, -1, -1)
+        device,
+        SIZE,
+        rhi.Format.RGBA32F,
+        slim,
+        shader=WaterfallAtEdges,
+        indices=np.arange(3),
+        clear=(-1, -1, -1, -1),
     )
     covered = drawn[..., 3] == 1
     assert 8 < covered.sum() < 50
@@ -370,15 +384,23 @@ class SixConditions(Shaded):
 
     def fragment(self, v: Shade) -> sl.vec4:
         zero = v.color.x
-        number = read_digit(self.d0, 1.0, zero) + read_digit(self.d1, 2.0, zero) + read_digit(self.d2, 4.0, zero)
-        number += read_digit(self.d3, 8.0, zero) + read_digit(self.d4, 16.0, zero) + read_digit(self.d5, 32.0, zero)
+        number = (
+            read_digit(self.d0, 1.0, zero) + read_digit(self.d1, 2.0, zero) + read_digit(self.d2, 4.0, zero)
+        )
+        number += (
+            read_digit(self.d3, 8.0, zero) + read_digit(self.d4, 16.0, zero) + read_digit(self.d5, 32.0, zero)
+        )
         return sl.vec4(number / 255.0)
 
 
 def test_a_condition_reads_any_uniform_buffer_of_its_stage(device: rhi.Device) -> None:
     for number in (*(1 << digit for digit in range(6)), 0b101101):
-        digits: dict[str, Any] = {f"d{i}": Digit(before=(0.0,) * 4, is_one=float(number >> i & 1)) for i in range(6)}
-        back = draw_once(device, SIZE, rhi.Format.R8, rectangle(color=(0, 0, 0, 0)), shader=SixConditions, **digits)
+        digits: dict[str, Any] = {
+            f"d{i}": Digit(before=(0.0,) * 4, is_one=float(number >> i & 1)) for i in range(6)
+        }
+        back = draw_once(
+            device, SIZE, rhi.Format.R8, rectangle(color=(0, 0, 0, 0)), shader=SixConditions, **digits
+        )
         assert (back == number).all()
 
 

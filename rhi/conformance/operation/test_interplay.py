@@ -1,5 +1,5 @@
-"""Side effects that must not happen: of states on copies, of conditions on clears, of devices on each other, and of
-writes between two draws on the first draw."""
+"""Side effects that must not happen: of states on copies, of conditions on clears, of devices on each other,
+and of writes between two draws on the first draw."""
 
 from __future__ import annotations
 
@@ -199,7 +199,9 @@ def test_srgb_samples_are_averaged_in_linear_light(device: Device) -> None:
             with device.render_pass(image, clear=(0, 0, 0, 0), resolve=resolved):
                 device.draw(device.program(Colored), mesh)
         light = linear.read()[..., 0].astype(np.float64)
-        srgb = np.where(light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
+        srgb = np.where(
+            light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+        )
         assert_near(target.read()[..., 0], srgb * 255, 1.5, "sRGB curves may be approximated")
 
 
@@ -232,7 +234,10 @@ def test_a_condition_drops_draws_but_not_the_clear_of_their_pass(
 @conditional
 def test_a_condition_does_not_drop_resolves(device: Device, dropped: AbstractContextManager[Any]) -> None:
     require_samples(device, 4)
-    with device.texture(SIZE, Format.RGBA8, samples=4) as source, device.texture(SIZE, Format.RGBA8) as resolved:
+    with (
+        device.texture(SIZE, Format.RGBA8, samples=4) as source,
+        device.texture(SIZE, Format.RGBA8) as resolved,
+    ):
         with dropped, device.render_pass(source, clear=(0.4, 0.4, 0.4, 0.4), resolve=resolved):
             pass
         assert_same(resolved.read(), 102)
@@ -376,7 +381,8 @@ def test_work_between_two_draws_of_a_pass_leaves_the_pass_as_it_was(device: Devi
 
 
 def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> None:
-    """Neither device sees the other's programs, bindings, states or passes, although no draw rebinds anything."""
+    """Neither device sees the other's programs, bindings, states or passes, although no draw rebinds
+    anything."""
     columns = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
     with rhi.create_device(backend, validation=True) as other:
         parts = []
@@ -385,7 +391,9 @@ def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> Non
             rows = np.zeros(8, tints.dtype)
             rows["color"][:, 0] = np.arange(8) + 100 * number
             tints.write(rows)
-            parts.append((each, each.program(Tinted), each.texture(SIZE, Format.R32F), each.mesh(columns), tints))
+            parts.append(
+                (each, each.program(Tinted), each.texture(SIZE, Format.R32F), each.mesh(columns), tints)
+            )
         passes = [each.render_pass(image, clear=(-1, 0, 0, 0)) for each, _, image, _, _ in parts]
         with passes[0], passes[1], other.states(Scissor(0, 4, 8, 4)):
             for i in range(8):
@@ -431,7 +439,8 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
 
 
 class SlowlyLoaded(Loads):
-    """Loads a texel and takes its time, so that the pass is still running when the next commands are issued."""
+    """Loads a texel and takes its time, so that the pass is still running when the next commands are
+    issued."""
 
     def fragment(self, v: Shade) -> sl.vec4:
         color = self.source.load(sl.ivec2(sl.fragment_coordinate().xy))
@@ -532,7 +541,10 @@ READS = [
 @pytest.mark.parametrize("format", [Format.R32F, Format.D32F], ids=["color", "depth"])
 @pytest.mark.parametrize("read", READS)
 def test_what_was_drawn_last_is_read_while_an_older_pass_samples_the_texture(
-    device: Device, slow: Callable[[rhi.Texture], None], read: Callable[[Device, rhi.Texture], Any], format: Format
+    device: Device,
+    slow: Callable[[rhi.Texture], None],
+    read: Callable[[Device, rhi.Texture], Any],
+    format: Format,
 ) -> None:
     with device.texture(LARGE, format) as texture:
         for red in (0.25, 0.5, 0.75):  # the first pass may wait for a compiler
@@ -667,7 +679,9 @@ BUFFER_WRITES = [
     pytest.param(copy_elements, 4, id="copy"),
     pytest.param(clear_elements, 4, id="clear"),
     pytest.param(store_elements, 4, id="work group", marks=pytest.mark.requires("compute")),
-    pytest.param(store_elements_by_vertices, 4, id="vertex stage", marks=pytest.mark.requires("vertex_writes")),
+    pytest.param(
+        store_elements_by_vertices, 4, id="vertex stage", marks=pytest.mark.requires("vertex_writes")
+    ),
     pytest.param(write_all_elements, 100_000, id="write of all of many"),
 ]
 

@@ -1,7 +1,8 @@
-"""The shading language as it runs: every family of built-in function and every statement against NumPy and Python.
+"""The shading language as it runs: every family of built-in function and every statement against NumPy and
+Python.
 
-Tolerances are in units of float32's precision at the result, generous enough for fast approximations; what must
-be exact (integers, bits, comparisons, control flow) is compared exactly.
+Tolerances are in units of float32's precision at the result, generous enough for fast approximations; what
+must be exact (integers, bits, comparisons, control flow) is compared exactly.
 """
 
 from __future__ import annotations
@@ -62,8 +63,19 @@ def test_trigonometric_functions_are_near_float64_s(device: Device) -> None:
     x = np.array([-3.0, -1.5, -1.0, -0.7, -0.1, 0.0, 0.2, 0.5, 1.0, 1.4, 2.0, 3.1], "f4")
     d = x.astype(np.float64)
     c = np.clip(d, -1, 1)
-    expected = [np.sin(d), np.cos(d), np.tan(d), np.arctan(d), np.arcsin(c), np.arccos(c), np.radians(d), np.degrees(d),
-                np.cosh(d), np.tanh(d), np.arctan2(d, 0.5)]  # fmt: skip
+    expected = [
+        np.sin(d),
+        np.cos(d),
+        np.tan(d),
+        np.arctan(d),
+        np.arcsin(c),
+        np.arccos(c),
+        np.radians(d),
+        np.degrees(d),
+        np.cosh(d),
+        np.tanh(d),
+        np.arctan2(d, 0.5),
+    ]
     columns = np.stack(expected, axis=1)
     assert_near(run(device, Angles, float, x, 11), columns, 1e-3 + 1e-4 * np.abs(columns), "approximations")
 
@@ -129,9 +141,22 @@ def test_functions_with_steps_are_exact(device: Device) -> None:
     x = np.array([-2.5, -2.0, -1.5, -0.5, -0.25, 0.0, 0.5, 0.75, 1.0, 1.5, 2.5, 3.5, 1e6], "f4")
     d = x.astype(np.float64)
     t = np.clip((d + 2) / 4, 0, 1)
-    expected = [np.floor(d), np.ceil(d), np.trunc(d), np.round(d), d - np.floor(d), np.abs(d), np.sign(d),
-                np.minimum(d, 0.75), np.maximum(d, 0.75), np.clip(d, -1, 1), d >= 0.5, t * t * (3 - 2 * t),
-                2 + 4 * d, 2 * d + 1]  # fmt: skip
+    expected = [
+        np.floor(d),
+        np.ceil(d),
+        np.trunc(d),
+        np.round(d),
+        d - np.floor(d),
+        np.abs(d),
+        np.sign(d),
+        np.minimum(d, 0.75),
+        np.maximum(d, 0.75),
+        np.clip(d, -1, 1),
+        d >= 0.5,
+        t * t * (3 - 2 * t),
+        2 + 4 * d,
+        2 * d + 1,
+    ]
     columns = np.stack(expected, axis=1)
     back = run(device, Steps, float, x, 14)
     assert_same(back[:, :11], columns[:, :11])
@@ -295,7 +320,10 @@ class Swizzles(sl.Shader):
 
 
 def test_components_are_read_and_written_in_any_order(device: Device) -> None:
-    with device.storage(sl.vec4, np.array([(1, 2, 3, 4)], "f4")) as source, device.storage(sl.vec4, 5) as target:
+    with (
+        device.storage(sl.vec4, np.array([(1, 2, 3, 4)], "f4")) as source,
+        device.storage(sl.vec4, 5) as target,
+    ):
         device.dispatch(device.program(Swizzles), 1, source=source, target=target)
         back = target.read()
     assert_same(back[0], (7, 3, 2, 1))
@@ -363,7 +391,10 @@ class Bits(sl.Shader):
             sl.uint(sl.bit_count(a)), sl.uint(sl.find_lsb(a)), sl.uint(sl.find_msb(a)), sl.bitfield_reverse(a)
         )
         self.target[o + 2] = sl.uvec4(
-            sl.bitfield_extract(a, 4, 8), sl.bitfield_insert(a, sl.uint(5), 8, 4), a // sl.uint(10), a % sl.uint(10)
+            sl.bitfield_extract(a, 4, 8),
+            sl.bitfield_insert(a, sl.uint(5), 8, 4),
+            a // sl.uint(10),
+            a % sl.uint(10),
         )
         self.target[o + 3] = sl.uvec4(sl.uint(a > sl.uint(1 << 30)), ~a, a << sl.uint(5), a & sl.uint(0xFF00))
 
@@ -539,7 +570,8 @@ def test_control_flow_is_python_s(device: Device) -> None:
 
 
 class Waterfall(sl.Shader):
-    """Goes through the values of the invocations that run together one after the other; some wait for nothing."""
+    """Goes through the values of the invocations that run together one after the other; some wait for
+    nothing."""
 
     source: sl.Storage[int]
     target: sl.StorageRW[int]

@@ -1,4 +1,5 @@
-"""Lines with a width, and triangles drawn as their edges: coverage, facing, varyings, depth and its offset."""
+"""Lines with a width, and triangles drawn as their edges: coverage, facing, varyings, depth and its
+offset."""
 
 from __future__ import annotations
 
@@ -9,7 +10,17 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import Comparison, CullMode, DepthFunction, Device, Format, FrontFace, LineWidth, PolygonMode, Primitive
+from rhi import (
+    Comparison,
+    CullMode,
+    DepthFunction,
+    Device,
+    Format,
+    FrontFace,
+    LineWidth,
+    PolygonMode,
+    Primitive,
+)
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format, require_line_width, require_samples
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_line
@@ -32,21 +43,33 @@ Mask = NDArray[np.bool_]
 
 
 def draw_image(
-    device: Device, points: Any, *states: Any, primitive: Primitive = Primitive.LINES, color: Any = (1, 1, 1, 1),
-    shader: Any = Colored, depth: Any = 0.5,
-) -> NDArray[Any]:  # fmt: skip
+    device: Device,
+    points: Any,
+    *states: Any,
+    primitive: Primitive = Primitive.LINES,
+    color: Any = (1, 1, 1, 1),
+    shader: Any = Colored,
+    depth: Any = 0.5,
+) -> NDArray[Any]:
     """Return the image of one draw of window positions."""
     rows = corners(window_to_clip(points, SIZE), color, depth)
     return draw_once(device, SIZE, Format.RGBA32F, rows, *states, shader=shader, primitive=primitive)
 
 
 def draw_image_and_depth(
-    device: Device, rows: NDArray[Any], *states: Any, primitive: Primitive = Primitive.TRIANGLES, clear: float = 0.0
+    device: Device,
+    rows: NDArray[Any],
+    *states: Any,
+    primitive: Primitive = Primitive.TRIANGLES,
+    clear: float = 0.0,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the image and the depth of one draw."""
     with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
         with device.mesh(rows, primitive=primitive) as mesh:
-            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=clear), device.states(*states):
+            with (
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=clear),
+                device.states(*states),
+            ):
                 device.draw(device.program(Colored), mesh)
         return image.read(), depth.read()
 
@@ -80,7 +103,9 @@ def assert_covers(image: NDArray[Any], expected: tuple[Mask, Mask]) -> None:
     covered = image[..., 3] > 0
     assert certain.any()
     assert not (certain & ~covered).any(), f"not drawn (y, x): {np.argwhere(certain & ~covered)[:4].tolist()}"
-    assert not (covered & ~possible).any(), f"drawn beside (y, x): {np.argwhere(covered & ~possible)[:4].tolist()}"
+    assert not (covered & ~possible).any(), (
+        f"drawn beside (y, x): {np.argwhere(covered & ~possible)[:4].tolist()}"
+    )
 
 
 # -- width ---------------------------------------------------------------------------------------------------
@@ -88,14 +113,18 @@ def assert_covers(image: NDArray[Any], expected: tuple[Mask, Mask]) -> None:
 
 @pytest.mark.recorded_too
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 7])
-@pytest.mark.parametrize("points", [GENTLE, GENTLE[::-1], STEEP, STEEP[::-1]], ids=["right", "left", "down", "up"])
+@pytest.mark.parametrize(
+    "points", [GENTLE, GENTLE[::-1], STEEP, STEEP[::-1]], ids=["right", "left", "down", "up"]
+)
 @REQUIRES_PRECISION
 def test_a_line_is_as_many_texels_wide_as_its_width(device: Device, points: Any, width: int) -> None:
     require_line_width(device, width)
     assert_covers(draw_image(device, points, LineWidth(width)), line(points, width))
 
 
-@pytest.mark.parametrize(("width", "texels"), [(1.0, 1), (1.375, 1), (1.625, 2), (2.375, 2), (2.625, 3), (3.0, 3)])
+@pytest.mark.parametrize(
+    ("width", "texels"), [(1.0, 1), (1.375, 1), (1.625, 2), (2.375, 2), (2.625, 3), (3.0, 3)]
+)
 def test_a_width_is_rounded_to_whole_texels(device: Device, width: float, texels: int) -> None:
     require_line_width(device, width)
     image = draw_image(device, [(2.5, 10.25), (29.5, 10.25)], LineWidth(width))
@@ -167,7 +196,9 @@ def test_a_wide_line_covers_samples(device: Device) -> None:
     require_line_width(device, 5)
     require_samples(device, 4)
     rows = corners(window_to_clip(GENTLE, SIZE))
-    back = draw_once(device, SIZE, Format.RGBA8, rows, LineWidth(5), primitive=Primitive.LINES, samples=4)[..., 3]
+    back = draw_once(device, SIZE, Format.RGBA8, rows, LineWidth(5), primitive=Primitive.LINES, samples=4)[
+        ..., 3
+    ]
     assert_same(back[line(GENTLE, 3)[0]], 255)
     columns = slice(7, 24)
     assert_same(back[:, columns][~line(GENTLE, 8)[1][:, columns]], 0)
@@ -204,7 +235,9 @@ def test_edges_have_the_line_width(device: Device, width: int) -> None:
 @pytest.mark.parametrize("front", list(FrontFace), ids=lambda front: front.name)
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda cull: cull.name)
 @REQUIRES_PRECISION
-def test_edges_are_culled_by_the_facing_of_their_triangle(device: Device, cull: CullMode, front: FrontFace) -> None:
+def test_edges_are_culled_by_the_facing_of_their_triangle(
+    device: Device, cull: CullMode, front: FrontFace
+) -> None:
     for points in (TRIANGLE, TRIANGLE[::-1]):
         faces_front = (points is TRIANGLE) == (front is FrontFace.COUNTER_CLOCKWISE)
         seen = cull is CullMode.NONE or (cull is CullMode.BACK) == faces_front
@@ -219,7 +252,9 @@ def test_edges_are_culled_by_the_facing_of_their_triangle(device: Device, cull: 
 @pytest.mark.parametrize("dtype", [None, "u2", "u4"])
 @pytest.mark.parametrize("primitive", AREAS, ids=lambda primitive: primitive.name)
 @REQUIRES_PRECISION
-def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primitive, dtype: str | None) -> None:
+def test_every_topology_of_triangles_has_edges(
+    device: Device, primitive: Primitive, dtype: str | None
+) -> None:
     points = [(3.3125, 4.4375), (5.6875, 20.1875), (15.4375, 18.8125), (17.5625, 3.3125)]
     triangles = {
         Primitive.TRIANGLES: [points[:3]],
@@ -230,7 +265,14 @@ def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primit
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(4, dtype=dtype)
     back = draw_once(
-        device, SIZE, Format.RGBA32F, rows, CullMode.NONE, PolygonMode.LINE, indices=indices, primitive=primitive
+        device,
+        SIZE,
+        Format.RGBA32F,
+        rows,
+        CullMode.NONE,
+        PolygonMode.LINE,
+        indices=indices,
+        primitive=primitive,
     )
     assert_covers(back, outline(triangles))
 
@@ -243,7 +285,9 @@ def test_many_triangles_have_all_their_edges(device: Device, dtype: str | None) 
     points = (origins + np.array([(0.3125, 0.4375), (0.6875, 3.1875), (3.5625, 2.3125)])).reshape(-1, 2)
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(len(points), dtype=dtype)
-    assert_covers(draw_once(device, SIZE, Format.RGBA32F, rows, PolygonMode.LINE, indices=indices), outline(points))
+    assert_covers(
+        draw_once(device, SIZE, Format.RGBA32F, rows, PolygonMode.LINE, indices=indices), outline(points)
+    )
 
 
 @pytest.mark.requires("wireframe")
@@ -278,16 +322,22 @@ def test_values_and_depth_run_along_edges(device: Device) -> None:
         y, x = np.nonzero(others)
         along = ends[1] - ends[0]
         coordinate = np.array([x, y])[int(abs(along[1]) > abs(along[0]))] + 0.5
-        share = (coordinate - ends[0][int(abs(along[1]) > abs(along[0]))]) / along[int(abs(along[1]) > abs(along[0]))]
+        share = (coordinate - ends[0][int(abs(along[1]) > abs(along[0]))]) / along[
+            int(abs(along[1]) > abs(along[0]))
+        ]
         expected = color[i] * (1 - share)[:, None] + color[(i + 1) % 3] * share[:, None]
         assert len(x) > 8
         assert_near(back[y, x], expected, 4e-3, "8 fraction bits of the window position over 16 texels")
         expected_depth = depths[i] * (1 - share) + depths[(i + 1) % 3] * share
-        assert_near(stored[y, x], expected_depth, 2e-3, "8 fraction bits of the window position over 16 texels")
+        assert_near(
+            stored[y, x], expected_depth, 2e-3, "8 fraction bits of the window position over 16 texels"
+        )
 
 
 @pytest.mark.requires("wireframe")
-@pytest.mark.parametrize("function", [DepthFunction.GREATER, DepthFunction.LESS], ids=lambda function: function.name)
+@pytest.mark.parametrize(
+    "function", [DepthFunction.GREATER, DepthFunction.LESS], ids=lambda function: function.name
+)
 @REQUIRES_PRECISION
 def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: DepthFunction) -> None:
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
@@ -326,7 +376,9 @@ def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: f
     biased = (stored(Primitive.TRIANGLES, PolygonMode.LINE, rhi.DepthBias(1000.0)) - plain)[seen]
     assert (biased > 400 * 2.0**-24).all()
     lines = stored(Primitive.LINE_STRIP)
-    assert_same(stored(Primitive.LINE_STRIP, PolygonMode.LINE, rhi.DepthBias(1000.0), rhi.PolygonOffset(2.0)), lines)
+    assert_same(
+        stored(Primitive.LINE_STRIP, PolygonMode.LINE, rhi.DepthBias(1000.0), rhi.PolygonOffset(2.0)), lines
+    )
 
 
 @pytest.mark.requires("wireframe", "stencil")
@@ -342,7 +394,9 @@ def test_edges_of_a_front_face_have_its_stencil_test(device: Device) -> None:
         for front, back in ((Comparison.ALWAYS, Comparison.NEVER), (Comparison.NEVER, Comparison.ALWAYS)):
             with (
                 device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0, clear_stencil=0),
-                device.states(rhi.StencilTest.ON, rhi.StencilFront(front), rhi.StencilBack(back), PolygonMode.LINE),
+                device.states(
+                    rhi.StencilTest.ON, rhi.StencilFront(front), rhi.StencilBack(back), PolygonMode.LINE
+                ),
             ):
                 device.draw(device.program(Colored), mesh)
             if front is Comparison.ALWAYS:
@@ -364,7 +418,9 @@ def test_lines_and_points_are_the_same_in_wireframe(device: Device) -> None:
     for primitive in (Primitive.LINES, Primitive.LINE_STRIP, Primitive.POINTS):
         plain = draw_image(device, TRIANGLE, CullMode.FRONT, primitive=primitive)
         assert plain.any()
-        assert_same(draw_image(device, TRIANGLE, CullMode.FRONT, PolygonMode.LINE, primitive=primitive), plain)
+        assert_same(
+            draw_image(device, TRIANGLE, CullMode.FRONT, PolygonMode.LINE, primitive=primitive), plain
+        )
 
 
 @pytest.mark.requires("wireframe")

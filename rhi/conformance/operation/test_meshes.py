@@ -36,7 +36,9 @@ def mesh(device: rhi.Device) -> Iterator[rhi.Mesh]:
         yield mesh
 
 
-def count_points(device: rhi.Device, mesh: Any, instances: int = 1, shader: type[sl.Shader] = Colored) -> NDArray[Any]:
+def count_points(
+    device: rhi.Device, mesh: Any, instances: int = 1, shader: type[sl.Shader] = Colored
+) -> NDArray[Any]:
     """Return how often each of 8 texels in a row was drawn."""
     with device.texture(ROW, rhi.Format.R16F) as image:
         with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
@@ -62,7 +64,9 @@ def test_a_view_draws_its_vertices_only(device: rhi.Device, first: int, count: i
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
 @pytest.mark.parametrize(("first", "count"), [(0, 6), (0, 2), (3, 3), (2, 0), (5, 1)])
-def test_a_view_of_indices_draws_its_indices_only(device: rhi.Device, first: int, count: int, dtype: str) -> None:
+def test_a_view_of_indices_draws_its_indices_only(
+    device: rhi.Device, first: int, count: int, dtype: str
+) -> None:
     indices = np.array([7, 0, 3, 3, 5, 1], dtype)
     with device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh:
         expected = np.bincount(indices[first : first + count], minlength=8)
@@ -134,7 +138,13 @@ def test_a_draw_sees_the_vertices_of_its_time(device: rhi.Device) -> None:
 @pytest.mark.parametrize("bytes_", [1, 4], ids=["of 49 bytes", "of 52 bytes"])
 def test_fields_that_the_program_does_not_read_are_skipped(device: rhi.Device, bytes_: int) -> None:
     require_vertex_alignment(device, bytes_)
-    fields = [("normal", "f4", 3), ("color", "f4", 4), ("id", "u1", bytes_), ("position", "f4", 4), ("uv", "f2", 2)]
+    fields = [
+        ("normal", "f4", 3),
+        ("color", "f4", 4),
+        ("id", "u1", bytes_),
+        ("position", "f4", 4),
+        ("uv", "f2", 2),
+    ]
     dtype = np.dtype(fields)
     rows = np.zeros(8, dtype)
     plain = corners(CENTERS)
@@ -175,7 +185,9 @@ def test_a_float_attribute_takes_floats_and_normalised_integers(device: rhi.Devi
         limits = np.iinfo(code)
         values[:] = rng.integers(limits.min, limits.max, (8, 4), endpoint=True)
         values[0], values[1], values[2] = limits.max, limits.min, 0
-    assert_near(painted(device, PaintedShader, values), expected_floats(values), 1e-6, "conversion in float32")
+    assert_near(
+        painted(device, PaintedShader, values), expected_floats(values), 1e-6, "conversion in float32"
+    )
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u2", "i2"])
@@ -220,7 +232,9 @@ class ShowIntegers(sl.Shader):
     """Writes integer attributes to integer targets."""
 
     def vertex(self, v: IntegerProbe) -> Integers:
-        return Integers(clip=sl.vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single)
+        return Integers(
+            clip=sl.vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single
+        )
 
     def fragment(self, v: Integers) -> IntegerOutputs:
         return IntegerOutputs(unsigned=v.unsigned, signed=v.signed, single=v.single)
@@ -265,7 +279,9 @@ def test_three_components_and_one_lie_where_the_dtype_says(device: rhi.Device) -
     for rows in (packed, padded):
         rows["position"][:, :2], rows["position"][:, 2] = CENTERS, 0.5
         rows["weight"] = np.arange(8)
-        drawn = draw_once(device, ROW, rhi.Format.R32F, rows, shader=ShowNarrow, primitive=rhi.Primitive.POINTS)
+        drawn = draw_once(
+            device, ROW, rhi.Format.R32F, rows, shader=ShowNarrow, primitive=rhi.Primitive.POINTS
+        )
         assert_same(drawn[0], np.arange(8))
 
 
@@ -288,8 +304,8 @@ class ShowInstances(Flat):
 
 
 def instanced(device: rhi.Device) -> Any:
-    """Return a mesh of one point with eight instances: each covers a texel of its own, with its number plus 1 as the
-    color."""
+    """Return a mesh of one point with eight instances: each covers a texel of its own, with its number plus 1
+    as the color."""
     vertices = {"position": CENTERS[:1]}
     instances = {"offset": CENTERS - CENTERS[0], "shade": np.arange(1.0, 9.0)}
     return device.mesh(vertices, instances=instances, primitive=rhi.Primitive.POINTS)
@@ -324,7 +340,9 @@ class Numbered(Flat):
     """Writes the indices of the vertex and instance."""
 
     def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=sl.vec4(float(sl.vertex_index()), float(sl.instance_index()), 0.0, 1.0))
+        return FlatShade(
+            clip=v.position, color=sl.vec4(float(sl.vertex_index()), float(sl.instance_index()), 0.0, 1.0)
+        )
 
 
 class NumberedDraws(Numbered):
@@ -336,7 +354,8 @@ class NumberedDraws(Numbered):
 
 
 def numbered(device: rhi.Device) -> Any:
-    """Return the program of `NumberedDraws`, or of `Numbered` where vertices don't know the index of the draw."""
+    """Return the program of `NumberedDraws`, or of `Numbered` where vertices don't know the index of the
+    draw."""
     return device.program(NumberedDraws if device.capabilities.draw_index else Numbered)
 
 
@@ -344,8 +363,8 @@ def test_a_shader_knows_its_vertex_and_instance(device: rhi.Device, image: rhi.T
     with device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=rhi.Primitive.POINTS) as mesh:
         with device.render_pass(image):
             device.draw(numbered(device), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
-        # Vertices 2 and 3 plus the base vertex 2. The last of three instances is visible. Instance indices include
-        # the base instance.
+        # Vertices 2 and 3 plus the base vertex 2. The last of three instances is visible. Instance indices
+        # include the base instance.
         assert_same(image.read()[0, 4], (4, 12, 0, 1))
         assert_same(image.read()[0, 5], (5, 12, 0, 1))
 
@@ -562,7 +581,10 @@ def test_the_array_of_draws_may_change_right_after_the_call(device: rhi.Device, 
 
 def test_many_quads_are_drawn_or_refused_but_never_wrong(device: rhi.Device) -> None:
     quad = corners([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    with device.texture(ROW, rhi.Format.R8) as image, device.mesh(quad, primitive=rhi.Primitive.QUADS) as mesh:
+    with (
+        device.texture(ROW, rhi.Format.R8) as image,
+        device.mesh(quad, primitive=rhi.Primitive.QUADS) as mesh,
+    ):
         with device.render_pass(image):
             try:
                 device.draw_many(device.program(Colored), mesh, mesh.draws())
@@ -627,7 +649,8 @@ def test_a_count_does_not_linger(device: rhi.Device, mesh: rhi.Mesh) -> None:
 
 
 def test_arguments_are_read_when_the_draw_is_executed(device: rhi.Device, mesh: rhi.Mesh) -> None:
-    """Indirect arguments are read when the draw is executed, not when it is issued: a copy before it takes effect."""
+    """Indirect arguments are read when the draw is executed, not when it is issued: a copy before it takes
+    effect."""
     with device.buffer(mesh.draws(3, 2)) as source, device.buffer(mesh.draws(0, 8)) as buffer:
         source.copy_to(buffer)
         assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 1)), np.isin(np.arange(8), (3, 4)))

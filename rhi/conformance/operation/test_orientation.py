@@ -73,7 +73,9 @@ def test_fragment_coordinates_count_from_the_top_left(device: Device) -> None:
 
 @pytest.mark.requires("draws")
 def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> None:
-    pixels = draw_once(device, (8, 8), Format.RGBA32F, rectangle(), Viewport(4, 2, 4, 4), shader=FragmentPosition)
+    pixels = draw_once(
+        device, (8, 8), Format.RGBA32F, rectangle(), Viewport(4, 2, 4, 4), shader=FragmentPosition
+    )
     assert_same(pixels[2, 4, :2], (4.5, 2.5))
     assert_same(pixels[5, 7, :2], (7.5, 5.5))
 
@@ -167,7 +169,8 @@ FLAT = np.array([(1, 2), (3, 4)], float)
 
 @pytest.mark.requires("draws")
 def test_a_matrix_is_applied_as_numpy_does(device: Device) -> None:
-    """`matrix @ vector`, uploaded without a transposition by the user: a translation is in the last column."""
+    """`matrix @ vector`, uploaded without a transposition by the user: a translation is in the last
+    column."""
     world = np.eye(4)
     world[:3, 3] = (1.0, 0.5, 0.0)
     rows = rectangle(-1, 0, -0.5, 0.5)
@@ -187,7 +190,9 @@ class Products(sl.Shader):
         v = sl.vec3(1.0, 10.0, 100.0)
         self.results[0] = sl.vec4(self.camera.rotation @ v, self.camera.scale)
         self.results[1] = sl.vec4(v @ self.camera.rotation, 0.0)
-        self.results[2] = sl.vec4(self.camera.flat @ sl.vec2(1.0, 10.0), sl.vec2(1.0, 10.0) @ self.camera.flat)
+        self.results[2] = sl.vec4(
+            self.camera.flat @ sl.vec2(1.0, 10.0), sl.vec2(1.0, 10.0) @ self.camera.flat
+        )
         self.results[3] = self.camera.world @ sl.vec4(v, 1000.0)
         self.results[4] = sl.vec4((self.camera.rotation @ self.camera.rotation) @ v, 0.0)
 

@@ -1,8 +1,9 @@
 """Indices outside and operands at the edges: `docs/shading.md` has one result for each, on every backend.
 
-What is read outside is the nearest element, what is written outside is dropped; a division by 0 is one by 1, shifts use
-five bits of the count, floats become the nearest int. Expected values are Python's integers. The stages of a draw are
-in `test_draw_bounds`, texels outside in `test_sampling`. `tests/rhi/shading/numpy` runs the same shaders on NumPy.
+What is read outside is the nearest element, what is written outside is dropped; a division by 0 is one by 1,
+shifts use five bits of the count, floats become the nearest int. Expected values are Python's integers. The
+stages of a draw are in `test_draw_bounds`, texels outside in `test_sampling`. `tests/rhi/shading/numpy` runs
+the same shaders on NumPy.
 """
 
 from __future__ import annotations
@@ -25,7 +26,25 @@ GROUP = 16
 GROUPS = 20
 N = GROUP * GROUPS
 MIN_INT, MAX_INT = -(2**31), 2**31 - 1
-NUMBERS = (0, 1, -1, 2, -3, 7, 31, 32, 33, 100, -32, -99999, 65536, MAX_INT, MAX_INT - 1, MIN_INT, MIN_INT + 1)
+NUMBERS = (
+    0,
+    1,
+    -1,
+    2,
+    -3,
+    7,
+    31,
+    32,
+    33,
+    100,
+    -32,
+    -99999,
+    65536,
+    MAX_INT,
+    MAX_INT - 1,
+    MIN_INT,
+    MIN_INT + 1,
+)
 FLOATS = (0.0, 0.9, -0.9, 1.5, -2.5, 2147483520.0, 2.0**31, -(2.0**31), -2147483904.0, 3e9, 4294967040.0, 2.0**32,
           1e30, -1e30, math.inf, -math.inf, math.nan, 1e-30, -1e-30, 16777216.0)  # fmt: skip
 
@@ -117,20 +136,34 @@ def expected_operators() -> Values:
         low_part, low_top = (x >> 5) & low, (low + 1) >> 1
         quotients = [divided(*pair) for pair in ((a, b), (b, a), (a, -1), (b, 0))]
         ints += [
-            *divided(a, b), wrapped(a << shift), a >> shift, wrapped(a + b), wrapped(a - b), wrapped(a * b),
-            wrapped(-a), wrapped(max(a, -a)), part - 2 * (part & top) if mask else 0,
-            low_part - 2 * (low_part & low_top) if low else 0, wrapped((x & ~(mask << start)) | (mask << start)),
+            *divided(a, b),
+            wrapped(a << shift),
+            a >> shift,
+            wrapped(a + b),
+            wrapped(a - b),
+            wrapped(a * b),
+            wrapped(-a),
+            wrapped(max(a, -a)),
+            part - 2 * (part & top) if mask else 0,
+            low_part - 2 * (low_part & low_top) if low else 0,
+            wrapped((x & ~(mask << start)) | (mask << start)),
             wrapped(quotients[0][0] ^ quotients[1][0] ^ quotients[2][0] ^ quotients[3][0]),
             wrapped(quotients[0][1] ^ quotients[1][1] ^ quotients[2][1] ^ quotients[3][1]),
-            wrapped((a << shift) ^ (b << (a % 32)) ^ (a << 1) ^ (b << 31)), (a // 4) ^ (b % 8),
-        ]  # fmt: skip
+            wrapped((a << shift) ^ (b << (a % 32)) ^ (a << 1) ^ (b << 31)),
+            (a // 4) ^ (b % 8),
+        ]
         insert = field(x, 5, b)[1]
         rests = [divided(dividend, y)[1] for dividend in (x, y, x, y)]
         uints += [
-            x // (y or 1), x % (y or 1), (x << shift) % 2**32, x >> shift, part,
+            x // (y or 1),
+            x % (y or 1),
+            (x << shift) % 2**32,
+            x >> shift,
+            part,
             (x & ~(insert << 5)) | ((MAX_INT & insert) << 5),
-            (x // (y or 1)) ^ (y // (x or 1)) ^ x ^ (y // 3), rests[0] ^ rests[1] ^ rests[2] ^ rests[3],
-        ]  # fmt: skip
+            (x // (y or 1)) ^ (y // (x or 1)) ^ x ^ (y // 3),
+            rests[0] ^ rests[1] ^ rests[2] ^ rests[3],
+        ]
     return {"ints": np.array(ints, np.int64), "uints": np.array(uints, np.int64)}
 
 
@@ -263,12 +296,19 @@ def expected_reads() -> Values:
         along, row, inner = wrapped(i + first), nearest(k, 4), nearest(k, 3)
         group_values = nearest(k, 8) + nearest(wrapped(i % GROUP + first), 8) + 2
         out += [
-            words[nearest(k, WORDS)], words[nearest(whole, WORDS)], words[nearest(along, WORDS)],
-            weights[row][inner] + ends[row], weights[1][inner] + weights[nearest(along, 4)][1], numbers[nearest(k, 5)],
-            rotation[inner][inner] + rotation[inner][nearest(whole, 3)], TABLE[nearest(k, 6)] + group_values,
-            3 * (nearest(k, 7) + nearest(whole, 7)), nearest(k, 4) + 1 + 10 * (nearest(whole, 4) + 1),
-            TABLE[i % 6] + words[-1], words[k] if 0 <= k < WORDS else -1,
-        ]  # fmt: skip
+            words[nearest(k, WORDS)],
+            words[nearest(whole, WORDS)],
+            words[nearest(along, WORDS)],
+            weights[row][inner] + ends[row],
+            weights[1][inner] + weights[nearest(along, 4)][1],
+            numbers[nearest(k, 5)],
+            rotation[inner][inner] + rotation[inner][nearest(whole, 3)],
+            TABLE[nearest(k, 6)] + group_values,
+            3 * (nearest(k, 7) + nearest(whole, 7)),
+            nearest(k, 4) + 1 + 10 * (nearest(whole, 4) + 1),
+            TABLE[i % 6] + words[-1],
+            words[k] if 0 <= k < WORDS else -1,
+        ]
     return {"out": np.array(out, np.float64)}
 
 
@@ -312,15 +352,19 @@ class Writes(sl.Shader):
         v[k] = 1.0
         m = sl.mat3(0.0)
         m[k][1] = 2.0
-        self.out[o + 4] = v.x + 10.0 * v.y + 100.0 * v.z + m[0][1] * 1000.0 + m[1][1] * 10000.0 + m[2][1] * 1e5
+        self.out[o + 4] = (
+            v.x + 10.0 * v.y + 100.0 * v.z + m[0][1] * 1000.0 + m[1][1] * 10000.0 + m[2][1] * 1e5
+        )
         self.out[o + 5] = float(len(self.words))
 
 
 def targets() -> dict[str, Any]:
     return {
-        "words": np.zeros(WORDS, np.float32), "parts": np.zeros(4, Part.dtype), "counts": np.zeros(WORDS, np.int32),
+        "words": np.zeros(WORDS, np.float32),
+        "parts": np.zeros(4, Part.dtype),
+        "counts": np.zeros(WORDS, np.int32),
         "out": np.zeros(6 * N, np.float32),
-    }  # fmt: skip
+    }
 
 
 def expected_writes() -> Values:
@@ -356,7 +400,11 @@ CASES: dict[str, tuple[type[sl.Shader], Callable[[], dict[str, Any]], Callable[[
         lambda: {**floats(), "ints": np.zeros(2 * N, "i4"), "uints": np.zeros(2 * N, "u4")},
         expected_conversions,
     ),
-    "reads": (Reads, lambda: {**invocation_indices(), **memory(), "out": np.zeros(12 * N, "f4")}, expected_reads),
+    "reads": (
+        Reads,
+        lambda: {**invocation_indices(), **memory(), "out": np.zeros(12 * N, "f4")},
+        expected_reads,
+    ),
     "writes": (Writes, lambda: {**invocation_indices(), **targets()}, expected_writes),
 }
 """Of each case its shader, what is bound, and the buffers' contents afterwards."""

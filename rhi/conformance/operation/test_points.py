@@ -1,4 +1,5 @@
-"""Points with a size: the texels that they cover, their varyings and depth, and the place of a fragment inside."""
+"""Points with a size: the texels that they cover, their varyings and depth, and the place of a fragment
+inside."""
 
 from __future__ import annotations
 
@@ -42,7 +43,9 @@ def with_sizes(device: Device) -> None:
     require_point_sizes(device)
 
 
-def dots(positions: Any, sizes: Any, colors: Any = (1, 1, 1, 1), depth: float = 0.5, w: float = 1.0) -> NDArray[Any]:
+def dots(
+    positions: Any, sizes: Any, colors: Any = (1, 1, 1, 1), depth: float = 0.5, w: float = 1.0
+) -> NDArray[Any]:
     """Return vertices at window positions, in texels."""
     return point_vertices(positions, SIZE, sizes, colors, depth, w)
 
@@ -55,13 +58,21 @@ def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
 def draw_image(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
     """Return the image of these points."""
     return draw_once(
-        device, SIZE, Format.RGBA32F, rows, *states or [CullMode.NONE], shader=shader, primitive=Primitive.POINTS
+        device,
+        SIZE,
+        Format.RGBA32F,
+        rows,
+        *states or [CullMode.NONE],
+        shader=shader,
+        primitive=Primitive.POINTS,
     )
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0, 3.0, 4.5, 7.0, 12.0])
 @pytest.mark.parametrize("position", [(10.5, 9.5), (10.0, 9.0), (10.25, 9.75), (10.8125, 9.0625)], ids=str)
-def test_a_point_covers_the_square_around_it(device: Device, size: float, position: tuple[float, float]) -> None:
+def test_a_point_covers_the_square_around_it(
+    device: Device, size: float, position: tuple[float, float]
+) -> None:
     if size > device.capabilities.max_point_size:
         pytest.skip(f"{device.backend_name} declares max_point_size {device.capabilities.max_point_size:g}")
     image = draw_image(device, dots([position], size))
@@ -110,7 +121,9 @@ def test_a_fragment_reads_its_position_in_the_point(device: Device, w: float) ->
     image = draw_image(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located)
     rows, columns = np.nonzero(square(x, y, size))
     expected = np.stack([(columns + 0.5 - x) / size + 0.5, (rows + 0.5 - y) / size + 0.5], -1)
-    assert_near(image[rows, columns, :2], expected, 2e-3, "8 fraction bits of the window position in a square of 8")
+    assert_near(
+        image[rows, columns, :2], expected, 2e-3, "8 fraction bits of the window position in a square of 8"
+    )
     assert_same(image[rows, columns, 2], 0.625)
 
 
@@ -153,7 +166,9 @@ def test_a_point_is_cut_by_the_scissor(device: Device) -> None:
 
 def test_a_point_is_never_culled(device: Device) -> None:
     for mode in CullMode:
-        assert_mask(draw_image(device, dots([(9.5, 9.5)], 3.0), Sized, mode)[..., 0] > 0, square(9.5, 9.5, 3.0))
+        assert_mask(
+            draw_image(device, dots([(9.5, 9.5)], 3.0), Sized, mode)[..., 0] > 0, square(9.5, 9.5, 3.0)
+        )
 
 
 def test_triangles_ignore_the_size(device: Device) -> None:

@@ -54,7 +54,12 @@ def count(device: rhi.Device, query: rhi.OcclusionQuery, rows: Any, *states: Any
 
 
 def draw_counted(
-    device: rhi.Device, query: rhi.OcclusionQuery, rows: Any, shader: Any = Colored, samples: int = 1, **more: Any
+    device: rhi.Device,
+    query: rhi.OcclusionQuery,
+    rows: Any,
+    shader: Any = Colored,
+    samples: int = 1,
+    **more: Any,
 ) -> rhi.OcclusionQuery:
     """Count one draw without a depth buffer; return the query."""
     with device.texture(SIZE, rhi.Format.R8, samples=samples) as image, device.mesh(rows, **more) as mesh:
@@ -67,7 +72,9 @@ def test_a_query_counts_the_texels_that_pass(device: rhi.Device, query: rhi.Occl
     assert count(device, query, texel_rectangle(2, 3, 5, 4, SIZE, depth=0.75)) == 20
 
 
-def test_a_query_counts_nothing_where_everything_is_hidden(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+def test_a_query_counts_nothing_where_everything_is_hidden(
+    device: rhi.Device, query: rhi.OcclusionQuery
+) -> None:
     assert count(device, query, rectangle(depth=0.25)) == 0
 
 
@@ -78,7 +85,9 @@ def test_a_query_without_draws_counts_nothing(device: rhi.Device, query: rhi.Occ
     assert query.wait() == 0
 
 
-def test_a_query_counts_fragments_drawn_over_each_other(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+def test_a_query_counts_fragments_drawn_over_each_other(
+    device: rhi.Device, query: rhi.OcclusionQuery
+) -> None:
     rows = np.concatenate([rectangle(depth=d) for d in (0.6, 0.7, 0.8, 0.7)])
     assert count(device, query, rows) == 3 * 256
 
@@ -88,18 +97,24 @@ POSITION = st.tuples(st.integers(0, 256), st.integers(0, 256))
 
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(points=st.lists(POSITION, min_size=3, max_size=9))
-def test_counts_are_those_of_an_exact_rasteriser(device: rhi.Device, query: rhi.OcclusionQuery, points: Any) -> None:
+def test_counts_are_those_of_an_exact_rasteriser(
+    device: rhi.Device, query: rhi.OcclusionQuery, points: Any
+) -> None:
     triangles = np.array(points[: len(points) // 3 * 3]).reshape(-1, 3, 2)
     rows = corners(window_to_clip(triangles.reshape(-1, 2) / SUBTEXELS, SIZE), depth=0.75)
     expected = sum(int(rasterise(triangle, *SIZE).sum()) for triangle in triangles)
     assert count(device, query, rows, rhi.CullMode.NONE, rhi.DepthWrite.OFF) == expected
 
 
-@pytest.mark.parametrize("function", [rhi.DepthFunction.NEVER, rhi.DepthFunction.ALWAYS, rhi.DepthFunction.EQUAL])
+@pytest.mark.parametrize(
+    "function", [rhi.DepthFunction.NEVER, rhi.DepthFunction.ALWAYS, rhi.DepthFunction.EQUAL]
+)
 def test_a_query_counts_by_the_depth_function(
     device: rhi.Device, query: rhi.OcclusionQuery, function: rhi.DepthFunction
 ) -> None:
-    expected = {rhi.DepthFunction.NEVER: 0, rhi.DepthFunction.ALWAYS: 256, rhi.DepthFunction.EQUAL: 256}[function]
+    expected = {rhi.DepthFunction.NEVER: 0, rhi.DepthFunction.ALWAYS: 256, rhi.DepthFunction.EQUAL: 256}[
+        function
+    ]
     assert count(device, query, rectangle(depth=0.5), function) == expected
 
 
@@ -165,7 +180,9 @@ def test_a_query_may_be_used_again(device: rhi.Device, query: rhi.OcclusionQuery
         assert count(device, query, texel_rectangle(0, 0, size, 1, SIZE, depth=0.75)) == size
 
 
-def test_a_query_begun_before_its_answer_was_there_counts_anew(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+def test_a_query_begun_before_its_answer_was_there_counts_anew(
+    device: rhi.Device, query: rhi.OcclusionQuery
+) -> None:
     """The device may still be executing the draws of the earlier begin."""
     size, layers = (512, 512), 40
     with device.texture(size, rhi.Format.R8) as image, device.mesh(np.tile(rectangle(), layers)) as mesh:
@@ -200,9 +217,9 @@ def test_an_answer_comes_without_waiting_for_it(device: rhi.Device, query: rhi.O
 
 
 def test_polling_does_not_block(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
-    """The work of the query grows until two polls find it unfinished. If polls wait only one of them can, although the
-    fence was unfinished before. A device that executes commands at once can't fail this test. Another program may
-    have the processor between two polls, so the most work is tried five times."""
+    """The work of the query grows until two polls find it unfinished. If polls wait only one of them can,
+    although the fence was unfinished before. A device that executes commands at once can't fail this test.
+    Another program may have the processor between two polls, so the most work is tried five times."""
     with device.texture((1024, 1024), rhi.Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
         for instances in (*(4**n for n in range(6)), *[4**5] * 4):
@@ -231,7 +248,9 @@ def test_an_answer_stays_until_the_next_begin(device: rhi.Device, query: rhi.Occ
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_multi_sampled_targets_count_samples(device: rhi.Device, query: rhi.OcclusionQuery, samples: int) -> None:
+def test_multi_sampled_targets_count_samples(
+    device: rhi.Device, query: rhi.OcclusionQuery, samples: int
+) -> None:
     """A device that declares a number of samples has as many, not more."""
     require_samples(device, samples)
     assert draw_counted(device, query, rectangle(-1, -1, 0, 0), samples=samples).wait() == samples * 64
@@ -301,7 +320,10 @@ def test_draws_after_a_condition_do_not_depend_on_it(device: rhi.Device) -> None
 def test_an_unfinished_query_has_no_number_yet(device: rhi.Device) -> None:
     """Either the answer is available, or reading it raises an error: a 0 never means 'not yet'."""
     query = device.occlusion_query()
-    with device.texture((1024, 1024), rhi.Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
+    with (
+        device.texture((1024, 1024), rhi.Format.RGBA8) as image,
+        device.mesh(np.tile(rectangle(), 60)) as mesh,
+    ):
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)
         try:

@@ -72,7 +72,9 @@ def count(
     return [int(samples) for samples in queries.wait()]
 
 
-def test_each_draw_is_counted_by_a_query_of_its_own(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_each_draw_is_counted_by_a_query_of_its_own(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     assert count(device, image, queries, bars, parts(bars, *range(64))) == COUNTS
 
 
@@ -82,7 +84,9 @@ def test_counts_are_those_of_queries_asked_one_by_one(device: Device, emulated: 
     size, boxes = (64, 48), 100
     low = random.uniform(-1, 0.8, (boxes, 2))
     high = low + random.uniform(0, 0.6, (boxes, 2))
-    rows = [rectangle(*a, *b, depth=d) for a, b, d in zip(low, high, random.uniform(0, 1, boxes), strict=True)]
+    rows = [
+        rectangle(*a, *b, depth=d) for a, b, d in zip(low, high, random.uniform(0, 1, boxes), strict=True)
+    ]
     steps = [rectangle(x, -1, x + 0.25, 1, depth=(x + 1) / 2) for x in np.arange(-1, 1, 0.25)]
     with (
         device.texture(size, Format.D32F) as depth,
@@ -112,13 +116,17 @@ def test_rows_say_what_counts_which_draw(device: Device, queries: QuerySet, bars
     assert [answers[40], answers[0], answers[63]] == [COUNTS[5], COUNTS[9], COUNTS[2]]
 
 
-def test_a_row_counts_several_draws_together(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_a_row_counts_several_draws_together(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     answers = count(device, image, queries, bars, parts(bars, 1, 2, 3, 10, 20, 30), [7, 7, 7, 2, 5, 5])
     assert answers[7] == COUNTS[1] + COUNTS[2] + COUNTS[3]
     assert (answers[2], answers[5]) == (COUNTS[10], COUNTS[20] + COUNTS[30])
 
 
-def test_rows_that_were_not_asked_for_say_so(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_rows_that_were_not_asked_for_say_so(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     assert count(device, image, queries, bars, parts(bars, 3, 4)) == [COUNTS[3], COUNTS[4], *[-1] * 62]
     assert count(device, image, queries, bars, parts(bars, 3), [9]) == [*[-1] * 9, COUNTS[3], *[-1] * 54]
 
@@ -145,7 +153,9 @@ def test_a_set_may_be_empty(device: Device, emulated: bool, bars: Mesh, image: A
     empty.destroy()
 
 
-def test_a_set_forgets_what_it_was_asked_before(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_a_set_forgets_what_it_was_asked_before(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     for first in (0, 30, 7):
         answers = count(device, image, queries, bars, parts(bars, first, first + 1), [first, 50])
         assert answers == [{first: COUNTS[first], 50: COUNTS[first + 1]}.get(row, -1) for row in range(64)]
@@ -185,7 +195,9 @@ def test_a_set_asked_again_before_it_was_done_counts_anew(device: Device, emulat
     queries.destroy()
 
 
-def test_sets_in_several_passes_keep_their_own_counts(device: Device, emulated: bool, bars: Mesh, image: Any) -> None:
+def test_sets_in_several_passes_keep_their_own_counts(
+    device: Device, emulated: bool, bars: Mesh, image: Any
+) -> None:
     sets = [device.query_set(64, emulated=emulated) for _ in range(4)]
     program = device.program(Colored)
     for turn in (0, 1):
@@ -237,7 +249,9 @@ def test_native_and_emulated_sets_take_turns(device: Device, bars: Mesh, image: 
 
 def test_sets_may_be_large(device: Device, emulated: bool, image: Any) -> None:
     size = 1500
-    with device.mesh(np.concatenate([texel_rectangle(0, 0, 1 + i % 16, 1, SIZE) for i in range(size)])) as mesh:
+    with device.mesh(
+        np.concatenate([texel_rectangle(0, 0, 1 + i % 16, 1, SIZE) for i in range(size)])
+    ) as mesh:
         queries = device.query_set(size, emulated=emulated)
         for _ in range(3):
             answers = count(device, image, queries, mesh, parts(mesh, *range(size)))
@@ -245,7 +259,9 @@ def test_sets_may_be_large(device: Device, emulated: bool, image: Any) -> None:
         queries.destroy()
 
 
-def test_what_is_passed_may_change_afterwards(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_what_is_passed_may_change_afterwards(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     draws, rows = parts(bars, 9, 10), np.array([3, 4])
     with device.render_pass(image):
         device.draw_counted(device.program(Colored), bars, draws, queries, rows)
@@ -253,7 +269,9 @@ def test_what_is_passed_may_change_afterwards(device: Device, queries: QuerySet,
     assert queries.wait()[:6].tolist() == [-1, -1, -1, COUNTS[9], COUNTS[10], -1]
 
 
-def test_an_answer_comes_without_waiting_for_it(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_an_answer_comes_without_waiting_for_it(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     with device.render_pass(image):
         device.draw_counted(device.program(Colored), bars, parts(bars, *range(64)), queries)
     assert wait_until(lambda: queries.is_finished)
@@ -264,8 +282,8 @@ def test_an_answer_comes_without_waiting_for_it(device: Device, queries: QuerySe
 
 
 class Column(Shader):
-    """Draws each instance two texels to the right of the one before it, with the draw index as red, and counts all
-    fragments in `total`."""
+    """Draws each instance two texels to the right of the one before it, with the draw index as red, and
+    counts all fragments in `total`."""
 
     total: StorageRW[uint]
 
@@ -323,10 +341,15 @@ def test_changed_indices_are_those_that_are_counted(device: Device, queries: Que
 
 
 @pytest.mark.requires("alpha_test")
-def test_what_the_alpha_test_drops_is_not_counted(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_what_the_alpha_test_drops_is_not_counted(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     rows = BARS.copy()
     rows["color"][: 6 * 2, 3] = 0.2
-    with device.mesh(rows) as mesh, device.states(AlphaTest.ON, rhi.AlphaFunction.GREATER, rhi.AlphaReference(0.5)):
+    with (
+        device.mesh(rows) as mesh,
+        device.states(AlphaTest.ON, rhi.AlphaFunction.GREATER, rhi.AlphaReference(0.5)),
+    ):
         assert count(device, image, queries, mesh, parts(mesh, *range(4)))[:4] == [0, 0, *COUNTS[2:4]]
     assert count(device, image, queries, bars, parts(bars, *range(4)))[:4] == COUNTS[:4]
 
@@ -369,7 +392,9 @@ class Doubled(Smooth):
         return Shade(clip=vec4(p.x, 1.0 - 2.0 * (1.0 - p.y), p.z, p.w), color=v.color)
 
 
-def test_each_call_has_its_own_program_and_mesh(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_each_call_has_its_own_program_and_mesh(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     other = device.query_set(2, emulated=queries.emulated)
     with device.mesh(BARS[6 * 8 :]) as later:
         with device.render_pass(image):

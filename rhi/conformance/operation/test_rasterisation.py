@@ -72,7 +72,10 @@ def test_a_triangle_that_reaches_beyond_the_target_keeps_its_edges(device: Devic
 def test_triangles_that_share_edges_cover_each_texel_once(device: Device, center: Any, spokes: int) -> None:
     """A fan around any point, out to a border beyond the target: no gap, no overlap."""
     angles = np.arange(spokes) * 2 * np.pi / spokes
-    rim = np.rint(np.stack([np.cos(angles), np.sin(angles)], axis=1) * 80 * SUBTEXELS).astype(int) + 8 * SUBTEXELS
+    rim = (
+        np.rint(np.stack([np.cos(angles), np.sin(angles)], axis=1) * 80 * SUBTEXELS).astype(int)
+        + 8 * SUBTEXELS
+    )
     fan = np.concatenate([[center, rim[i], rim[(i + 1) % spokes]] for i in range(spokes)])
     inside = all(
         (b[0] - a[0]) * (center[1] - a[1]) - (b[1] - a[1]) * (center[0] - a[0]) > 0
@@ -125,8 +128,11 @@ def test_a_target_of_any_size_is_covered(device: Device, size: tuple[int, int]) 
 @pytest.mark.parametrize("front", list(FrontFace), ids=lambda f: f.name)
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda c: c.name)
 @pytest.mark.parametrize("winding", [1, -1], ids=["counter_clockwise", "clockwise"])
-def test_a_face_is_culled_by_its_winding(device: Device, cull: CullMode, front: FrontFace, winding: int) -> None:
-    """Front faces are counter-clockwise with +Y up on every backend, whichever way up its images are stored."""
+def test_a_face_is_culled_by_its_winding(
+    device: Device, cull: CullMode, front: FrontFace, winding: int
+) -> None:
+    """Front faces are counter-clockwise with +Y up on every backend, whichever way up its images are
+    stored."""
     is_front = (winding == 1) is (front is FrontFace.COUNTER_CLOCKWISE)
     seen = cull is CullMode.NONE or (cull is CullMode.FRONT) is not is_front
     assert_same(counts(device, rectangle()[::winding], cull, front), 1 if seen else 0)
@@ -293,7 +299,9 @@ def weights(size: tuple[int, int]) -> NDArray[np.float64]:
 
 
 def interpolated(device: Device, shader: type[Shader]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    rows = corners(np.concatenate([TRIANGLE, np.full((3, 1), 0.5), np.ones((3, 1))], axis=1) * W[:, None], RGB)
+    rows = corners(
+        np.concatenate([TRIANGLE, np.full((3, 1), 0.5), np.ones((3, 1))], axis=1) * W[:, None], RGB
+    )
     pixels = draw_once(device, SIZE, Format.RGBA32F, rows, shader=shader)
     return pixels, pixels[..., 3] > 0
 
@@ -319,4 +327,9 @@ def test_a_clipped_triangle_keeps_its_values(device: Device) -> None:
         [(x / 6 + 0.5, 0, 0, 1) for x in (-3, 3, 3, -3, 3, -3)],
     )
     expected = ((np.arange(8) + 0.5) / 4 - 1) / 6 + 0.5
-    assert_near(draw_once(device, (8, 2), Format.R32F, big), np.stack([expected] * 2), 1e-6, "interpolation in float32")
+    assert_near(
+        draw_once(device, (8, 2), Format.R32F, big),
+        np.stack([expected] * 2),
+        1e-6,
+        "interpolation in float32",
+    )

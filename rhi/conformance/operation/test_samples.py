@@ -1,6 +1,7 @@
 """Samples of multi-sampled textures, read one by one: colors, integers and depth.
 
-Where samples lie is left to the device. Depth that rises along an axis tells the place of each; coverage must agree.
+Where samples lie is left to the device. Depth that rises along an axis tells the place of each; coverage must
+agree.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ class ReadSample(Positions):
     sample: sl.Uniform[Sample]
 
     def fragment(self, v: Bare) -> sl.vec4:
-        return self.source.load(sl.ivec2(sl.fragment_coordinate().xy) + self.sample.origin, self.sample.number)
+        return self.source.load(
+            sl.ivec2(sl.fragment_coordinate().xy) + self.sample.origin, self.sample.number
+        )
 
 
 class ReadUintSample(Positions):
@@ -67,9 +70,12 @@ class ReadEachSample(sl.Shader):
 
 
 def read_samples(
-    device: Device, source: Texture, format: Format = Format.RGBA32F, reader: Any = ReadSample,
+    device: Device,
+    source: Texture,
+    format: Format = Format.RGBA32F,
+    reader: Any = ReadSample,
     origin: tuple[int, int] = (0, 0),
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """Return the texels of each sample as (samples, rows, columns, channels)."""
     require_renderable(device, format)
     rows = []
@@ -83,7 +89,8 @@ def read_samples(
 
 
 def measure_sample_positions(device: Device, samples: int, format: Format = Format.D32F) -> NDArray[Any]:
-    """Return the places of the samples in texel units from a texel's top left, (samples, rows, columns, 2)."""
+    """Return the places of the samples in texel units from a texel's top left, (samples, rows, columns,
+    2)."""
     axes = []
     with device.texture(SIZE, format, samples=samples) as depth:
         for slope in (RIGHT, DOWN):
@@ -96,7 +103,9 @@ def measure_sample_positions(device: Device, samples: int, format: Format = Form
 def split() -> VertexRows:
     """Return a red and a green triangle that share a diagonal."""
     red, green = (3.0, 0.0, 0.0, 1.0), (0.0, 5.0, 0.0, 1.0)
-    return np.concatenate([corners([(-1, 1), (-1, -1), (1, -0.7)], red), corners([(-1, 1), (1, -0.7), (1, 1)], green)])
+    return np.concatenate(
+        [corners([(-1, 1), (-1, -1), (1, -0.7)], red), corners([(-1, 1), (1, -0.7), (1, 1)], green)]
+    )
 
 
 @COUNTS
@@ -105,7 +114,10 @@ def test_depth_is_read_at_the_position_of_each_sample(device: Device, samples: i
     require_samples(device, samples)
     positions = measure_sample_positions(device, samples, format)
     assert_near(
-        positions, np.broadcast_to(positions[:, :1, :1], positions.shape), 4e-4, "depth within 2e-5, of 8 texels"
+        positions,
+        np.broadcast_to(positions[:, :1, :1], positions.shape),
+        4e-4,
+        "depth within 2e-5, of 8 texels",
     )
     corner_positions = positions[:, 0, 0]
     assert (corner_positions > 0).all()

@@ -84,7 +84,8 @@ class Gather2D(sl.Shader):
 
 
 def sampled(device: Device, shader: Any, texture: Any, coordinates: ArrayLike) -> NDArray[Any]:
-    """Return the samples of `shader` at (n, 2 to 4) `coordinates`: u, v, layer or w, level; missing ones are 0."""
+    """Return the samples of `shader` at (n, 2 to 4) `coordinates`: u, v, layer or w, level; missing ones are
+    0."""
     values = np.asarray(coordinates, "f4")
     full = np.zeros((len(values), 4), "f4")
     full[:, : values.shape[1]] = values
@@ -109,7 +110,9 @@ def test_a_shader_reads_what_the_format_means(device: Device, format: Format) ->
         back = sampled(device, Sample2D, texture.sampled(NEAREST), texel_centers(8, 4))
     expected = decode(format, channels_of(format, squeezed(format, data))).reshape(-1, 4)
     if format.kind is ChannelKind.SRGB:
-        assert_near(encode(format, back), encode(format, expected), 0.5, "half a step of sRGB, as in Direct3D")
+        assert_near(
+            encode(format, back), encode(format, expected), 0.5, "half a step of sRGB, as in Direct3D"
+        )
     else:
         assert_near(back, expected, 1e-6, "conversion in float32")
 
@@ -151,7 +154,9 @@ def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
         assert_same(results.read(), expected)
 
 
-@pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity)
+@pytest.mark.parametrize(
+    "format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity
+)
 def test_depth_is_read_as_red(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((4, 4), format) as depth:
@@ -225,7 +230,8 @@ class SampledDraw(Shaded):
 def test_minifying_and_magnifying_have_filters_of_their_own(
     device: Device, minify: Filter, magnify: Filter, size: int, smooth: bool
 ) -> None:
-    """A checkerboard of 0 and 255, drawn to 16×16 texels. The uv are shifted so that a linear filter always mixes."""
+    """A checkerboard of 0 and 255, drawn to 16×16 texels. The uv are shifted so that a linear filter always
+    mixes."""
     board = ((np.indices((size, size)).sum(axis=0) % 2) * 255).astype(np.uint8)
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2 + 0.3 / size
@@ -254,7 +260,10 @@ def wrapped(index: NDArray[np.int64], wrap: Wrap, size: int) -> NDArray[np.int64
 
 @pytest.mark.parametrize(
     "wrap",
-    [pytest.param(wrap, marks=[pytest.mark.requires("border_colors")] * (wrap is Wrap.BORDER)) for wrap in Wrap],
+    [
+        pytest.param(wrap, marks=[pytest.mark.requires("border_colors")] * (wrap is Wrap.BORDER))
+        for wrap in Wrap
+    ],
     ids=identity,
 )
 @pytest.mark.parametrize("axis", [0, 1], ids=["u", "v"])
@@ -278,7 +287,9 @@ def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis
 
 @pytest.mark.requires("border_colors")
 def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
-    descriptor = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1))
+    descriptor = SamplerDescriptor(
+        Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1)
+    )
     with device.texture(np.zeros((1, 4), np.uint8), Format.R8) as texture:
         back = sampled(device, Sample2D, texture.sampled(descriptor), [(0.0, 0.5), (0.125, 0.5), (-1.0, 0.5)])
     assert_near(back[:, 0], (0.5, 0, 1), 1 / 256, FILTERED)
@@ -428,7 +439,9 @@ def test_a_cube_s_faces_are_turned_as_in_opengl(device: Device) -> None:
         d = rng.normal(size=3)
         face = int(np.abs(d).argmax()) * 2 + int(d[np.abs(d).argmax()] < 0)
         u, v = face_coordinates(face, tuple(d))
-        if min(abs(u * 4 - round(u * 4)), abs(v * 4 - round(v * 4))) > 0.02:  # away from the borders between texels
+        if (
+            min(abs(u * 4 - round(u * 4)), abs(v * 4 - round(v * 4))) > 0.02
+        ):  # away from the borders between texels
             directions.append(d)
             expected.append(data[face, int(v * 4), int(u * 4), 0])
     with device.texture(data, Format.R32F, kind=TextureKind.CUBE) as texture:
@@ -448,7 +461,8 @@ def test_a_cube_is_filtered_across_its_edges(device: Device) -> None:
 
 
 def test_gather_gives_the_four_texels_of_a_linear_filter(device: Device) -> None:
-    """OpenGL gathers counter-clockwise from the lower left, with v up. With v down that is (0,1) (1,1) (1,0) (0,0)."""
+    """OpenGL gathers counter-clockwise from the lower left, with v up. With v down that is (0,1) (1,1) (1,0)
+    (0,0)."""
     data = np.zeros((4, 4, 4), np.float32)
     data[..., 1] = np.arange(16).reshape(4, 4)
     with device.texture(data, Format.RGBA32F) as texture:
@@ -489,14 +503,18 @@ def test_a_comparison_is_reference_against_texel(device: Device, function: Compa
 @pytest.mark.requires("draws")
 def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
     """With half of the texels nearer the result is 0.5, whatever their depths are."""
-    sampler = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS)
+    sampler = SamplerDescriptor(
+        Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS
+    )
     with (
         device.texture((2, 2), Format.D32F) as depth,
         device.mesh(rectangle(-1, -1, 0, 1, depth=0.9)) as left,
     ):
         with device.render_pass(depth=depth, clear_depth=0.1):
             device.draw(device.program(Colored), left)
-        back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)])
+        back = sampled(
+            device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)]
+        )
     assert_near(back[:, 0], (0.5, 1, 0), 1 / 128, FILTERED)
 
 
@@ -533,7 +551,9 @@ def test_several_textures_stay_apart(device: Device) -> None:
     a, b = textures
     with device.storage(sl.vec4, 1) as results:
         for first, second in ((a, b), (b, a), (a, a)):
-            device.dispatch(device.program(TwoTextures), 1, first=first, second=second, volume=volume, results=results)
+            device.dispatch(
+                device.program(TwoTextures), 1, first=first, second=second, volume=volume, results=results
+            )
             values = {id(a): 3.0, id(b): 5.0}
             x, y = values[id(first)], values[id(second)]
             assert_same(results.read(), [(x, y, 4, x - y)])
@@ -591,7 +611,8 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
 
 
 class Graded(Shaded):
-    """Samples at the level of explicit derivatives, and at that of implicit ones with a bias of 1, −1 and 0."""
+    """Samples at the level of explicit derivatives, and at that of implicit ones with a bias of 1, −1 and
+    0."""
 
     source: sl.Texture2D
 
@@ -604,8 +625,8 @@ class Graded(Shaded):
 
 @pytest.mark.requires("draws")
 def test_derivatives_choose_the_level(device: Device) -> None:
-    """64 texels drawn on 16 use level 2. Explicit derivatives and biases are tested by the same draw, since building a
-    program takes seconds."""
+    """64 texels drawn on 16 use level 2. Explicit derivatives and biases are tested by the same draw, since
+    building a program takes seconds."""
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
     with (
@@ -630,8 +651,9 @@ def test_anisotropy_may_be_asked_for(device: Device) -> None:
 
 @pytest.mark.requires("draws")
 def test_a_floor_at_a_grazing_angle_has_more_contrast_with_more_anisotropy(device: Device) -> None:
-    """Stripes that run to the horizon, and pixels that are the longer along them the farther away. What exactly is
-    averaged is up to each device, but it shows more of the stripes than one level for both axes, nowhere less."""
+    """Stripes that run to the horizon, and pixels that are the longer along them the farther away. What
+    exactly is averaged is up to each device, but it shows more of the stripes than one level for both axes,
+    nowhere less."""
     most = device.capabilities.max_anisotropy
     if most < 2:
         pytest.skip("no anisotropic filtering")
@@ -692,9 +714,12 @@ def test_depth_arrays_and_cubes_are_compared(device: Device) -> None:
                 pass
         with device.render_pass(image):
             device.draw(
-                device.program(ComparedLayers), mesh, layers=layers.sampled(sampler), around=around.sampled(sampler),
+                device.program(ComparedLayers),
+                mesh,
+                layers=layers.sampled(sampler),
+                around=around.sampled(sampler),
                 results=results,
-            )  # fmt: skip
+            )
         assert_same(results.read(), [(0, 1, 0, 1)])
 
 
@@ -712,7 +737,9 @@ def test_beyond_a_shadow_map_its_border_is_compared(device: Device) -> None:
     with device.texture((2, 2), Format.D32F) as depth:
         with device.render_pass(depth=depth, clear_depth=0.25):
             pass
-        back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (1.5, 0.5, 0.5), (0.5, -0.5, 0.5)])
+        back = sampled(
+            device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (1.5, 0.5, 0.5), (0.5, -0.5, 0.5)]
+        )
     assert_same(back[:, 0], (0, 1, 1))
 
 
@@ -739,7 +766,12 @@ def test_texels_outside_are_zeros_and_stores_outside_are_dropped(device: Device)
     source = device.texture(np.full((8, 8, 4), 255, "u1"), Format.RGBA8, levels=2)
     target, out = device.texture((8, 8), Format.RGBA32F), device.storage(sl.vec4, 2 * len(at))
     device.dispatch(
-        device.program(Texels), len(at) // 16, source=source, at=device.storage(int, at), target=target.image(), out=out
+        device.program(Texels),
+        len(at) // 16,
+        source=source,
+        at=device.storage(int, at),
+        target=target.image(),
+        out=out,
     )
     back = out.read()
     assert_same(back[0::2], ((at >= 0) & (at < 8))[:, None])

@@ -61,7 +61,11 @@ def test_inner_scopes_win_and_outer_ones_come_back(recording: rhi.Device) -> Non
 
 
 def test_an_exception_restores_too(recording: rhi.Device) -> None:
-    with pytest.raises(ZeroDivisionError), recording.states(rhi.CullMode.NONE), recording.states(rhi.DepthWrite.OFF):
+    with (
+        pytest.raises(ZeroDivisionError),
+        recording.states(rhi.CullMode.NONE),
+        recording.states(rhi.DepthWrite.OFF),
+    ):
         raise ZeroDivisionError
     (states,) = states_of_draws(recording, lambda draw: draw())
     assert (states[rhi.CullMode], states[rhi.DepthWrite]) == (rhi.CullMode.BACK, rhi.DepthWrite.ON)
@@ -103,7 +107,10 @@ def test_states_of_one_target_leave_the_others(recording: rhi.Device) -> None:
     blends, writes = states[rhi.BlendFunction], states[rhi.ColorWrite]
     assert isinstance(blends, tuple)
     assert isinstance(writes, tuple)
-    assert blends == (rhi.BlendFunction.ALPHA,) * 2 + (rhi.BlendFunction.ADDITIVE,) + (rhi.BlendFunction.ALPHA,) * 5
+    assert (
+        blends
+        == (rhi.BlendFunction.ALPHA,) * 2 + (rhi.BlendFunction.ADDITIVE,) + (rhi.BlendFunction.ALPHA,) * 5
+    )
     assert writes == (rhi.ColorWrite.ON, rhi.ColorWrite.OFF) + (rhi.ColorWrite.ON,) * 6
 
 
@@ -118,7 +125,11 @@ def test_equal_values_of_different_states_stay_apart(recording: rhi.Device) -> N
 
 
 def sent(device: rhi.Device, since: int) -> list[type]:
-    return [change.type for command in device.stream[since:].filter(rhi.Op.SET_STATES) for change in command["changes"]]
+    return [
+        change.type
+        for command in device.stream[since:].filter(rhi.Op.SET_STATES)
+        for change in command["changes"]
+    ]
 
 
 def test_only_differences_are_sent(recording: rhi.Device) -> None:
@@ -183,6 +194,8 @@ def test_more_combinations_than_are_remembered_stay_right(recording: rhi.Device)
                         recording.draw(program, mesh)
             recording.draw(program, mesh)
     draws = [command.states for command in recording.stream[since:].draws()]
-    assert [states[rhi.Scissor] for states in draws[:-1]] == [rhi.Scissor(0, 0, n, 1) for n in range(0, 20_000, 1000)]
+    assert [states[rhi.Scissor] for states in draws[:-1]] == [
+        rhi.Scissor(0, 0, n, 1) for n in range(0, 20_000, 1000)
+    ]
     assert draws[-1][rhi.Scissor] == rhi.Scissor.OFF
     assert all(states[rhi.DepthWrite] is rhi.DepthWrite.OFF for states in draws)

@@ -39,9 +39,13 @@ KEEP, REPLACE = StencilOperation.KEEP, StencilOperation.REPLACE
 
 
 def after(
-    device: Device, *states: State, stored: int, rows: VertexRows | None = None, depth: float = 0.0,
+    device: Device,
+    *states: State,
+    stored: int,
+    rows: VertexRows | None = None,
+    depth: float = 0.0,
     primitive: Primitive = Primitive.TRIANGLES,
-) -> tuple[NDArray[Any], NDArray[Any]]:  # fmt: skip
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return color and stencil after one draw over a cleared buffer."""
     rows = rectangle() if rows is None else rows
     with (
@@ -66,7 +70,9 @@ def test_a_stencil_function_compares_reference_with_stored(device: Device, funct
 
 @pytest.mark.parametrize("operation", list(StencilOperation), ids=lambda f: f.name)
 @pytest.mark.parametrize("stored", [0, 1, 100, 254, 255])
-def test_an_operation_changes_what_is_stored(device: Device, operation: StencilOperation, stored: int) -> None:
+def test_an_operation_changes_what_is_stored(
+    device: Device, operation: StencilOperation, stored: int
+) -> None:
     _, value = after(device, StencilFront(both_pass=operation), StencilReference(77, 77), stored=stored)
     assert_same(value, stencil(operation, stored, 77))
 
@@ -81,9 +87,13 @@ def test_an_operation_changes_what_is_stored(device: Device, operation: StencilO
     ],
     ids=["stencil fails", "both fail", "depth fails", "both pass"],
 )
-def test_each_outcome_has_its_own_operation(device: Device, function: Comparison, depth: float, expected: int) -> None:
+def test_each_outcome_has_its_own_operation(
+    device: Device, function: Comparison, depth: float, expected: int
+) -> None:
     front = StencilFront(function, StencilOperation.REPLACE, StencilOperation.ZERO, StencilOperation.INVERT)
-    color, value = after(device, front, StencilReference(1, 1), stored=0 if expected == 255 else 5, depth=depth)
+    color, value = after(
+        device, front, StencilReference(1, 1), stored=0 if expected == 255 else 5, depth=depth
+    )
     assert_same(value, expected)
     assert_same(color, 255 if expected == 255 else 0)
 
@@ -174,8 +184,14 @@ def test_points_count_as_front_faces(device: Device) -> None:
 
 def test_stencil_counts_overdraw(device: Device) -> None:
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(), rectangle()])
-    _, value = after(device, StencilFront(both_pass=StencilOperation.INCREMENT), ColorWrite.OFF, stored=0, rows=rows,
-                     depth=0.0)  # fmt: skip
+    _, value = after(
+        device,
+        StencilFront(both_pass=StencilOperation.INCREMENT),
+        ColorWrite.OFF,
+        stored=0,
+        rows=rows,
+        depth=0.0,
+    )
     assert_same(value, [[1, 1], [1, 1]])  # of equal depths, only the first one passes the depth test
 
 
@@ -208,12 +224,17 @@ class Checkered(Shaded):
         return v.color
 
 
-@pytest.mark.parametrize(("stored", "reference", "depth"), [(5, 6, 0.0), (5, 5, 1.0), (5, 5, 0.0)],
-                         ids=["stencil fails", "depth fails", "both pass"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("stored", "reference", "depth"),
+    [(5, 6, 0.0), (5, 5, 1.0), (5, 5, 0.0)],
+    ids=["stencil fails", "depth fails", "both pass"],
+)
 def test_a_discarded_fragment_changes_no_stencil_whatever_the_tests_say(
     device: Device, stored: int, reference: int, depth: float, mesh: Mesh
 ) -> None:
-    front = StencilFront(Comparison.EQUAL, StencilOperation.INVERT, StencilOperation.INVERT, StencilOperation.INVERT)
+    front = StencilFront(
+        Comparison.EQUAL, StencilOperation.INVERT, StencilOperation.INVERT, StencilOperation.INVERT
+    )
     with device.texture((4, 2), Format.R8) as image, device.texture((4, 2), Format.D24S8) as target:
         with (
             device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=depth, clear_stencil=stored),

@@ -1,4 +1,5 @@
-"""Targets: every renderable format, several at once, masks and blends of each, layers, samples and resolves."""
+"""Targets: every renderable format, several at once, masks and blends of each, layers, samples and
+resolves."""
 
 from __future__ import annotations
 
@@ -11,7 +12,17 @@ import rhi
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes, require_renderable, require_samples
 from rhi.conformance.reference import channels_of, compare, encode, rounding
-from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Located, Shade, Sized, UintColored
+from rhi.conformance.shaders import (
+    Bare,
+    Colored,
+    Corner,
+    FlatShade,
+    IntColored,
+    Located,
+    Shade,
+    Sized,
+    UintColored,
+)
 from rhi.conformance.shapes import centers, corners, point_square, point_vertices, rectangle
 from rhi.conformance.single_draws import draw_once
 from rhi.conformance.waiting import TIMEOUT
@@ -206,7 +217,8 @@ def test_inside_a_triangle_all_samples_are_covered(device: rhi.Device, samples: 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
 def test_an_edge_covers_some_samples_of_its_texels(device: rhi.Device, samples: int) -> None:
-    """An edge through the middle of a column: its texels are covered in part, those beside it fully or not."""
+    """An edge through the middle of a column: its texels are covered in part, those beside it fully or
+    not."""
     require_samples(device, samples)
     rows = rectangle(right=4.5 / 8 * 2 - 1)
     covered = draw_once(device, (8, 8), rhi.Format.R16F, rows, samples=samples).astype(np.float64)
@@ -295,14 +307,19 @@ def test_alpha_becomes_coverage(device: rhi.Device, alpha: float, samples: int) 
     rows = rectangle(color=(1, 1, 1, alpha))
     drawn = draw_once(device, (8, 8), rhi.Format.RGBA16F, rows, rhi.AlphaToCoverage.ON, samples=samples)
     assert_near(
-        drawn[..., 0].mean(), alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device"
+        drawn[..., 0].mean(),
+        alpha,
+        0.25 if alpha == 0.5 else 0.0,
+        "which samples are covered is left to the device",
     )
 
 
 @pytest.mark.requires("alpha_to_coverage")
 def test_without_the_state_alpha_covers_nothing_less(device: rhi.Device) -> None:
     require_samples(device, 4)
-    assert_same(draw_once(device, SIZE, rhi.Format.RGBA16F, rectangle(color=(1, 1, 1, 0.5)), samples=4)[..., 0], 1)
+    assert_same(
+        draw_once(device, SIZE, rhi.Format.RGBA16F, rectangle(color=(1, 1, 1, 0.5)), samples=4)[..., 0], 1
+    )
 
 
 @pytest.mark.requires("alpha_test")
@@ -312,7 +329,9 @@ def test_an_alpha_function_compares_alpha_with_the_reference(
     device: rhi.Device, function: rhi.AlphaFunction, reference: float
 ) -> None:
     alphas = np.array([0.25, 0.5, 0.75])
-    rows = corners(centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1))
+    rows = corners(
+        centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1)
+    )
     drawn = draw_once(
         device,
         (3, 1),
@@ -328,7 +347,10 @@ def test_an_alpha_function_compares_alpha_with_the_reference(
 
 def test_points_and_lines_ignore_culling(device: rhi.Device) -> None:
     rows = corners(centers([(0, 0), (2, 2)], SIZE))
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
+    with (
+        device.texture(SIZE, rhi.Format.R8) as image,
+        device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh,
+    ):
         for cull in rhi.CullMode:
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(cull, rhi.DepthFunction.ALWAYS):
                 device.draw(device.program(Colored), mesh)
@@ -356,7 +378,9 @@ def test_a_point_with_a_size_covers_samples(device: rhi.Device, samples: int) ->
     require_point_sizes(device)
     size = (24, 20)
     rows = point_vertices([(12.0, 10.0)], size, 5.0)
-    back = draw_once(device, size, rhi.Format.R8, rows, shader=Sized, primitive=rhi.Primitive.POINTS, samples=samples)
+    back = draw_once(
+        device, size, rhi.Format.R8, rows, shader=Sized, primitive=rhi.Primitive.POINTS, samples=samples
+    )
     whole, touched = point_square(12.0, 10.0, 4.0, size), point_square(12.0, 10.0, 6.0, size)
     assert_same(back[whole], 255)
     assert ((back[touched & ~whole] > 0) & (back[touched & ~whole] < 255)).all()
@@ -368,10 +392,14 @@ def test_a_fragment_of_several_samples_reads_its_position_in_the_point(device: r
     require_samples(device, 4)
     size = (32, 24)
     rows = point_vertices([(12.0, 10.0)], size, 8.0, (0.625, 0, 0, 1), w=3.0)
-    back = draw_once(device, size, rhi.Format.RGBA16F, rows, shader=Located, primitive=rhi.Primitive.POINTS, samples=4)
+    back = draw_once(
+        device, size, rhi.Format.RGBA16F, rows, shader=Located, primitive=rhi.Primitive.POINTS, samples=4
+    )
     rows, columns = np.nonzero(point_square(12.0, 10.0, 8.0, size))  # whole texels
     expected = np.stack([columns - 7.5, rows - 5.5], -1) / 8
-    assert_near(back[rows, columns, :2], expected, 1 / 16 + 2e-3, "anywhere in the texel, and as with one sample")
+    assert_near(
+        back[rows, columns, :2], expected, 1 / 16 + 2e-3, "anywhere in the texel, and as with one sample"
+    )
     assert_same(back[rows, columns, 2], 0.625)
 
 
@@ -419,7 +447,10 @@ def test_many_plans_are_prepared_at_once(device: rhi.Device) -> None:
 def test_a_preparation_may_be_left_alone(device: rhi.Device) -> None:
     """Draws needn't wait for it, and what it names may be destroyed."""
     program = device.program(Colored)
-    with device.mesh(rectangle(color=(1, 0, 0, 1))) as mesh, device.texture(SIZE, rhi.Format.RGBA16F) as image:
+    with (
+        device.mesh(rectangle(color=(1, 0, 0, 1))) as mesh,
+        device.texture(SIZE, rhi.Format.RGBA16F) as image,
+    ):
         device.prepare(program, mesh, targets=(image,), states=(rhi.BlendFunction.ALPHA,))
         with device.render_pass(image):
             device.draw(program, mesh)

@@ -40,7 +40,8 @@ class Textured(Shader):
 
 
 def make_rectangle(uvs: object) -> NDArray[Any]:
-    """Return a full rectangle with these uv at its lower left, lower right, upper right and upper left corners."""
+    """Return a full rectangle with these uv at its lower left, lower right, upper right and upper left
+    corners."""
     rows = np.zeros(6, TexturedVertex.dtype)
     rows["position"] = rectangle()["position"]
     rows["uv"] = np.asarray(uvs)[[0, 1, 2, 0, 2, 3]]

@@ -59,7 +59,9 @@ def test_every_size_reads_back_as_written(device: Device, size: tuple[int, int])
 
 
 @pytest.mark.parametrize("width", [6, 64])
-def test_a_texture_can_be_made_from_its_texels_and_what_is_read_can_be_changed(device: Device, width: int) -> None:
+def test_a_texture_can_be_made_from_its_texels_and_what_is_read_can_be_changed(
+    device: Device, width: int
+) -> None:
     data = random_texels(Format.RGBA8, 3, width)
     with device.texture(data, Format.RGBA8) as texture:
         assert texture.size == (width, 3)
@@ -80,7 +82,9 @@ def test_a_write_changes_its_region_only(device: Device, format: Format) -> None
 
 @pytest.mark.parametrize("format", [Format.R8, Format.RGBA8, Format.RG16F], ids=identity)
 @pytest.mark.parametrize("box", [(0, 0, 9, 6), (0, 0, 1, 1), (8, 5, 1, 1), (2, 1, 5, 3)], ids=str)
-def test_a_read_of_a_region_gives_that_region(device: Device, format: Format, box: tuple[int, int, int, int]) -> None:
+def test_a_read_of_a_region_gives_that_region(
+    device: Device, format: Format, box: tuple[int, int, int, int]
+) -> None:
     data = squeezed(format, random_texels(format, 6, 9))
     x, y, width, height = box
     with device.texture(data, format) as texture:
@@ -159,10 +163,16 @@ def test_the_layers_of_an_array_stay_with_its_levels(device: Device) -> None:
 
 each_opaque = pytest.mark.parametrize(
     ("format", "opaque"),
-    [(Format.RGBA8, 255), (Format.RGBA8_SRGB, 255), (Format.RGBA8_SNORM, 127), (Format.RGBA16, 65535),
-     (Format.RGBA16F, 1), (Format.RGBA32F, 1)],
+    [
+        (Format.RGBA8, 255),
+        (Format.RGBA8_SRGB, 255),
+        (Format.RGBA8_SNORM, 127),
+        (Format.RGBA16, 65535),
+        (Format.RGBA16F, 1),
+        (Format.RGBA32F, 1),
+    ],
     ids=identity,
-)  # fmt: skip
+)
 """Runs a test with each format that has alpha, and with the alpha of an opaque texel."""
 
 
@@ -288,7 +298,9 @@ def test_a_copy_within_a_texture_moves_to_where_nothing_overlaps(device: Device)
 def test_a_copy_carries_depth_and_stencil(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((4, 4), format) as source, device.texture((4, 4), format) as target:
-        with device.render_pass(depth=source, clear_depth=0.25, clear_stencil=77 if format.has_stencil else None):
+        with device.render_pass(
+            depth=source, clear_depth=0.25, clear_stencil=77 if format.has_stencil else None
+        ):
             pass
         source.copy_to(target)
         assert_near(target.read(), 0.25, 2.0**-16, "16 bits of depth")
@@ -307,7 +319,9 @@ def _row_bytes(device: Device, format: Format, width: int) -> int:
 
 @pytest.mark.requires("texture_buffer_copies")
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
-def test_a_copy_to_a_buffer_writes_the_texels_and_nothing_between_them(device: Device, format: Format) -> None:
+def test_a_copy_to_a_buffer_writes_the_texels_and_nothing_between_them(
+    device: Device, format: Format
+) -> None:
     require_format(device, format)
     data = squeezed(format, random_texels(format, 5, 7))
     row, start = _row_bytes(device, format, 4), 2 * max(16, device.capabilities.copy_offset_alignment)
@@ -344,7 +358,9 @@ def test_a_copy_from_a_buffer_replaces_its_region_only(device: Device, format: F
 def test_depth_is_copied_to_a_buffer_as_float32(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((64, 3), format) as texture, device.buffer(64 * 3, np.float32) as buffer:
-        with device.render_pass(depth=texture, clear_depth=0.3, clear_stencil=9 if format.has_stencil else None):
+        with device.render_pass(
+            depth=texture, clear_depth=0.3, clear_stencil=9 if format.has_stencil else None
+        ):
             pass
         texture.copy_to_buffer(buffer)
         assert_same(buffer.read().reshape(3, 64), texture.read())
@@ -354,7 +370,9 @@ def test_depth_is_copied_to_a_buffer_as_float32(device: Device, format: Format) 
 @pytest.mark.parametrize(
     ("kind", "layers"), [(TextureKind.D2_ARRAY, 4), (TextureKind.D3, 8), (TextureKind.CUBE, 6)], ids=identity
 )
-def test_layers_of_a_level_follow_each_other_in_a_buffer(device: Device, kind: TextureKind, layers: int) -> None:
+def test_layers_of_a_level_follow_each_other_in_a_buffer(
+    device: Device, kind: TextureKind, layers: int
+) -> None:
     data = random_texels(Format.RGBA8, 3, 4, 4)
     row = _row_bytes(device, Format.RGBA8, 4)
     with (
@@ -526,7 +544,9 @@ def test_a_clear_of_one_layer_of_depth_and_stencil_leaves_the_others(device: Dev
 
 @pytest.mark.parametrize("format", [Format.D16, Format.D32F], ids=identity)
 @pytest.mark.parametrize("layer", [0, 1])
-def test_a_clear_of_depth_alone_reaches_one_layer_of_one_level(device: Device, format: Format, layer: int) -> None:
+def test_a_clear_of_depth_alone_reaches_one_layer_of_one_level(
+    device: Device, format: Format, layer: int
+) -> None:
     require_format(device, format)
     with device.texture((4, 4), format, kind=TextureKind.D2_ARRAY, layers=3, levels=2) as texture:
         with device.render_pass(depth=texture.at(level=1, layer=layer), clear_depth=1.0):
@@ -561,13 +581,16 @@ def test_mipmaps_are_boxes_of_two_by_two(device: Device, format: Format) -> None
     assert_same(level0, squeezed(format, data))
     above = channels_of(format, squeezed(format, data))
     for level in levels:
-        # Each level is compared with one computed from the level above, so that rounding errors don't accumulate.
+        # Each level is compared with one computed from the level above, so that rounding errors don't
+        # accumulate.
         expected = halve(format, above)
         slack: Any
         if format.is_packed and format.kind is ChannelKind.FLOAT:
             slack = np.abs(above).max() * 2.0 ** -np.array([5, 5, 4])
         elif format.dtype.kind == "f":
-            slack = np.abs(above.astype(np.float64)).max() * (2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22)
+            slack = np.abs(above.astype(np.float64)).max() * (
+                2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22
+            )
         elif format.kind is ChannelKind.SRGB:
             slack = 1.5
         else:
@@ -587,7 +610,9 @@ def test_mipmaps_of_srgb_are_averaged_in_linear_light(device: Device) -> None:
 
 @pytest.mark.parametrize(("kind", "layers"), [(TextureKind.D2_ARRAY, 3), (TextureKind.CUBE, 6)], ids=identity)
 def test_mipmaps_of_layers_do_not_mix(device: Device, kind: TextureKind, layers: int) -> None:
-    data = np.broadcast_to(np.arange(layers, dtype=np.uint8)[:, None, None, None] * 40, (layers, 4, 4, 4)).copy()
+    data = np.broadcast_to(
+        np.arange(layers, dtype=np.uint8)[:, None, None, None] * 40, (layers, 4, 4, 4)
+    ).copy()
     with device.texture((4, 4), Format.RGBA8, kind=kind, layers=layers, levels=3) as texture:
         texture.write(data)
         texture.generate_mipmaps()

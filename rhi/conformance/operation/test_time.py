@@ -275,7 +275,8 @@ def list_nodes(root: rhi.TimerNode) -> list[rhi.TimerNode]:
 
 @pytest.fixture
 def dated_frames(device: Device) -> list[rhi.TimerNode]:
-    """The timers of three frames on a backend that dates timestamps. Each frame is waited for before the next."""
+    """The timers of three frames on a backend that dates timestamps. Each frame is waited for before the
+    next."""
     roots: list[rhi.TimerNode] = []
     for _ in range(3):
         device.present()
@@ -319,7 +320,9 @@ def test_work_is_executed_after_it_is_issued(dated_frames: list[rhi.TimerNode]) 
 
 
 @pytest.mark.requires("timestamps")
-def test_work_issued_after_a_wait_comes_after_all_that_was_waited_for(dated_frames: list[rhi.TimerNode]) -> None:
+def test_work_issued_after_a_wait_comes_after_all_that_was_waited_for(
+    dated_frames: list[rhi.TimerNode],
+) -> None:
     finished = 0.0
     for root in dated_frames:
         for node in list_nodes(root):

@@ -34,7 +34,14 @@ def draw_image(
     """Return the image of one draw without culling."""
     rows = corners(positions, color)
     return draw_once(
-        device, SIZE, Format.RGBA8, rows, CullMode.NONE, shader=FlatColored, indices=indices, primitive=primitive
+        device,
+        SIZE,
+        Format.RGBA8,
+        rows,
+        CullMode.NONE,
+        shader=FlatColored,
+        indices=indices,
+        primitive=primitive,
     )
 
 
@@ -123,8 +130,10 @@ def test_the_triangles_of_a_strip_have_one_winding(device: Device) -> None:
         device.texture(SIZE, Format.RGBA8) as image,
         device.mesh(rows, primitive=Primitive.TRIANGLE_STRIP) as mesh,
     ):
-        for culled, expected in ((CullMode.BACK, covered(*(STRIP[i : i + 3] for i in range(4)))),
-                                 (CullMode.FRONT, covered())):  # fmt: skip
+        for culled, expected in (
+            (CullMode.BACK, covered(*(STRIP[i : i + 3] for i in range(4)))),
+            (CullMode.FRONT, covered()),
+        ):
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(culled):
                 device.draw(device.program(FlatColored), mesh)
             assert_mask(image.read(), expected)
@@ -167,7 +176,9 @@ def test_indexed_vertices_draw_what_the_same_vertices_draw_in_a_row(
 
 
 @pytest.mark.parametrize(("dtype", "restart"), [("u2", 0xFFFF), ("u4", 0xFFFFFFFF)], ids=["uint16", "uint32"])
-@pytest.mark.parametrize("primitive", [Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "primitive", [Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN], ids=lambda p: p.name
+)
 def test_the_last_index_restarts(device: Device, primitive: Primitive, dtype: str, restart: int) -> None:
     points = [(1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
     indices = np.array([0, 1, 2, restart, 3, 4, 5], dtype)
@@ -212,7 +223,10 @@ FLAT = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
     ids=["triangles", "quads", "strip"],
 )  # fmt: skip
 def test_a_flat_value_is_that_of_the_first_vertex(
-    device: Device, primitive: Primitive, positions: list[tuple[int, int]], areas: dict[int, list[tuple[int, int]]]
+    device: Device,
+    primitive: Primitive,
+    positions: list[tuple[int, int]],
+    areas: dict[int, list[tuple[int, int]]],
 ) -> None:
     image = draw_image(device, primitive, window_to_clip(positions, SIZE), color=FLAT[: len(positions)])
     expected = sum(covered(area)[..., None] * FLAT[vertex] * 255 for vertex, area in areas.items())
@@ -221,7 +235,9 @@ def test_a_flat_value_is_that_of_the_first_vertex(
 
 # -- quads -------------------------------------------------------------------------------------------------
 
-BOXES = [[(4 * i, y), (4 * i, y + 3), (4 * i + 3, y + 3), (4 * i + 3, y)] for y in (0, 4, 8, 12) for i in range(4)]
+BOXES = [
+    [(4 * i, y), (4 * i, y + 3), (4 * i + 3, y + 3), (4 * i + 3, y)] for y in (0, 4, 8, 12) for i in range(4)
+]
 
 
 def boxes(quad_numbers: Any) -> NDArray[np.bool_]:
@@ -246,7 +262,9 @@ def test_indexed_quads_take_their_corners_from_anywhere(device: Device, image: T
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     order = np.arange(64).reshape(16, 4)[[9, 2, 14]].reshape(-1)
     shuffled = np.random.default_rng(0).permutation(64)
-    with device.mesh(rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS) as mesh:
+    with device.mesh(
+        rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS
+    ) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)
         assert_mask(image.read(), boxes((9, 2, 14)))
@@ -287,7 +305,10 @@ def test_indexed_quads_follow_their_indices(device: Device, change: str, first: 
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     now = np.arange(8, dtype="u4") + 4
     expected = {"cleared": (), "written in part": (1, 8)}.get(change, (7, 8))
-    with device.storage(uint, now) as indices, device.mesh(rows, indices.owner, primitive=Primitive.QUADS) as mesh:
+    with (
+        device.storage(uint, now) as indices,
+        device.mesh(rows, indices.owner, primitive=Primitive.QUADS) as mesh,
+    ):
         for _ in range(2):
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
                 device.draw(device.program(Colored), mesh.view(first))
@@ -311,7 +332,9 @@ def test_a_view_of_indexed_quads_begins_at_any_index(device: Device, image: Text
 
 def test_corners_left_over_make_no_quad(device: Device) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2))[:11], SIZE))
-    assert_mask(draw_once(device, SIZE, Format.R8, rows, CullMode.NONE, primitive=Primitive.QUADS), boxes((0, 1)))
+    assert_mask(
+        draw_once(device, SIZE, Format.R8, rows, CullMode.NONE, primitive=Primitive.QUADS), boxes((0, 1))
+    )
 
 
 def test_quads_are_drawn_once_per_instance(device: Device) -> None:

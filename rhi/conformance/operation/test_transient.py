@@ -51,7 +51,10 @@ def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
     """One struct changes between draws, takes turns with a buffer, and is given to each kind of draw."""
     size, tint = (8, 1), shaders.Tint(color=(0, 0, 0, 0))
     buffer, program = device.uniform(shaders.Tint(color=(100, 0, 0, 0))), device.program(shaders.Tinted)
-    with device.texture(size, Format.R32F) as image, device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh:
+    with (
+        device.texture(size, Format.R32F) as image,
+        device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh,
+    ):
         with device.render_pass(image):
             for index in range(6):
                 tint.color = sl.vec4(index + 1, 0, 0, 0)
@@ -59,7 +62,9 @@ def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
             part = mesh.draws()
             part["first"], part["count"] = 6, 1
             device.draw_many(program, mesh, part, tint=shaders.Tint(color=(7, 0, 0, 0)))
-            with device.immediate(program, Primitive.POINTS, tint=shaders.Tint(color=(8, 0, 0, 0))) as immediate:
+            with device.immediate(
+                program, Primitive.POINTS, tint=shaders.Tint(color=(8, 0, 0, 0))
+            ) as immediate:
                 immediate.vertices(points(8, size)[7:])
         device.present()
         assert_same(image.read().reshape(-1), [1, 2, 100, 100, 5, 6, 7, 8])
@@ -273,7 +278,8 @@ def test_floats_for_integer_attributes_are_refused(device: Device) -> None:
 
 
 def test_views_of_a_transient_mesh_draw_its_parts(device: Device) -> None:
-    """The draw lists of an interface: one upload of vertices and indices a frame, and a view for each command."""
+    """The draw lists of an interface: one upload of vertices and indices a frame, and a view for each
+    command."""
     count, program = 48, device.program(shaders.PaintedShader)
     rows = packed_points(count)
     with device.texture((count, 1), Format.R32F) as image:
@@ -368,7 +374,8 @@ def test_vertices_follow_their_instances(device: Device) -> None:
 
 
 def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device) -> None:
-    """What the ring has outgrown lives until the end of the frame, also when the GPU has caught up meanwhile."""
+    """What the ring has outgrown lives until the end of the frame, also when the GPU has caught up
+    meanwhile."""
     device = fresh_device
     program = device.program(shaders.Colored)
     rows = points(4, (4, 1))
@@ -409,7 +416,10 @@ def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> N
             memory = commands.transient
             bound: Any = {"scale": memory.uniform(2.0), "weights": memory.storage(sl.vec4, weights)}
             mesh = memory.mesh(
-                program, {"position": np.repeat(first_point, 3, 0)}, primitive=Primitive.POINTS, instances=shifts
+                program,
+                {"position": np.repeat(first_point, 3, 0)},
+                primitive=Primitive.POINTS,
+                instances=shifts,
             )
             commands.draw(program, mesh.view(1, 1), 2, **bound)
             commands.draw(program, mesh.view(2, 1, base_instance=2), 3, **bound)
@@ -483,7 +493,9 @@ class Values(shaders.Flat):
     def vertex(self, v: shaders.Corner) -> shaders.FlatShade:
         turned = self.rotation @ self.offset
         seen = self.view @ sl.vec4(turned, self.scale)
-        return shaders.FlatShade(clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0))
+        return shaders.FlatShade(
+            clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0)
+        )
 
 
 @pytest.mark.parametrize("way", ["uniform", "transient", "write", "value"])
@@ -491,9 +503,13 @@ def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way:
     rng = np.random.default_rng(3)
     rotation, view = rng.integers(-4, 5, (3, 3)).astype("f4"), rng.integers(-4, 5, (4, 4)).astype("f4")
     values: dict[str, Any] = {
-        "scale": 0.5, "number": -3, "bits": np.uint32(7), "offset": np.array([1.0, 2, 3]), "rotation": rotation,
+        "scale": 0.5,
+        "number": -3,
+        "bits": np.uint32(7),
+        "offset": np.array([1.0, 2, 3]),
+        "rotation": rotation,
         "view": view,
-    }  # fmt: skip
+    }
     make: Any = device.transient.uniform if way == "transient" else device.uniform
     bound = values if way == "value" else {name: make(value) for name, value in values.items()}
     if way == "write":
@@ -501,17 +517,22 @@ def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way:
             bound[name].write(value * 0)
             bound[name].write(value)
     expected = view @ np.array([*(rotation @ [1, 2, 3]), 0.5]) + [-3, 7, 0, 0]
-    assert_same(draw_once(device, (1, 1), Format.RGBA32F, rectangle(), shader=Values, **bound)[0, 0], expected)
+    assert_same(
+        draw_once(device, (1, 1), Format.RGBA32F, rectangle(), shader=Values, **bound)[0, 0], expected
+    )
 
 
 def test_a_single_value_is_bound_as_its_own_class(device: Device) -> None:
     program = device.program(Values)
     with device.texture((1, 1), Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
         right: dict[str, Any] = {
-            "scale": device.transient.uniform(0.5), "number": device.transient.uniform(1),
-            "bits": device.transient.uniform(sl.uint(1)), "offset": device.transient.uniform(sl.vec3(0)),
-            "rotation": device.transient.uniform(sl.mat3(1)), "view": device.transient.uniform(sl.mat4(1)),
-        }  # fmt: skip
+            "scale": device.transient.uniform(0.5),
+            "number": device.transient.uniform(1),
+            "bits": device.transient.uniform(sl.uint(1)),
+            "offset": device.transient.uniform(sl.vec3(0)),
+            "rotation": device.transient.uniform(sl.mat3(1)),
+            "view": device.transient.uniform(sl.mat4(1)),
+        }
         with device.render_pass(image):
             device.draw(program, mesh, **right)
             for name, wrong in (("scale", 1), ("number", 1.0), ("bits", 1), ("view", sl.mat3(1))):
@@ -535,7 +556,10 @@ def covered(*triangles: Any) -> NDArray[np.bool_]:
 
 def test_vertices_one_by_one_make_quads(device: Device) -> None:
     with device.texture(SIZE, Format.R8) as image:
-        with device.render_pass(image), device.immediate(device.program(shaders.Colored), Primitive.QUADS) as quads:
+        with (
+            device.render_pass(image),
+            device.immediate(device.program(shaders.Colored), Primitive.QUADS) as quads,
+        ):
             for x, y in window_to_clip(QUAD, SIZE):
                 quads.vertex(position=(x, y, 0.5, 1.0), color=(1, 1, 1, 1))
         assert_mask(image.read(), covered(QUAD[:3], [QUAD[0], QUAD[2], QUAD[3]]))
@@ -565,7 +589,10 @@ def test_immediate_vertices_draw_what_a_mesh_of_them_draws(device: Device, primi
 def test_an_immediate_block_without_vertices_draws_nothing(device: Device) -> None:
     with device.texture(SIZE, Format.R8) as image:
         before = device.statistics.draws
-        with device.render_pass(image), device.immediate(device.program(shaders.Colored), Primitive.TRIANGLES):
+        with (
+            device.render_pass(image),
+            device.immediate(device.program(shaders.Colored), Primitive.TRIANGLES),
+        ):
             pass
         assert device.statistics.draws == before
         assert_same(image.read(), 0)
@@ -596,7 +623,9 @@ def test_an_immediate_block_takes_bindings_and_states(device: Device) -> None:
     tint = device.uniform(shaders.Tint(color=(0.25, 0, 0, 0)))
     with device.texture(SIZE, Format.R16F) as image:
         with device.render_pass(image, clear=(1, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
-            with device.immediate(device.program(shaders.Tinted), Primitive.TRIANGLES, tint=tint) as triangles:
+            with device.immediate(
+                device.program(shaders.Tinted), Primitive.TRIANGLES, tint=tint
+            ) as triangles:
                 triangles.vertices(rectangle())
         assert_same(image.read(), 1.25)
     tint.destroy()
@@ -617,7 +646,10 @@ def test_a_great_many_immediate_vertices_fit(device: Device) -> None:
     """20,000 vertices of 32 bytes don't fit into the initial size of the ring."""
     size = (200, 100)
     with device.texture(size, Format.R32F) as image:
-        with device.render_pass(image), device.immediate(device.program(shaders.Colored), Primitive.POINTS) as many:
+        with (
+            device.render_pass(image),
+            device.immediate(device.program(shaders.Colored), Primitive.POINTS) as many,
+        ):
             many.vertices(points(20_000, size))
         device.present()
         assert_same(image.read().reshape(-1), np.arange(20_000))

@@ -1,8 +1,8 @@
 """Primitives in the window: their corners, what they cover, and the depth and color there.
 
-Coverage is computed in integers on the grid of 1/256 texel to which window positions are rounded. A sample on an edge
-belongs to it by the top-left rule. Where a position lies so close to the middle between two points of the grid that
-float32 may round it to either, edges get a margin.
+Coverage is computed in integers on the grid of 1/256 texel to which window positions are rounded. A sample on
+an edge belongs to it by the top-left rule. Where a position lies so close to the middle between two points of
+the grid that float32 may round it to either, edges get a margin.
 """
 
 from __future__ import annotations
@@ -89,9 +89,16 @@ def list_primitives(shape: Shape, part: Part) -> Iterator[tuple[tuple[int, ...],
 
 
 def compute_coverage(
-    states: Mapping[type, Any], size: tuple[int, int], samples: int, clip: NDArray[np.float32], colors: Float,
-    tolerances: Tolerances, *, smooth: bool = False, spills: bool = False,
-) -> CoveredPrimitive | None:  # fmt: skip
+    states: Mapping[type, Any],
+    size: tuple[int, int],
+    samples: int,
+    clip: NDArray[np.float32],
+    colors: Float,
+    tolerances: Tolerances,
+    *,
+    smooth: bool = False,
+    spills: bool = False,
+) -> CoveredPrimitive | None:
     """Samples that a primitive covers inside viewport and scissor, or None if it covers none.
 
     Args:
@@ -103,14 +110,17 @@ def compute_coverage(
     """
     view: Viewport = states[Viewport]
     left, top, wide, high = (
-        (0.0, 0.0, *map(float, size)) if view is Viewport.TARGET else (view.x, view.y, view.width, view.height)
+        (0.0, 0.0, *map(float, size))
+        if view is Viewport.TARGET
+        else (view.x, view.y, view.width, view.height)
     )
     exact = clip.astype(np.float64)
     ndc = exact[:, :3] / exact[:, 3:]
     x, y = left + (ndc[:, 0] + 1) / 2 * wide, top + (1 - ndc[:, 1]) / 2 * high
     z = view.near + ndc[:, 2] * (view.far - view.near)
     scissor: Scissor = states[Scissor]
-    # A texel lies in the viewport if its center does. That a point reaches out of it by half a texel is allowed.
+    # A texel lies in the viewport if its center does. That a point reaches out of it by half a texel is
+    # allowed.
     beyond = int(len(clip) == 1)
     first_x, last_x = max(0, scissor.x), min(size[0], scissor.x + scissor.width)
     first_y, last_y = max(0, scissor.y), min(size[1], scissor.y + scissor.height)
@@ -174,7 +184,9 @@ def compute_coverage(
     grad_x = ((z[1] - z[0]) * (cy - ay) - (z[2] - z[0]) * (by - ay)) / area * SUBTEXELS
     grad_y = ((z[2] - z[0]) * (bx - ax) - (z[1] - z[0]) * (cx - ax)) / area * SUBTEXELS
     if z[0] == z[1] == z[2]:
-        depth = Interval.of(np.full(must.shape, z[0])).widen(0.0 if inside or not tolerances.clip_margin else 4e-7)
+        depth = Interval.of(np.full(must.shape, z[0])).widen(
+            0.0 if inside or not tolerances.clip_margin else 4e-7
+        )
     else:
         error = 4e-6 + (abs(grad_x) + abs(grad_y)) / 64
         depth = Interval.of(z[0] * weight_0 + z[1] * weight_1 + z[2] * weight_2).widen(error)

@@ -1,11 +1,11 @@
 """Random programs.
 
-- A **theme** is a few kinds of passes (formats, samples), each with a few pipelines (ink, depth function, whether
-  targets blend, and so on): everything that a backend may compile. Programs of one theme differ in everything else.
-  So thousands of programs need only a few pipelines for each theme.
-- Corners lie on 1/16 texel, which every device's grid represents exactly, and most depths are flat multiples of 1/64,
-  which interpolation keeps. So most texels have one possible value. 1/2 is left out: it lies half-way between two
-  depths of 16 and 24 bits.
+- A **theme** is a few kinds of passes (formats, samples), each with a few pipelines (ink, depth function,
+  whether targets blend, and so on): everything that a backend may compile. Programs of one theme differ in
+  everything else. So thousands of programs need only a few pipelines for each theme.
+- Corners lie on 1/16 texel, which every device's grid represents exactly, and most depths are flat multiples
+  of 1/64, which interpolation keeps. So most texels have one possible value. 1/2 is left out: it lies
+  half-way between two depths of 16 and 24 bits.
 """
 
 from __future__ import annotations
@@ -45,9 +45,17 @@ FORMATS: Final = tuple(f for f in COLOR_FORMATS if not f.is_packed)
 """The formats of color targets: those whose channels are numbers of their own."""
 _GRID: Final = 16
 _FLOAT_SHADERS: Final = (
-    ShaderKind.FLAT, ShaderKind.FLAT, ShaderKind.SMOOTH, ShaderKind.DISCARD, ShaderKind.DISCARD_EARLY,
-    ShaderKind.WRITTEN_DEPTH, ShaderKind.COUNT, ShaderKind.COUNT_EARLY, ShaderKind.LOAD, ShaderKind.LOAD_LAYER,
-)  # fmt: skip
+    ShaderKind.FLAT,
+    ShaderKind.FLAT,
+    ShaderKind.SMOOTH,
+    ShaderKind.DISCARD,
+    ShaderKind.DISCARD_EARLY,
+    ShaderKind.WRITTEN_DEPTH,
+    ShaderKind.COUNT,
+    ShaderKind.COUNT_EARLY,
+    ShaderKind.LOAD,
+    ShaderKind.LOAD_LAYER,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +97,9 @@ def make_theme(seed: int, capabilities: rhi.Capabilities) -> Theme:
     kinds: list[PassKind] = []
     for number in range(2):
         count = random.choice(samples)
-        if number and kinds[0].samples == 1:  # a source for the other one, or the same targets with other pipelines
+        if (
+            number and kinds[0].samples == 1
+        ):  # a source for the other one, or the same targets with other pipelines
             first = kinds[0]
             formats, depth, count = first.colors, random.choice([first.depth, None]), 1
             if depth is None and not formats:
@@ -122,7 +132,9 @@ def _make_pipeline(
         blends: tuple[bool, ...] = (False,) * len(formats)
     else:
         shader = (
-            ShaderKind.TWO_TARGETS if len(formats) == 2 and random.random() < 0.7 else random.choice(_FLOAT_SHADERS)
+            ShaderKind.TWO_TARGETS
+            if len(formats) == 2 and random.random() < 0.7
+            else random.choice(_FLOAT_SHADERS)
         )
         blends = tuple(random.random() < 0.6 and f not in capabilities.unblendable_formats for f in formats)
     states: tuple[rhi.State, ...] = ()
@@ -134,11 +146,13 @@ def _make_pipeline(
         )
     floats = shader not in (ShaderKind.UINT, ShaderKind.INT)
     return Pipeline(
-        shader, blends, states,
+        shader,
+        blends,
+        states,
         alpha_test=floats and random.random() < 0.15,
         alpha_to_coverage=floats and samples > 1 and random.random() < 0.15,
         stencil=depth is not None and depth.has_stencil and random.random() < 0.7,
-    )  # fmt: skip
+    )
 
 
 def make_program(seed: int, theme: Theme) -> Program:
@@ -154,7 +168,9 @@ class _ProgramGenerator:
         self._size = random.choice(SIZES)
         self._queries = random.choice([0, 2, 3])
         self._ended: set[int] = set()
-        self._targets: list[tuple[list[list[int]], list[int]]] = []  # for each kind: images of each slot, and of depth
+        self._targets: list[
+            tuple[list[list[int]], list[int]]
+        ] = []  # for each kind: images of each slot, and of depth
         self._resolved: dict[int, int] = {}
         self._sources: list[int] = []
         self._float_shapes: list[int] = []
@@ -191,7 +207,9 @@ class _ProgramGenerator:
             shared = [
                 i
                 for i, image in enumerate(self._images)
-                if image.format is format and image.samples == kind.samples and not any(i in slot for slot in slots)
+                if image.format is format
+                and image.samples == kind.samples
+                and not any(i in slot for slot in slots)
             ]
             numbers = shared[:1] if shared and self._random.random() < 0.7 else []
             while len(numbers) < 2 - (number > 0):
@@ -230,7 +248,12 @@ class _ProgramGenerator:
         random, (width, height) = self._random, self._size
         primitive = random.choice(
             [rhi.Primitive.TRIANGLES] * 4
-            + [rhi.Primitive.QUADS, rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.TRIANGLE_FAN, rhi.Primitive.POINTS]
+            + [
+                rhi.Primitive.QUADS,
+                rhi.Primitive.TRIANGLE_STRIP,
+                rhi.Primitive.TRIANGLE_FAN,
+                rhi.Primitive.POINTS,
+            ]
         )
         corners: list[tuple[float, ...]] = []
 
@@ -320,10 +343,17 @@ class _ProgramGenerator:
             return RecordedPasses(passes, random.choice([1, 1, 2]))
         make = random.choice(
             [
-                self._make_copy, self._make_copy, self._make_write, self._make_mipmaps, self._make_resolve,
-                self._make_read, self._make_reshape, self._make_clear, self._make_dispatch,
+                self._make_copy,
+                self._make_copy,
+                self._make_write,
+                self._make_mipmaps,
+                self._make_resolve,
+                self._make_read,
+                self._make_reshape,
+                self._make_clear,
+                self._make_dispatch,
             ]
-        )  # fmt: skip
+        )
         return make()
 
     def _choose_subresource(self, image: int, size: tuple[int, int] | None = None) -> Subresource | None:
@@ -361,20 +391,27 @@ class _ProgramGenerator:
         if kind.samples > 1 and random.random() < 0.5:
             resolve = tuple(self._resolved.get(image) for image in used)
         return Pass(
-            tuple(colors), depth, draws, clears,
-            random.choice([0.0, 1.0, 0.25, self._depth()]) if depth and (clear or random.random() < 0.25) else None,
+            tuple(colors),
+            depth,
+            draws,
+            clears,
+            random.choice([0.0, 1.0, 0.25, self._depth()])
+            if depth and (clear or random.random() < 0.25)
+            else None,
             random.randrange(256)
             if depth and kind.depth and kind.depth.has_stencil and (clear or random.random() < 0.25)
             else None,
             resolve,
-        )  # fmt: skip
+        )
 
     def _clear_color(self, format: rhi.Format) -> Color:
         if format.is_integer:
             return self._color((format.kind, min(largest(format), 1 << 24)))
         return self._color(None)
 
-    def _make_draw(self, kind: PassKind, size: tuple[int, int], taken: set[int], recorded: bool) -> Draw | None:
+    def _make_draw(
+        self, kind: PassKind, size: tuple[int, int], taken: set[int], recorded: bool
+    ) -> Draw | None:
         random = self._random
         pipeline = random.choice(kind.pipelines)
         floats = pipeline.shader not in (ShaderKind.UINT, ShaderKind.INT)
@@ -382,7 +419,9 @@ class _ProgramGenerator:
         shape = self._shapes[number]
         source = None
         if pipeline.shader in (ShaderKind.LOAD, ShaderKind.LOAD_LAYER):
-            texture_kind = rhi.TextureKind.D2 if pipeline.shader is ShaderKind.LOAD else rhi.TextureKind.D2_ARRAY
+            texture_kind = (
+                rhi.TextureKind.D2 if pipeline.shader is ShaderKind.LOAD else rhi.TextureKind.D2_ARRAY
+            )
             possible = [
                 subresource
                 for i in self._sources
@@ -433,7 +472,9 @@ class _ProgramGenerator:
         random = self._random
         per = {rhi.Primitive.TRIANGLES: 3, rhi.Primitive.QUADS: 4}.get(shape.primitive, 1)
         parts = []
-        for _ in range(1 if method is DrawMethod.DIRECT and random.random() < 0.8 else random.choice([1, 2, 3])):
+        for _ in range(
+            1 if method is DrawMethod.DIRECT and random.random() < 0.8 else random.choice([1, 2, 3])
+        ):
             first, end = 0, shape.elements
             if random.random() < 0.4:
                 bounds = range(0, shape.elements + 1, per)
@@ -499,10 +540,13 @@ class _ProgramGenerator:
             return random.choice(named)
         while True:
             function = rhi.BlendFunction(
-                random.choice([*rhi.BlendFactor]), random.choice([*rhi.BlendFactor]),
-                random.choice([*rhi.BlendOperation]), random.choice([None, *rhi.BlendFactor]),
-                random.choice([None, *rhi.BlendFactor]), random.choice([None, *rhi.BlendOperation]),
-            )  # fmt: skip
+                random.choice([*rhi.BlendFactor]),
+                random.choice([*rhi.BlendFactor]),
+                random.choice([*rhi.BlendOperation]),
+                random.choice([None, *rhi.BlendFactor]),
+                random.choice([None, *rhi.BlendFactor]),
+                random.choice([None, *rhi.BlendOperation]),
+            )
             if not function.is_off:
                 return function
 
@@ -514,7 +558,11 @@ class _ProgramGenerator:
             if random.random() < 0.8:
                 function = random.choice([*rhi.Comparison, rhi.Comparison.ALWAYS, rhi.Comparison.ALWAYS])
                 states.append(side(function, *(random.choice(operations) for _ in range(3))))
-        for kind, usual in ((rhi.StencilReference, 1), (rhi.StencilReadMask, 255), (rhi.StencilWriteMask, 255)):
+        for kind, usual in (
+            (rhi.StencilReference, 1),
+            (rhi.StencilReadMask, 255),
+            (rhi.StencilWriteMask, 255),
+        ):
             if random.random() < 0.6:
                 front, back = (random.choice([usual, random.randrange(256)]) for _ in range(2))
                 states.append(kind(front, back if self._theme.capabilities.stencil_per_face else front))
@@ -545,7 +593,9 @@ class _ProgramGenerator:
 
     def _make_write(self) -> Step | None:
         random = self._random
-        single = [i for i, image in enumerate(self._images) if image.samples == 1 and not image.format.is_depth]
+        single = [
+            i for i, image in enumerate(self._images) if image.samples == 1 and not image.format.is_depth
+        ]
         if not single:
             return None
         subresource = self._choose_subresource(random.choice(single))

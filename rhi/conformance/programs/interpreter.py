@@ -1,13 +1,14 @@
 """An interpreter of programs in float64 and exact integers: it tells what a program may leave on a device.
 
-- A value is an **interval**: the smallest and the largest number that a device may store there. Intervals have a width
-  where the interface leaves a choice (which way a conversion rounds, the last bits of an interpolated depth) and
-  nowhere else. Everything that follows from such a choice is computed for both ends, so a difference is never
-  forgiven by a tolerance on the whole result.
-- A fragment that may or may not pass (its depth interval touches the stored one) leaves the union of both outcomes.
+- A value is an **interval**: the smallest and the largest number that a device may store there. Intervals
+  have a width where the interface leaves a choice (which way a conversion rounds, the last bits of an
+  interpolated depth) and nowhere else. Everything that follows from such a choice is computed for both ends,
+  so a difference is never forgiven by a tolerance on the whole result.
+- A fragment that may or may not pass (its depth interval touches the stored one) leaves the union of both
+  outcomes.
 - Coverage is computed in integers on the grid of 1/256 texel to which window positions are rounded.
-- `Tolerances` holds the choices that differ between devices, and the known faults of a driver: each names what it makes
-  unknown, so that the rest of a program is still examined.
+- `Tolerances` holds the choices that differ between devices, and the known faults of a driver: each names
+  what it makes unknown, so that the rest of a program is still examined.
 
 Nothing here is fast: arrays are those of one primitive's bounding box, (rows, columns, samples).
 """
@@ -24,7 +25,12 @@ from numpy.typing import NDArray
 import rhi
 from rhi.conformance import reference
 from rhi.conformance.programs import model
-from rhi.conformance.programs.coverage import CoveredPrimitive, clip_corners, compute_coverage, list_primitives
+from rhi.conformance.programs.coverage import (
+    CoveredPrimitive,
+    clip_corners,
+    compute_coverage,
+    list_primitives,
+)
 from rhi.conformance.programs.intervals import Float, Interval, MaskBounds, compare
 from rhi.conformance.programs.merging import blend, decode, encode, quantise_depth, read_depth
 from rhi.conformance.programs.tolerances import EXACT, Effect, Tolerances
@@ -37,7 +43,8 @@ _EARLY: Final = (model.ShaderKind.DISCARD_EARLY, model.ShaderKind.COUNT_EARLY)
 
 @dataclass(slots=True)
 class _Level:
-    """A level of an image: stored numbers (layers, rows, columns, samples, channels); stencil has no channels."""
+    """A level of an image: stored numbers (layers, rows, columns, samples, channels); stencil has no
+    channels."""
 
     low: Float
     high: Float
@@ -150,7 +157,9 @@ class _Machine:
 
     def _view(self, name: str, subresource: model.Subresource) -> Result:
         stored = self._levels[subresource.image, subresource.level]
-        part = Interval(stored.low[subresource.layer, :, :, 0].copy(), stored.high[subresource.layer, :, :, 0].copy())
+        part = Interval(
+            stored.low[subresource.layer, :, :, 0].copy(), stored.high[subresource.layer, :, :, 0].copy()
+        )
         format = self._program.images[subresource.image].format
         if format.is_depth:
             part = read_depth(format, part)
@@ -182,7 +191,9 @@ class _Machine:
         mean = Interval(value.low.mean(axis=2), value.high.mean(axis=2))
         with np.errstate(all="ignore"):
             same = (value.low == value.high).all(axis=2) & (value.low == value.low[:, :, :1]).all(axis=2)
-            error = np.where(same | ~np.isfinite(value.size).all(axis=2), 0.0, 2.0**-22 * value.size.max(axis=2))
+            error = np.where(
+                same | ~np.isfinite(value.size).all(axis=2), 0.0, 2.0**-22 * value.size.max(axis=2)
+            )
         return encode(format, mean.widen(error), self._rules)
 
     def _resolve(self, source: int, target: int) -> None:
@@ -234,10 +245,14 @@ class _Machine:
         if step.depth is not None:
             stored = self._levels[step.depth.image, step.depth.level]
             if step.clear_depth is not None:
-                depth = quantise_depth(images[step.depth.image].format, Interval.of(step.clear_depth), self._rules)
+                depth = quantise_depth(
+                    images[step.depth.image].format, Interval.of(step.clear_depth), self._rules
+                )
                 stored.low[step.depth.layer], stored.high[step.depth.layer] = depth.low, depth.high
             if step.clear_stencil is not None:
-                stored.stencil_low[step.depth.layer] = stored.stencil_high[step.depth.layer] = step.clear_stencil
+                stored.stencil_low[step.depth.layer] = stored.stencil_high[step.depth.layer] = (
+                    step.clear_stencil
+                )
         size = images[first.image].level_size(first.level)
         for draw in step.draws:
             self._draw(step, draw, size, images[first.image].samples)
@@ -258,7 +273,9 @@ class _Machine:
             )
             for target in range(len(step.colors))
         )
-        context = _Context(self._program, step, draw, merge_states(draw), size, samples, effects, color_faults)
+        context = _Context(
+            self._program, step, draw, merge_states(draw), size, samples, effects, color_faults
+        )
         runs = np.ones(2, bool)  # must, may
         if draw.condition is not None:
             number, inverted = draw.condition
@@ -282,18 +299,29 @@ class _Machine:
             self._sets.append(Result(f"query set {len(self._sets)}", both[:, 0], both[:, 1]))
 
     def _primitive(
-        self, context: _Context, clip: NDArray[np.float32], colors: NDArray[np.float32], corners: tuple[int, ...],
-        instance: int, runs: bool,
-    ) -> Float:  # fmt: skip
+        self,
+        context: _Context,
+        clip: NDArray[np.float32],
+        colors: NDArray[np.float32],
+        corners: tuple[int, ...],
+        instance: int,
+        runs: bool,
+    ) -> Float:
         """Draw one primitive; return the least and the largest number of samples that pass."""
         moved = clip[list(corners)].copy()
         step = np.array(context.draw.step, np.float32) * np.float32(instance)
         moved[:, :2] += step * moved[:, 3:]
         own = colors[list(corners)].astype(np.float64)
         covered = compute_coverage(
-            context.states, context.size, context.samples, moved, own, self._rules,
-            smooth=context.draw.shader is model.ShaderKind.SMOOTH, spills=bool(context.effects & Effect.SPILL),
-        )  # fmt: skip
+            context.states,
+            context.size,
+            context.samples,
+            moved,
+            own,
+            self._rules,
+            smooth=context.draw.shader is model.ShaderKind.SMOOTH,
+            spills=bool(context.effects & Effect.SPILL),
+        )
         if covered is None:
             return np.zeros(2)
         if not runs or context.effects & Effect.COVERAGE:
@@ -324,7 +352,9 @@ class _Machine:
         visible = MaskBounds(undiscarded.must[..., None] & full.must, undiscarded.may[..., None] & full.may)
         if floats and context.samples > 1 and states[rhi.AlphaToCoverage] is rhi.AlphaToCoverage.ON:
             is_all_drawn, is_some_drawn = color.low[..., 3] >= 1.0, color.high[..., 3] > 0.0
-            visible = MaskBounds(visible.must & is_all_drawn[..., None], visible.may & is_some_drawn[..., None])
+            visible = MaskBounds(
+                visible.must & is_all_drawn[..., None], visible.may & is_some_drawn[..., None]
+            )
         # -- tests
         early = shader in _EARLY
         passed = self._test(context, covered, full if early else visible)
@@ -344,10 +374,18 @@ class _Machine:
                 self._cells["reds"][1] = np.maximum(self._cells["reds"][1], most)
         # -- targets
         unknown = Interval(np.full(color.low.shape, -np.inf), np.full(color.low.shape, np.inf))
-        outputs += [unknown] * (len(step.colors) - len(outputs))  # a target without an output may become anything
+        outputs += [unknown] * (
+            len(step.colors) - len(outputs)
+        )  # a target without an output may become anything
         for number, subresource in enumerate(step.colors):
             self._merge_color(
-                context, covered, number, subresource, images[subresource.image].format, outputs[number], written
+                context,
+                covered,
+                number,
+                subresource,
+                images[subresource.image].format,
+                outputs[number],
+                written,
             )
         must = 0 if context.effects & (Effect.COUNT | Effect.COVERAGE) else int(passed.must.sum())
         may = float(passed.may.sum())
@@ -357,7 +395,9 @@ class _Machine:
 
     def _load(self, color: Interval, source: model.Subresource, rows: slice, columns: slice) -> Interval:
         stored = self._levels[source.image, source.level]
-        part = Interval(stored.low[source.layer, rows, columns, 0], stored.high[source.layer, rows, columns, 0])
+        part = Interval(
+            stored.low[source.layer, rows, columns, 0], stored.high[source.layer, rows, columns, 0]
+        )
         format = self._program.images[source.image].format
         if format.is_depth:
             value = read_depth(format, part)
@@ -425,7 +465,11 @@ class _Machine:
         side = states[rhi.StencilFront if front else rhi.StencilBack]
         reference_, reads, writes = (
             state.front if front else state.back
-            for state in (states[rhi.StencilReference], states[rhi.StencilReadMask], states[rhi.StencilWriteMask])
+            for state in (
+                states[rhi.StencilReference],
+                states[rhi.StencilReadMask],
+                states[rhi.StencilWriteMask],
+            )
         )
         old = Interval(stored.stencil_low[here].copy(), stored.stencil_high[here].copy())
         exact_values = old.low == old.high
@@ -442,7 +486,9 @@ class _Machine:
         ]
         low, high = np.full(old.low.shape, np.inf), np.full(old.low.shape, -np.inf)
         for possible, operation in outcomes:
-            table = np.array([reference.stencil(operation, value, reference_, writes) for value in range(256)])
+            table = np.array(
+                [reference.stencil(operation, value, reference_, writes) for value in range(256)]
+            )
             new = table[old.low.astype(np.int64)]
             changes = operation is not rhi.StencilOperation.KEEP
             least = np.where(exact_values, new, 0.0 if changes else old.low)
@@ -470,9 +516,15 @@ class _Machine:
         return Interval(z.low + low, z.high + high).widen(2e-7)
 
     def _merge_color(
-        self, context: _Context, covered: CoveredPrimitive, number: int, subresource: model.Subresource,
-        format: rhi.Format, output: Interval, written: MaskBounds,
-    ) -> None:  # fmt: skip
+        self,
+        context: _Context,
+        covered: CoveredPrimitive,
+        number: int,
+        subresource: model.Subresource,
+        format: rhi.Format,
+        output: Interval,
+        written: MaskBounds,
+    ) -> None:
         states = context.states
         stored = self._levels[subresource.image, subresource.level]
         here = (subresource.layer, covered.rows, covered.columns)

@@ -60,8 +60,12 @@ class Interval:
 
     def unite(self, possible: Mask, other: Interval, other_possible: Mask) -> Interval:
         """Union of two outcomes of which one happens."""
-        low = np.where(possible, np.where(other_possible, np.minimum(self.low, other.low), self.low), other.low)
-        high = np.where(possible, np.where(other_possible, np.maximum(self.high, other.high), self.high), other.high)
+        low = np.where(
+            possible, np.where(other_possible, np.minimum(self.low, other.low), self.low), other.low
+        )
+        high = np.where(
+            possible, np.where(other_possible, np.maximum(self.high, other.high), self.high), other.high
+        )
         return Interval(low, high)
 
 
@@ -71,7 +75,9 @@ def _ordered(low: Float, high: Float) -> Interval:
 
 
 def join(*parts: Interval) -> Interval:
-    return Interval(np.concatenate([p.low for p in parts], axis=-1), np.concatenate([p.high for p in parts], axis=-1))
+    return Interval(
+        np.concatenate([p.low for p in parts], axis=-1), np.concatenate([p.high for p in parts], axis=-1)
+    )
 
 
 @dataclass(slots=True)

@@ -63,9 +63,13 @@ def read_depth(format: Format, stored: Interval) -> Interval:
 
 
 def blend(
-    format: Format, function: BlendFunction, constant: BlendColor, source: Interval, stored: Interval,
+    format: Format,
+    function: BlendFunction,
+    constant: BlendColor,
+    source: Interval,
+    stored: Interval,
     tolerances: Tolerances,
-) -> Interval:  # fmt: skip
+) -> Interval:
     """Return the blended color, (…, 4), before it is stored."""
     color = Interval.of([constant.red, constant.green, constant.blue, constant.alpha])
     normalised = format.kind is not ChannelKind.FLOAT
@@ -82,21 +86,42 @@ def blend(
     limits = (least, 1.0) if normalised else None
     parts = [
         _combine(
-            function.operation, function.source, function.destination, source, stored, color, unit, limits,
+            function.operation,
+            function.source,
+            function.destination,
+            source,
+            stored,
+            color,
+            unit,
+            limits,
             tolerances,
         ),
         _combine(
-            function.operation_alpha or function.operation, function.source_alpha or function.source,
-            function.destination_alpha or function.destination, source, stored, color, unit, limits, tolerances,
+            function.operation_alpha or function.operation,
+            function.source_alpha or function.source,
+            function.destination_alpha or function.destination,
+            source,
+            stored,
+            color,
+            unit,
+            limits,
+            tolerances,
         ),
-    ]  # fmt: skip
+    ]
     return join(parts[0][..., :3], parts[1][..., 3:])
 
 
 def _combine(
-    operation: BlendOperation, source_factor: BlendFactor, destination_factor: BlendFactor, source: Interval,
-    stored: Interval, constant: Interval, unit: float, limits: tuple[float, float] | None, tolerances: Tolerances,
-) -> Interval:  # fmt: skip
+    operation: BlendOperation,
+    source_factor: BlendFactor,
+    destination_factor: BlendFactor,
+    source: Interval,
+    stored: Interval,
+    constant: Interval,
+    unit: float,
+    limits: tuple[float, float] | None,
+    tolerances: Tolerances,
+) -> Interval:
     if operation is BlendOperation.MINIMUM:
         return source.minimum(stored)
     if operation is BlendOperation.MAXIMUM:

@@ -1,10 +1,11 @@
 """Programs as data: images, shapes, and the steps that use them.
 
-- Everything is a frozen dataclass of numbers, enums and render states, so a program can be cut down step by step, and
-  `to_python` prints the expression that makes it again.
-- Images, shapes, queries and buffers are named by their index. Steps that refer to something that a cut has removed
-  don't exist: the reducer removes steps and leaves resources alone.
-- Corners are in texels of the `frame` that a draw names: window coordinates if the viewport has the frame's size.
+- Everything is a frozen dataclass of numbers, enums and render states, so a program can be cut down step by
+  step, and `to_python` prints the expression that makes it again.
+- Images, shapes, queries and buffers are named by their index. Steps that refer to something that a cut has
+  removed don't exist: the reducer removes steps and leaves resources alone.
+- Corners are in texels of the `frame` that a draw names: window coordinates if the viewport has the frame's
+  size.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class Subresource:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A mesh: (x, y, depth, w, red, green, blue, alpha) of each corner, x and y in texels of a frame, y down."""
+    """A mesh: (x, y, depth, w, red, green, blue, alpha) of each corner, x and y in texels of a frame, y
+    down."""
 
     primitive: Primitive
     corners: tuple[tuple[float, ...], ...]
@@ -212,7 +214,9 @@ class Dispatch:
     source: Subresource
 
 
-Step: TypeAlias = Pass | RecordedPasses | Copy | Write | Mipmaps | Resolve | Read | Reshape | ClearCells | Dispatch
+Step: TypeAlias = (
+    Pass | RecordedPasses | Copy | Write | Mipmaps | Resolve | Read | Reshape | ClearCells | Dispatch
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +230,8 @@ class Program:
 
 
 def to_python(value: object) -> str:
-    """Return the Python expression of a program or a part of it. Fields that have their default are left out."""
+    """Return the Python expression of a program or a part of it. Fields that have their default are left
+    out."""
     if isinstance(value, enum.Enum):
         return f"{type(value).__name__}.{value.name}"
     if is_dataclass(value):

@@ -1,7 +1,8 @@
 """The reduction of a failing program to a small one that fails too.
 
-Each proposal is a program that is simpler in one place; the first one that still fails is taken, until none does.
-Proposals that no longer make sense (a condition on a query that never ended) raise, and count as passing.
+Each proposal is a program that is simpler in one place; the first one that still fails is taken, until none
+does. Proposals that no longer make sense (a condition on a query that never ended) raise, and count as
+passing.
 """
 
 from __future__ import annotations
@@ -112,7 +113,8 @@ def _simplify_part(part: Part) -> Iterator[Part]:
 
 
 def _shrink(shape: Shape) -> Iterator[tuple[Shape, Callable[[Part], Part]]]:
-    """Yield shapes without indices, and without corners that no part may name then; with the parts' new ranges."""
+    """Yield shapes without indices, and without corners that no part may name then; with the parts' new
+    ranges."""
     if shape.indices is not None:
         corners = tuple(shape.corners[i] for i in shape.indices)
         yield Shape(shape.primitive, corners), lambda part: part
@@ -121,7 +123,9 @@ def _shrink(shape: Shape) -> Iterator[tuple[Shape, Callable[[Part], Part]]]:
     if len(shape.corners) > per:
         yield (
             Shape(shape.primitive, shape.corners[per:]),
-            lambda part: replace(part, first=part.first - per) if part.first >= per else replace(part, first=-1),
+            lambda part: (
+                replace(part, first=part.first - per) if part.first >= per else replace(part, first=-1)
+            ),
         )
         left = len(shape.corners) - per
         yield (
@@ -144,6 +148,7 @@ def _with_parts(step: Step, shape: int, renumber: Callable[[Part], Part]) -> Ste
     if not isinstance(step, Pass):
         return step
     draws = tuple(
-        replace(draw, parts=tuple(map(renumber, draw.parts))) if draw.shape == shape else draw for draw in step.draws
+        replace(draw, parts=tuple(map(renumber, draw.parts))) if draw.shape == shape else draw
+        for draw in step.draws
     )
     return replace(step, draws=draws)

@@ -61,7 +61,8 @@ def compare(actual: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> li
 
 
 def run(device: rhi.Device, program: model.Program) -> list[tuple[str, NDArray[Any]]]:
-    """Execute a program; return its reads, counts and buffers, and the final contents of its images, each named."""
+    """Execute a program; return its reads, counts and buffers, and the final contents of its images, each
+    named."""
     with ExitStack() as stack:
         return _Run(device, program, stack).results()
 
@@ -72,9 +73,13 @@ class _Run:
         self._images: list[rhi.Texture] = []
         for image in program.images:
             texture = device.texture(
-                image.size, image.format, kind=image.kind, layers=image.layers, levels=image.levels,
+                image.size,
+                image.format,
+                kind=image.kind,
+                layers=image.layers,
+                levels=image.levels,
                 samples=image.samples,
-            )  # fmt: skip
+            )
             self._images.append(stack.enter_context(texture))
         self._shapes = list(program.shapes)
         self._meshes: dict[tuple[int, tuple[int, int]], rhi.Mesh] = {}
@@ -128,10 +133,14 @@ class _Run:
             case model.Copy():
                 x, y, width, height, layer, layers = step.box
                 images[step.source.image].copy_to(
-                    images[step.target.image], level=step.source.level,
-                    region=rhi.Region(x, y, width, height, layer, layers), target_level=step.target.level, x=step.x,
-                    y=step.y, layer=step.target.layer,
-                )  # fmt: skip
+                    images[step.target.image],
+                    level=step.source.level,
+                    region=rhi.Region(x, y, width, height, layer, layers),
+                    target_level=step.target.level,
+                    x=step.x,
+                    y=step.y,
+                    layer=step.target.layer,
+                )
             case model.Write():
                 texture = images[step.target.image]
                 texels = random_texels(texture.format, step)
@@ -249,6 +258,8 @@ def _rows(shape: model.Shape, frame: tuple[int, int]) -> NDArray[Any]:
 
 
 def _array(mesh: rhi.Mesh, parts: tuple[model.Part, ...]) -> NDArray[Any]:
-    columns = ([getattr(part, name) for part in parts] for name in ("first", "count", "instances", "base_instance"))
+    columns = (
+        [getattr(part, name) for part in parts] for name in ("first", "count", "instances", "base_instance")
+    )
     first, count, instances, base = (np.array(column) for column in columns)
     return mesh.draws(first, count, instances=instances, base_instance=base)

@@ -1,7 +1,7 @@
 """The shaders of random programs, one for each `ShaderKind`.
 
-Their vertex stage is the same: it moves each instance by a step in the window. So few kernels are built, and the
-interpreter has one rule for positions.
+Their vertex stage is the same: it moves each instance by a step in the window. So few kernels are built, and
+the interpreter has one rule for positions.
 """
 
 from __future__ import annotations

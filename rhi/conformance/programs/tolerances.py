@@ -11,9 +11,10 @@ from rhi.conformance.programs.model import Draw, Pass, Program
 
 
 class Effect(enum.Flag):
-    """The part of a draw's results that a driver's fault makes unknown: the colors of one target, the answer of its
-    query, what it covers, the depths it writes, whether it reaches a texel further to the left and upwards than it may
-    (SPILL), or how often the fragments of points, and of triangles that the view cuts, run (RERUN)."""
+    """The part of a draw's results that a driver's fault makes unknown: the colors of one target, the answer
+    of its query, what it covers, the depths it writes, whether it reaches a texel further to the left and
+    upwards than it may (SPILL), or how often the fragments of points, and of triangles that the view cuts,
+    run (RERUN)."""
 
     COLOR = enum.auto()
     COUNT = enum.auto()
@@ -27,8 +28,8 @@ class Effect(enum.Flag):
 class Fault:
     """A fault of a driver, by name: the draws that meet it, and what it makes unknown.
 
-    `meets` takes the program, the pass, the draw and the number of a color target; an effect on coverage, depth or
-    counts is asked for with target 0.
+    `meets` takes the program, the pass, the draw and the number of a color target; an effect on coverage,
+    depth or counts is asked for with target 0.
     """
 
     name: str
@@ -41,9 +42,10 @@ class Tolerances:
     """The choices that a device has.
 
     Attributes:
-        blends_in_format: whether the operands and products of blending may be rounded to the target's precision, and
-            those of float targets to 2^-22.
-        signed_steps: how many stored numbers an operand of blending of a signed target may be off, beside rounding.
+        blends_in_format: whether the operands and products of blending may be rounded to the target's
+            precision, and those of float targets to 2^-22.
+        signed_steps: how many stored numbers an operand of blending of a signed target may be off, beside
+            rounding.
         encode_srgb: how many stored numbers the curve to sRGB may be off, beside rounding.
         decode_srgb: how much the linear value of a stored sRGB number may be off.
         clip_margin: by how many subtexels an edge of a primitive that reaches beyond the viewport may move.

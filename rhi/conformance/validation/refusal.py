@@ -1,6 +1,7 @@
 """Helpers for tests of refused calls.
 
-`with refuses(rule, device):` passes if the block breaks exactly this rule and no command of it reaches the device.
+`with refuses(rule, device):` passes if the block breaks exactly this rule and no command of it reaches the
+device.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
 CACHED_CREATIONS = frozenset({Op.CREATE_VERTEX_ARRAY, Op.CREATE_SAMPLER, Op.CREATE_PROGRAM})
-"""Created once per mesh and program, descriptor or shader, and then kept: any test may be the first to create one."""
+"""Created once per mesh and program, descriptor or shader, and then kept: any test may be the first to create
+one."""
 
 
 class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
-    """A context manager that passes if its block raises an error of `rule` which names the call, the given value and
-    the line in the test, and if a recording `device` received no command meanwhile.
+    """A context manager that passes if its block raises an error of `rule` which names the call, the given
+    value and the line in the test, and if a recording `device` received no command meanwhile.
 
     Attributes:
         error: the error that was raised, once the block has ended.
@@ -30,7 +32,9 @@ class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
 
     error: RhiError
 
-    def __init__(self, rule: Rule, device: Device | None = None, kind: type[RhiError] = ValidationError) -> None:
+    def __init__(
+        self, rule: Rule, device: Device | None = None, kind: type[RhiError] = ValidationError
+    ) -> None:
         self._rule = rule
         self._kind = kind
         self._stream = None if device is None else device.stream

@@ -1,5 +1,5 @@
-"""Calls that a device refuses because of its capabilities: each limit, with the largest value that passes, and each
-feature that it lacks."""
+"""Calls that a device refuses because of its capabilities: each limit, with the largest value that passes,
+and each feature that it lacks."""
 
 from __future__ import annotations
 
@@ -80,7 +80,10 @@ def test_faces_share_stencil_bytes_where_the_device_has_no_others(recording: rhi
 
 def test_copies_are_aligned_as_the_device_says(recording: rhi.Device) -> None:
     alignment = recording.capabilities.copy_alignment
-    with recording.buffer(4 * alignment, np.dtype("u1")) as a, recording.buffer(4 * alignment, np.dtype("u1")) as b:
+    with (
+        recording.buffer(4 * alignment, np.dtype("u1")) as a,
+        recording.buffer(4 * alignment, np.dtype("u1")) as b,
+    ):
         a.copy_to(b, size=alignment, offset=alignment, target_offset=2 * alignment)
         for moved in ({"size": 1}, {"offset": 1}, {"target_offset": 1}):
             copy: dict[str, int] = {"size": alignment, "offset": 0, "target_offset": 0} | moved
@@ -104,7 +107,10 @@ def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: rhi.De
 def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(recording: rhi.Device) -> None:
     limits = recording.capabilities
     offset, row = max(4, limits.copy_offset_alignment), max(4, limits.copy_row_alignment)
-    with recording.texture((1, 3), rhi.Format.RGBA8) as texture, recording.buffer(8 * (offset + row)) as buffer:
+    with (
+        recording.texture((1, 3), rhi.Format.RGBA8) as texture,
+        recording.buffer(8 * (offset + row)) as buffer,
+    ):
         if not limits.texture_buffer_copies:
             with refuses(rules.DEVICE_CAPABILITY, recording):
                 texture.copy_to_buffer(buffer)
@@ -133,7 +139,8 @@ def test_formats_that_cannot_be_drawn_to_are_refused(recording: rhi.Device) -> N
 
 
 @pytest.mark.parametrize(
-    ("format", "limit", "each"), [(rhi.Format.R8, "max_color_targets", 1), (rhi.Format.RGBA32F, "max_target_bytes", 16)]
+    ("format", "limit", "each"),
+    [(rhi.Format.R8, "max_color_targets", 1), (rhi.Format.RGBA32F, "max_target_bytes", 16)],
 )
 def test_targets_are_no_more_than_the_device_says(
     recording: rhi.Device, format: rhi.Format, limit: str, each: int
@@ -261,8 +268,8 @@ def test_groups_are_no_more_than_the_device_says(recording: rhi.Device, axis: in
 
 @pytest.mark.requires("compute")
 def test_groups_are_no_more_in_all_than_the_device_says(recording: rhi.Device) -> None:
-    """Drivers that count them in 32 bits end the process, or run what is left: of 2³² groups none. That the most are
-    taken is shown by a null device with the same limits, which doesn't execute them for hours."""
+    """Drivers that count them in 32 bits end the process, or run what is left: of 2³² groups none. That the
+    most are taken is shown by a null device with the same limits, which doesn't execute them for hours."""
     rows = recording.capabilities.max_dispatch_groups >> 16
     with rhi.create_device("null", profile=recording.capabilities) as null, null.storage(sl.uint, 1) as total:
         null.dispatch(null.program(Count), (1 << 15, rows, 2), total=total)
@@ -281,7 +288,9 @@ def test_groups_are_no_more_in_all_than_the_device_says(recording: rhi.Device) -
     ],
     ids=lambda value: value.name.lower() if isinstance(value, BindingKind) else "",
 )
-def test_bindings_are_no_more_than_the_device_says(recording: rhi.Device, kind: BindingKind, limit: str) -> None:
+def test_bindings_are_no_more_than_the_device_says(
+    recording: rhi.Device, kind: BindingKind, limit: str
+) -> None:
     def program(count: int) -> rhi.ProgramDescriptor:
         bindings = tuple(Binding(f"b{i}", kind, i, False, None, 16) for i in range(count))
         return replace(sl.compile_shader(Colored), bindings=bindings)

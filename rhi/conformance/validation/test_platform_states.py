@@ -96,8 +96,10 @@ def test_depth_is_clamped_where_the_platform_can(recording: Device) -> None:
         assert_same(image.read(), 255)
     sent = [change for c in recording.stream[since:].filter(Op.SET_STATES) for change in c["changes"]]
     assert [change.value for change in sent if change.type is PlatformState] == [
-        (DepthClamp.ON,), (), (DepthClamp.ON,),
-    ]  # fmt: skip
+        (DepthClamp.ON,),
+        (),
+        (DepthClamp.ON,),
+    ]
     assert "DepthClamp.ON" in str(recording.stream[since:].filter(Op.SET_STATES))
 
 

@@ -1,8 +1,8 @@
 """Refused calls on a real device: one of each kind, with the nearest call that must pass.
 
-The front end refuses a call before the backend sees it, so the rules themselves are tested once, on the null device
-(`tests/rhi/device/refusals`). These tests show what needs each backend: a refused call leaves nothing behind on the
-device, and a device may be closed at any time.
+The front end refuses a call before the backend sees it, so the rules themselves are tested once, on the null
+device (`tests/rhi/device/refusals`). These tests show what needs each backend: a refused call leaves nothing
+behind on the device, and a device may be closed at any time.
 """
 
 from __future__ import annotations

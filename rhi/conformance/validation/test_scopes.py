@@ -38,7 +38,16 @@ class Things:
             device.draw(self.program, self.mesh)
 
     def destroy(self) -> None:
-        resources = (self.image, self.mesh, self.tint, self.buffer, self.other, self.texture, self.query, self.answered)
+        resources = (
+            self.image,
+            self.mesh,
+            self.tint,
+            self.buffer,
+            self.other,
+            self.texture,
+            self.query,
+            self.answered,
+        )
         for each in resources:
             each.destroy()
 
@@ -258,7 +267,9 @@ def closed_inside(recording: Device) -> ClosedInside:
 
 
 @pytest.mark.requires("draws")
-def test_a_generator_closed_inside_another_scope_leaves_the_inner_scope_its_states(closed_inside: ClosedInside) -> None:
+def test_a_generator_closed_inside_another_scope_leaves_the_inner_scope_its_states(
+    closed_inside: ClosedInside,
+) -> None:
     assert closed_inside.inner[DepthWrite] is DepthWrite.OFF
     assert closed_inside.inner[Scissor] == Scissor(0, 0, 2, 4)
 
@@ -270,7 +281,9 @@ def test_after_the_inner_scope_of_a_closed_generator_the_defaults_hold(closed_in
 
 
 @pytest.mark.requires("draws", "shading")
-def test_a_draw_after_the_inner_scope_of_a_closed_generator_covers_the_whole_image(closed_inside: ClosedInside) -> None:
+def test_a_draw_after_the_inner_scope_of_a_closed_generator_covers_the_whole_image(
+    closed_inside: ClosedInside,
+) -> None:
     assert_same(closed_inside.image, 255)
 
 
@@ -353,7 +366,9 @@ def test_a_frame_ends_outside_of_all_scopes(recording: Device, things: Things, k
 
 @pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ORDERED)
-def test_a_submission_may_lie_in_scopes_but_not_in_a_pass(recording: Device, things: Things, kind: str) -> None:
+def test_a_submission_may_lie_in_scopes_but_not_in_a_pass(
+    recording: Device, things: Things, kind: str
+) -> None:
     with recording.record() as commands:
         commands.clear(things.buffer, 7)
     with ExitStack() as stack:

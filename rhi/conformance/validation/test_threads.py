@@ -25,7 +25,8 @@ SIZE = (4, 4)
 
 @pytest.fixture
 def elsewhere() -> Iterator[Elsewhere[Any]]:
-    """A function that runs another on a second thread, always the same, and returns or raises what that one does."""
+    """A function that runs another on a second thread, always the same, and returns or raises what that one
+    does."""
     with ThreadPoolExecutor(1, "elsewhere") as pool:
         yield lambda call: pool.submit(call).result()
 
@@ -47,7 +48,8 @@ USES: dict[str, Callable[[Device, Resources], object]] = {
     "states": lambda d, r: d.states(CullMode.NONE).__enter__(),
     "close": lambda d, r: d.close(),
 }
-"""A call of each kind: that all others are refused, too, `tests/rhi/device/test_calls_on_threads.py` shows once."""
+"""A call of each kind: that all others are refused, too, `tests/rhi/device/test_calls_on_threads.py` shows
+once."""
 
 
 @pytest.mark.parametrize("use", USES)
@@ -79,7 +81,11 @@ def test_a_program_is_created_on_the_device_s_thread(backend: str, elsewhere: El
 @pytest.mark.requires("draws")
 def test_without_validation_a_first_draw_is_refused(backend: str, elsewhere: Elsewhere[Any]) -> None:
     with rhi.create_device(backend) as device:
-        program, image, mesh = device.program(Colored), device.texture(SIZE, Format.R8), device.mesh(rectangle())
+        program, image, mesh = (
+            device.program(Colored),
+            device.texture(SIZE, Format.R8),
+            device.mesh(rectangle()),
+        )
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             with refuses(rules.DEVICE_THREAD):
                 elsewhere(lambda: device.draw(program, mesh))
@@ -88,7 +94,7 @@ def test_without_validation_a_first_draw_is_refused(backend: str, elsewhere: Els
             assert_same(image.read(), 255)
 
 
-# -- ends of blocks ---------------------------------------------------------------------------------------------
+# -- ends of blocks ------------------------------------------------------------------------------------------
 
 
 def answered(device: Device) -> rhi.OcclusionQuery:
@@ -111,7 +117,9 @@ BLOCKS: dict[str, Callable[[Resources], Any]] = {
 
 @pytest.mark.requires("draws", "compute", "occlusion_queries", "conditional_rendering")
 @pytest.mark.parametrize("kind", BLOCKS)
-def test_a_block_ends_on_the_thread_of_its_begin(fresh_device: Device, elsewhere: Elsewhere[Any], kind: str) -> None:
+def test_a_block_ends_on_the_thread_of_its_begin(
+    fresh_device: Device, elsewhere: Elsewhere[Any], kind: str
+) -> None:
     """A refused end has no effect: the block is left here afterwards."""
     block = BLOCKS[kind](Resources(fresh_device))
     with block:
@@ -121,7 +129,9 @@ def test_a_block_ends_on_the_thread_of_its_begin(fresh_device: Device, elsewhere
     check_working(fresh_device)
 
 
-def test_a_buffer_created_here_may_be_recorded_elsewhere(fresh_device: Device, elsewhere: Elsewhere[Any]) -> None:
+def test_a_buffer_created_here_may_be_recorded_elsewhere(
+    fresh_device: Device, elsewhere: Elsewhere[Any]
+) -> None:
     image = fresh_device.texture(SIZE, Format.R8)
     commands = fresh_device.record()
 
@@ -144,7 +154,7 @@ def test_a_recording_has_one_thread(fresh_device: Device, elsewhere: Elsewhere[A
     assert len(commands) == 1
 
 
-# -- moving a device --------------------------------------------------------------------------------------------
+# -- moving a device -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -297,7 +307,7 @@ def test_making_a_device_current_is_no_command(recording: Device) -> None:
     assert len(recording.stream) == since
 
 
-# -- what other threads may do ------------------------------------------------------------------------------------
+# -- what other threads may do -------------------------------------------------------------------------------
 
 
 @pytest.mark.requires("draws")

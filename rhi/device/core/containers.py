@@ -2,9 +2,9 @@
 
 - Memory is allocated once; pushing and popping allocates nothing.
 - Overflow and underflow are errors; no element is lost and no stale element is returned.
-- The queue keeps a read position and a count, so that it can tell full from empty (the thesis's two indices can't).
-  It wraps without a branch: positions only grow and are masked, since the memory is a power of two. (Listing 6.5
-  wraps at `dataSize` inclusive and so touches one element past its array, which a mask can't.)
+- The queue keeps a read position and a count, so that it can tell full from empty (the thesis's two indices
+  can't). It wraps without a branch: positions only grow and are masked, since the memory is a power of two.
+  (Listing 6.5 wraps at `dataSize` inclusive and so touches one element past its array, which a mask can't.)
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ MAX_CAPACITY: Final = (1 << 31) - 1
 class FixedStack(Generic[T]):
     """A stack of at most `capacity` elements.
 
-    `len` is the number of elements, `capacity` the largest possible number. (The thesis's `size()` is the capacity.)
+    `len` is the number of elements, `capacity` the largest possible number. (The thesis's `size()` is the
+    capacity.)
 
     Raises:
         ValidationError: `container-capacity` for a capacity below 1.

@@ -1,7 +1,7 @@
 """The core of a device, shared by its resources: backend, ids, timeline, states, counters, current bindings.
 
-Users hold a `Device`. Resources, programs, queries and rings hold its `Core`, so that none of them depends on the
-device.
+Users hold a `Device`. Resources, programs, queries and rings hold its `Core`, so that none of them depends on
+the device.
 """
 
 from __future__ import annotations
@@ -45,19 +45,21 @@ NO_THREAD: Final = 0
 FORKED: Final = -1
 """The `Core.thread` of a device in a process that was forked after the device's creation."""
 ENDING: Final = -2
-"""The `Core.thread` of a daemon thread's device while the process ends: the thread's next call doesn't return."""
+"""The `Core.thread` of a daemon thread's device while the process ends: the thread's next call doesn't
+return."""
 NO_TARGETS: Final[frozenset[Id]] = frozenset()
 MAX_SAMPLERS: Final = 4096
-"""Largest number of different samplers of a device. They live as long as the device, and platforms have few."""
+"""Largest number of different samplers of a device. They live as long as the device, and platforms have
+few."""
 
 
 @dataclass(slots=True)
 class Statistics:
     """Counters since creation or the last reset.
 
-    `draws` counts draw calls (an indirect call or a `draw_many` is one), `creations` resources, `recorded_commands`
-    the commands of command buffers, at their first submission.
-    The state counters are those of the thesis's tables (7.1).
+    `draws` counts draw calls (an indirect call or a `draw_many` is one), `creations` resources,
+    `recorded_commands` the commands of command buffers, at their first submission. The state counters are
+    those of the thesis's tables (7.1).
     """
 
     draws: int = 0
@@ -91,8 +93,8 @@ class FrameMemory(Protocol):
 class Creation:
     """A `with` block that creates resources for the user: all of them, or none.
 
-    If it raises, or an interrupt came meanwhile (`DeferredInterrupts`), everything that it has created is destroyed,
-    since the caller never receives it. A block inside another is a part of it.
+    If it raises, or an interrupt came meanwhile (`DeferredInterrupts`), everything that it has created is
+    destroyed, since the caller never receives it. A block inside another is a part of it.
     """
 
     __slots__ = ("_core", "_deferred", "_outer")
@@ -128,9 +130,9 @@ class Creation:
 class Core:
     """The shared part of one device.
 
-    A device belongs to one thread. Whatever reaches the backend is checked by `check_ready`, except for what happens
-    thousands of times a frame (draws, states, queries, transient memory): `check_command` checks that, as fast as it
-    can, and everything if the device validates.
+    A device belongs to one thread. Whatever reaches the backend is checked by `check_ready`, except for what
+    happens thousands of times a frame (draws, states, queries, transient memory): `check_command` checks
+    that, as fast as it can, and everything if the device validates.
 
     Attributes:
         thread: the thread that the device belongs to, or `NO_THREAD`.
@@ -232,7 +234,9 @@ class Core:
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
 
-    def refuse(self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = "") -> NoReturn:
+    def refuse(
+        self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = ""
+    ) -> NoReturn:
         """Raise a `ValidationError` for `rule` at the user's line; a recording device keeps it."""
         self.refusals.refuse(rule, call, given, allowed, tip)
 
@@ -257,10 +261,11 @@ class Core:
         return Creation(self)
 
     def create(self, make: Callable[[Id, D], object], resource: Id, descriptor: D, size: int = 0) -> None:
-        """Create a resource of `size` bytes on the backend, inside a `creation` block or `DeferredInterrupts`.
+        """Create a resource of `size` bytes on the backend, inside a `creation` block or
+        `DeferredInterrupts`.
 
-        If memory is exhausted while destroyed resources wait for their fence, they are destroyed first, and creation
-        is tried once more.
+        If memory is exhausted while destroyed resources wait for their fence, they are destroyed first, and
+        creation is tried once more.
         """
         try:
             make(resource, descriptor)
@@ -311,9 +316,14 @@ class Core:
         if get_ident() != self.thread and not self.closed:
             if self.thread == FORKED:
                 self.refuse(
-                    rules.DEVICE_FORKED, call, "a device of the process that was forked", "devices of this process"
+                    rules.DEVICE_FORKED,
+                    call,
+                    "a device of the process that was forked",
+                    "devices of this process",
                 )
-            allowed = describe_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
+            allowed = (
+                describe_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
+            )
             self.refuse(rules.DEVICE_THREAD, call, f"a call on {describe_thread(get_ident())}", allowed)
 
     def resume(self) -> bool:
@@ -324,7 +334,8 @@ class Core:
         return True
 
     def check_scope(self) -> None:
-        """Check the begin of a scope that may surround passes or lie in one, where the pass's own checks are enough."""
+        """Check the begin of a scope that may surround passes or lie in one, where the pass's own checks are
+        enough."""
         if self.render_pass is None:
             self.check_ready()
         else:
@@ -369,7 +380,9 @@ class Core:
         """Refuse a resource that is destroyed, locked, or of another device."""
         if owner.core is not self:
             self.refuse(
-                rules.RECORD_TRANSIENT if owner.core.records else rules.RESOURCE_FOREIGN, call, describe_object(owner)
+                rules.RECORD_TRANSIENT if owner.core.records else rules.RESOURCE_FOREIGN,
+                call,
+                describe_object(owner),
             )
         if owner.destroyed:
             self.refuse(rules.RESOURCE_DESTROYED, call, describe_object(owner))
@@ -439,8 +452,8 @@ class Core:
     def draw_clipped(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
     ) -> None:
-        """Draw each of `draws` (n,) inside one of the rectangles `clips` (n, 4), with the bindings in place. The
-        hardware's states are then as before."""
+        """Draw each of `draws` (n,) inside one of the rectangles `clips` (n, 4), with the bindings in place.
+        The hardware's states are then as before."""
         states = self.states
         try:
             if self._clips is not None and primitive is not Primitive.QUADS:
@@ -478,7 +491,9 @@ class Core:
                 program, vertex_array, primitive, first, count, base_vertex, base_instance
             )
         draw = self.backend.draw
-        return lambda instances: draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        return lambda instances: draw(
+            vertex_array, primitive, first, count, instances, base_vertex, base_instance
+        )
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         """Return a function of slot, offset and size that binds a range of a buffer."""
@@ -491,8 +506,8 @@ class Core:
         """Return the id of a sampler; equal descriptors share one.
 
         Raises:
-            ValidationError: `device-capability` for more anisotropy than the device supports, for a border that it
-                lacks, and for more than `MAX_SAMPLERS` different samplers.
+            ValidationError: `device-capability` for more anisotropy than the device supports, for a border
+                that it lacks, and for more than `MAX_SAMPLERS` different samplers.
         """
         self.require("device.sampler", sampler_faults(descriptor, self.capabilities))
         sampler = self._samplers.get(descriptor)
@@ -500,7 +515,9 @@ class Core:
             self.check_ready()
             if len(self._samplers) >= MAX_SAMPLERS:
                 more = f"one more sampler, {descriptor}"
-                self.refuse(rules.DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones")
+                self.refuse(
+                    rules.DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones"
+                )
             with DeferredInterrupts():  # it belongs to the device, not to whoever asks first
                 sampler = self.new_id()
                 self.backend.create_sampler(sampler, descriptor)
@@ -515,7 +532,8 @@ class Core:
         return value
 
     def end_frame(self) -> int:
-        """Signal the fence; memory that the rings allocated in this frame is free once the GPU has passed it."""
+        """Signal the fence; memory that the rings allocated in this frame is free once the GPU has passed
+        it."""
         value = self.timeline.signal()
         for ring in self.frame_rings:
             ring.mark(value)
@@ -548,7 +566,8 @@ class Core:
 
 
 class ValidatingCore(Core):
-    """The core of a device with validation: each command checks its thread, and that its context is current."""
+    """The core of a device with validation: each command checks its thread, and that its context is
+    current."""
 
     __slots__ = ()
 
@@ -557,8 +576,8 @@ class ValidatingCore(Core):
 
 
 def find_optional_part(backend: Backend, method: str) -> object | None:
-    """Find the backend, behind any recorder, that has a method of an optional part of the contract; None if it
-    lacks it."""
+    """Find the backend, behind any recorder, that has a method of an optional part of the contract; None if
+    it lacks it."""
     inner: object = backend
     while inner is not None and not hasattr(inner, method):
         inner = getattr(inner, "backend", None)

@@ -1,10 +1,10 @@
 """Interrupts (Ctrl-C) that wait until a step is complete.
 
 Python raises `KeyboardInterrupt` between any two steps of a program. Most calls tolerate that: they change
-Python's own state first or last, and an `except BaseException` undoes what they began. But creating a resource
-takes two steps that belong together: the driver creates its object, and a table stores it. So an interrupt
-between them is raised at the end (`DeferredInterrupts`), where the caller can still destroy the resource
-(`Core.creation`).
+Python's own state first or last, and an `except BaseException` undoes what they began. But creating a
+resource takes two steps that belong together: the driver creates its object, and a table stores it. So an
+interrupt between them is raised at the end (`DeferredInterrupts`), where the caller can still destroy the
+resource (`Core.creation`).
 
 - A second interrupt is raised at once: the first may be waiting for a driver that never returns.
 - Handlers belong to the main thread. In other threads no interrupt is raised, and nothing is held.
@@ -22,7 +22,8 @@ _MAIN: Final = threading.main_thread()
 
 
 class DeferredInterrupts:
-    """A `with` block in which SIGINT waits; its handler is called at the end. Blocks may lie inside others."""
+    """A `with` block in which SIGINT waits; its handler is called at the end. Blocks may lie inside
+    others."""
 
     __slots__ = ("_before", "_came")
 

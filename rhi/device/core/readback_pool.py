@@ -1,9 +1,9 @@
 """Memory for asynchronous reads: buffers that the GPU copies into and the CPU reads once a fence has passed.
 
-- A read takes a buffer and gives it back when its bytes were fetched. Buffers are reused by size, so reads of the same
-  size in each frame allocate nothing.
-- At most `limit` bytes are allocated. A read beyond that first fetches the oldest results that nobody fetched, which
-  waits for them.
+- A read takes a buffer and gives it back when its bytes were fetched. Buffers are reused by size, so reads of
+  the same size in each frame allocate nothing.
+- At most `limit` bytes are allocated. A read beyond that first fetches the oldest results that nobody
+  fetched, which waits for them.
 - The memory of a result that was dropped without being fetched is reused once the GPU has written it.
 """
 
@@ -48,7 +48,9 @@ class ReadbackPool:
 
     __slots__ = ("_backend", "_dropped", "_free", "_leases", "_new_id", "_timeline", "allocated", "limit")
 
-    def __init__(self, backend: Backend, timeline: Timeline, new_id: Callable[[], Id], limit: int = LIMIT) -> None:
+    def __init__(
+        self, backend: Backend, timeline: Timeline, new_id: Callable[[], Id], limit: int = LIMIT
+    ) -> None:
         self._backend = backend
         self._timeline = timeline
         self._new_id = new_id

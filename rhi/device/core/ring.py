@@ -1,12 +1,13 @@
-"""Ring buffers for transient memory, which the CPU writes while the GPU still reads earlier parts (thesis 4.3.1).
+"""Ring buffers for transient memory, which the CPU writes while the GPU still reads earlier parts (thesis
+4.3.1).
 
 - Positions only grow; the offset in the buffer is the position modulo the capacity (a power of two). Memory
   between `tail` and `head` may still be read by the GPU and is not allocated again.
 - `mark(fence)`, at the end of a frame, frees everything allocated so far once that fence value has passed:
   `tail` advances.
-- A request that doesn't fit, even after polling the fence, doubles the ring: a new buffer replaces the old one, which
-  lives until the end of the frame. So a ring settles at the size that its frames need and never waits. Only at
-  `limit` it waits for the oldest frame, and refuses a frame that needs more than that.
+- A request that doesn't fit, even after polling the fence, doubles the ring: a new buffer replaces the old
+  one, which lives until the end of the frame. So a ring settles at the size that its frames need and never
+  waits. Only at `limit` it waits for the oldest frame, and refuses a frame that needs more than that.
 - An allocation never straddles the end of the buffer: it starts at the beginning of the buffer instead.
 """
 
@@ -33,7 +34,8 @@ class Ring:
     Attributes:
         buffer: id of the backend buffer that new allocations lie in; changes when the ring grows.
         capacity: size in bytes, a power of two.
-        generation: number of times the ring has grown; bindings and vertex arrays of older generations are outdated.
+        generation: number of times the ring has grown; bindings and vertex arrays of older generations are
+            outdated.
     """
 
     __slots__ = (
@@ -112,10 +114,11 @@ class Ring:
         return self._head - self._tail
 
     def _fit(self, size: int, alignment: int) -> int:
-        """Return the first position from `head` on where `size` aligned bytes don't straddle the buffer's end.
+        """Return the first position from `head` on where `size` aligned bytes don't straddle the buffer's
+        end.
 
-        Alignments need not be powers of two (the stride of a vertex is not), so the offset in the buffer is aligned,
-        not the position.
+        Alignments need not be powers of two (the stride of a vertex is not), so the offset in the buffer is
+        aligned, not the position.
         """
         base, offset = self._head & -self.capacity, self._head & (self.capacity - 1)
         offset += -offset % alignment
@@ -124,7 +127,8 @@ class Ring:
         return base + offset
 
     def _make_room(self, size: int, alignment: int) -> None:
-        """Free memory that the GPU no longer reads; if that is not enough, grow the ring, or wait at the limit."""
+        """Free memory that the GPU no longer reads; if that is not enough, grow the ring, or wait at the
+        limit."""
         self._check()
         self._release(self._timeline.completed)
         if self.buffer and self._fit(size, alignment) + size - self._tail <= self.capacity:
@@ -139,7 +143,9 @@ class Ring:
 
     def _refuse(self, size: int) -> NoReturn:
         given = f"{size} bytes more, {self.in_use} in use"
-        self._timeline.refusals.refuse(TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame")
+        self._timeline.refusals.refuse(
+            TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame"
+        )
 
     def _release(self, completed: int) -> None:
         marks = self._marks

@@ -1,18 +1,19 @@
-"""The open scopes of a device or command buffer, in one stack: states, passes, events, conditions and queries.
+"""The open scopes of a device or command buffer, in one stack: states, passes, events, conditions and
+queries.
 
-Scopes nest, whatever their kinds. The entries of the stack are the `with` blocks themselves, so that a scope makes no
-object more than it would alone. Most are left as the innermost one, and then only pop themselves, without a
-call. `OpenScopes` handles the two exceptions:
+Scopes nest, whatever their kinds. The entries of the stack are the `with` blocks themselves, so that a scope
+makes no object more than it would alone. Most are left as the innermost one, and then only pop themselves,
+without a call. `OpenScopes` handles the two exceptions:
 
-- **A scope is left while scopes inside it are open**: one that a generator holds, for example, which is closed inside
-  another scope. This is refused (`scope-order`), unless an exception is on its way that the refusal would hide. The
-  scope then ends together with the one inside it. Until then draws have the states with which the inner scope
-  was entered, afterwards the states of the scopes that are still open. So backends see begins and ends that
-  always nest.
-- **A block is left without its end**, since Python can raise `KeyboardInterrupt` at the first step of an `__exit__`.
-  Then nothing refers to the block any more, and its scope ends with the next scope around it, or before the
-  next pass or `present`. While the interrupt propagates, its traceback still refers to the block. So the scopes
-  that the interrupt leaves end everything inside.
+- **A scope is left while scopes inside it are open**: one that a generator holds, for example, which is
+  closed inside another scope. This is refused (`scope-order`), unless an exception is on its way that the
+  refusal would hide. The scope then ends together with the one inside it. Until then draws have the states
+  with which the inner scope was entered, afterwards the states of the scopes that are still open. So backends
+  see begins and ends that always nest.
+- **A block is left without its end**, since Python can raise `KeyboardInterrupt` at the first step of an
+  `__exit__`. Then nothing refers to the block any more, and its scope ends with the next scope around it, or
+  before the next pass or `present`. While the interrupt propagates, its traceback still refers to the block.
+  So the scopes that the interrupt leaves end everything inside.
 
 A scope that ended before its block leaves quietly.
 """
@@ -71,8 +72,8 @@ class _OuterEnd(Scope):
 
 
 class OpenScopes(FixedStack[Scope]):
-    """The stack of one encoder's open scopes. Its capacity limits the scopes of states; other scopes have extra
-    room.
+    """The stack of one encoder's open scopes. Its capacity limits the scopes of states; other scopes have
+    extra room.
 
     Attributes:
         refusals: raises and keeps the errors of refused calls.
@@ -117,8 +118,8 @@ class OpenScopes(FixedStack[Scope]):
             again: whether a refused call has no effect, since it can be repeated later.
 
         Raises:
-            ValidationError: `scope-order` if scopes inside it are open or it isn't; not while an exception is on its
-                way, unless that only closes a generator.
+            ValidationError: `scope-order` if scopes inside it are open or it isn't; not while an exception is
+                on its way, unless that only closes a generator.
         """
         if self._data[self._index - 1] is scope:
             scope.finish(error is not None)
@@ -153,7 +154,9 @@ class OpenScopes(FixedStack[Scope]):
             given = f"{inner.describe()}, entered inside it, is still open"
             if self.records_lines:
                 given += f"\nentered at {self._lines.get(index + 1)}, the one around it at {self._lines.get(index)}"
-            self.refusals.refuse(SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope")
+            self.refusals.refuse(
+                SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope"
+            )
 
     def _end_innermost(self, *, failed: bool = True, cut_off: bool = False) -> None:
         """End the innermost scope, and those around it that were left before."""
@@ -176,7 +179,8 @@ class OpenScopes(FixedStack[Scope]):
         return -1
 
     def withdraw(self, scope: Scope) -> None:
-        """Remove a scope that can't be ended, with all scopes inside it. Leaving their blocks does nothing."""
+        """Remove a scope that can't be ended, with all scopes inside it. Leaving their blocks does
+        nothing."""
         index = self._find_index(scope)
         if index >= 0:
             self._cut.update(entry.get_block() for entry in self._data[index : self._index] if entry)
@@ -197,7 +201,8 @@ class OpenScopes(FixedStack[Scope]):
         return getrefcount(block) > ours + _OWN
 
     def refuse_unopened(self, scope: str, error: BaseException | None) -> None:
-        """Refuse the end of a scope that isn't open, unless that would hide an exception that is on its way."""
+        """Refuse the end of a scope that isn't open, unless that would hide an exception that is on its
+        way."""
         if _may_raise(error):
             given = "a scope that isn't open, or was left before"
             self.refusals.refuse(SCOPE_ORDER, f"the end of {scope}", given, "one end for each begin")

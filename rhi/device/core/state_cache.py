@@ -1,16 +1,16 @@
 """State vectors and scopes: requested states, hardware states, and the difference between them (thesis 4.2).
 
-- Every combination of states is one interned `StateVector`. On entry, a scope looks up the vector that its states lead
-  to in a memo (`vector.after[states]`), keeps the current one, and pushes itself onto the fixed-size stack of open
-  scopes. On exit it pops itself and restores the vector that it kept, whatever happened inside.
-  `rhi.device.core.scopes` handles a scope that isn't the innermost.
-- A draw compares two pointers, requested and hardware. Only when they differ are the changed values looked up,
-  again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
-  once per scope.
-- The pool of vectors is bounded, since scissors and viewports may take any value. When it is full, all memos are
-  dropped. Vectors of open scopes stay valid, because differences compare values, not identities.
-- There are two counters, as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
-  are values sent to the backend.
+- Every combination of states is one interned `StateVector`. On entry, a scope looks up the vector that its
+  states lead to in a memo (`vector.after[states]`), keeps the current one, and pushes itself onto the
+  fixed-size stack of open scopes. On exit it pops itself and restores the vector that it kept, whatever
+  happened inside. `rhi.device.core.scopes` handles a scope that isn't the innermost.
+- A draw compares two pointers, requested and hardware. Only when they differ are the changed values looked
+  up, again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination,
+  not once per scope.
+- The pool of vectors is bounded, since scissors and viewports may take any value. When it is full, all memos
+  are dropped. Vectors of open scopes stay valid, because differences compare values, not identities.
+- There are two counters, as in the thesis's tables (7.1): software changes are states set by scopes, hardware
+  changes are values sent to the backend.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ POOL_ENTRIES: Final = 16_384
 class StateVector:
     """A combination of all states; equal combinations are the same object (within one pool generation).
 
-    `values` is in the order of `STATE_TYPES`. A port to an API with pipeline objects uses it as the key of its
-    pipelines.
+    `values` is in the order of `STATE_TYPES`. A port to an API with pipeline objects uses it as the key of
+    its pipelines.
     """
 
     __slots__ = ("after", "changes", "values")
@@ -140,7 +140,8 @@ class StateCache:
         return scope
 
     def derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
-        """Return the vector that a scope of these states would set, after the same checks, and their number."""
+        """Return the vector that a scope of these states would set, after the same checks, and their
+        number."""
         try:
             derived = self.requested.after.get(states)
         except (TypeError, ValueError):  # an unhashable object, which can't be a state
@@ -153,7 +154,8 @@ class StateCache:
         return self._change(self.requested)
 
     def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
-        """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
+        """Return the changes from the hardware states to any vector, of this cache or another; see
+        `flush`."""
         if vector.values == self.hardware.values:  # compares pointers, where `_intern` hashes each value
             return ()
         return self._change(self._intern(vector.values))
@@ -219,7 +221,9 @@ class StateCache:
             state_type = type(state)
             if not isinstance(state, PlatformState) and state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
-                self.refusals.refuse(STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}")
+                self.refusals.refuse(
+                    STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
+                )
             key = (state_type, getattr(state, "target", None))
             if key in seen:
                 self.refusals.refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
@@ -239,7 +243,11 @@ class StateCache:
         if self._entries <= self._limit:
             return
         self._entries = 0
-        saved = [scope.before for scope in map(unwrap, self.scopes) if isinstance(scope, StateScope) and scope.before]
+        saved = [
+            scope.before
+            for scope in map(unwrap, self.scopes)
+            if isinstance(scope, StateScope) and scope.before
+        ]
         for vector in (*self._pool.values(), *saved, self.requested, self.hardware):
             vector.after.clear()
             vector.changes.clear()
@@ -259,8 +267,8 @@ def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]
 class StateScope(Scope):
     """A `with device.states(...)` block: sets states on entry and always restores the earlier ones on exit.
 
-    One object may be kept and entered again, also inside itself. It has no `__init__`, whose call would cost a tenth of
-    the block: `StateCache.scope` and `Encoder.states` set its attributes.
+    One object may be kept and entered again, also inside itself. It has no `__init__`, whose call would cost
+    a tenth of the block: `StateCache.scope` and `Encoder.states` set its attributes.
 
     Attributes:
         cache: the cache of its device or command buffer.
@@ -329,7 +337,8 @@ class StateScope(Scope):
 
 
 class ValidatedScope(StateScope):
-    """A scope of a device with validation, which is entered and left on the device's thread and keeps its line."""
+    """A scope of a device with validation, which is entered and left on the device's thread and keeps its
+    line."""
 
     __slots__ = ()
 

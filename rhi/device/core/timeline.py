@@ -1,15 +1,17 @@
-"""The timeline of a device: one monotonically increasing fence, and deferred destruction (thesis 4.1.2, 3.10).
+"""The timeline of a device: one monotonically increasing fence, and deferred destruction (thesis 4.1.2,
+3.10).
 
 - `signal()` puts the next integer into the command stream; `completed` is the last one the GPU has reached.
   Locks, rings, queries, deferred destruction and frames in flight are all built on this one mechanism.
 - `completed` asks the backend only while a signalled value is outstanding.
-- Resources are destroyed when the GPU no longer uses them: `retire` records the fence value after which a resource is
-  unused, and `collect` destroys those whose value has passed.
-- A program that never signals would keep all of them. So a creation first signals if many wait for it (`make_room`).
+- Resources are destroyed when the GPU no longer uses them: `retire` records the fence value after which a
+  resource is unused, and `collect` destroys those whose value has passed.
+- A program that never signals would keep all of them. So a creation first signals if many wait for it
+  (`make_room`).
 - Finalizers `drop` resources that are no longer referenced, on any thread and between any two steps. Dropped
   resources wait in a queue until the device's thread retires them, before the next signal or creation.
-- Objects that store something for a resource (a mesh stores a program's vertex array, a command buffer the ids
-  it uses) register with `watch`, and drop it when the resource is retired.
+- Objects that store something for a resource (a mesh stores a program's vertex array, a command buffer the
+  ids it uses) register with `watch`, and drop it when the resource is retired.
 """
 
 from __future__ import annotations
@@ -55,7 +57,8 @@ class Timeline:
     Attributes:
         signalled: the last signalled value; 0 before the first.
         refusals: raises and keeps the errors of refused calls.
-        living: by id, the sizes in bytes of the resources that exist and aren't retired, but for the device's own.
+        living: by id, the sizes in bytes of the resources that exist and aren't retired, but for the device's
+            own.
         sites: by id, the line that created the resource, if lines are noted.
         waited: the seconds that the CPU has waited for the GPU since the last call of `present`.
     """
@@ -114,7 +117,8 @@ class Timeline:
         return self._completed
 
     def wait(self, value: int, seconds: float | None = None) -> bool:
-        """Block until the GPU has reached `value`, for at most `seconds` (None: no limit); return whether it has.
+        """Block until the GPU has reached `value`, for at most `seconds` (None: no limit); return whether it
+        has.
 
         Raises:
             ValidationError: `fence-value` for a value that was never signalled: the wait would never end.
@@ -130,7 +134,9 @@ class Timeline:
         if reached:
             self._completed = max(self._completed, value)
         elif seconds is None:
-            self.refusals.fail(DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s"))
+            self.refusals.fail(
+                DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
+            )
         return reached
 
     def retire(self, resource: Id) -> None:
@@ -169,8 +175,8 @@ class Timeline:
                     self.retire(dropped)
 
     def watch(self, watcher: Watcher, resource: Id = _ALL) -> None:
-        """Notify `watcher` when `resource` is retired, or each resource, for as long as it lives. May be called from
-        any thread."""
+        """Notify `watcher` when `resource` is retired, or each resource, for as long as it lives. May be
+        called from any thread."""
         with self._lock:
             self._watchers.setdefault(resource, WeakSet()).add(watcher)
 

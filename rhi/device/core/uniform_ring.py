@@ -46,7 +46,8 @@ class UniformRing:
         self._owner_generation = 0
 
     def push(self, data: bytes, type: Any) -> UniformRange[Any]:
-        """Write the bytes of a uniform block of this type; return its range, valid until the frame is presented."""
+        """Write the bytes of a uniform block of this type; return its range, valid until the frame is
+        presented."""
         core, memory = self._core, self.memory
         size = len(data)
         core.upload_bytes += size

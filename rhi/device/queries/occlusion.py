@@ -41,7 +41,9 @@ class PendingQuery(Generic[T]):
         capabilities = core.capabilities
         self.emulated = emulated or not capabilities.occlusion_queries
         if self.emulated and not capabilities.sample_counter:
-            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
+            core.refuse(
+                rules.DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter"
+            )
         self._core = core
         self._ids: list[Id] = []
         kind = QueryKind.COUNTER if self.emulated else QueryKind.OCCLUSION
@@ -90,8 +92,8 @@ class PendingQuery(Generic[T]):
         """The result of a finished query.
 
         Raises:
-            ValidationError: `query-unfinished` while it is not available, `query-state` if the query was never ended
-                or is destroyed.
+            ValidationError: `query-unfinished` while it is not available, `query-state` if the query was
+                never ended or is destroyed.
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.visible_samples"
@@ -104,7 +106,8 @@ class PendingQuery(Generic[T]):
         """Block until the result is available, and return it.
 
         Raises:
-            DeviceError: `device-no-answer` if it is not available 10 s after the GPU has passed the query's end.
+            DeviceError: `device-no-answer` if it is not available 10 s after the GPU has passed the query's
+                end.
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.wait"
@@ -113,7 +116,9 @@ class PendingQuery(Generic[T]):
             deadline = time.monotonic() + RESULT_SECONDS
             while not self.is_finished:  # a driver may publish the result a moment after the fence
                 if time.monotonic() > deadline:
-                    given = f"query {self._ids[-1]}: no result {RESULT_SECONDS:g} s after the GPU passed its end"
+                    given = (
+                        f"query {self._ids[-1]}: no result {RESULT_SECONDS:g} s after the GPU passed its end"
+                    )
                     self._core.refusals.fail(DeviceError(rules.DEVICE_ANSWER, call, given))
                 time.sleep(0)
         assert self._answer is not None
@@ -168,7 +173,9 @@ class QueryScope(Scope):
         """Pop the scope, the innermost one, and end the query."""
         core = self._core
         scopes = core.scopes
-        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        index = (
+            scopes._index - 1
+        )  # from here on nothing may be interrupted before the `try`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
         core.open_query = None
@@ -200,15 +207,16 @@ class QueryScope(Scope):
 class OcclusionQuery(PendingQuery[int], QueryScope):
     """A counter of the samples of draws between its begin and end that pass all tests.
 
-    A query may be used any number of times; `begin` discards the earlier result. `with query:` begins and ends it.
+    A query may be used any number of times; `begin` discards the earlier result. `with query:` begins and
+    ends it.
     """
 
     __slots__ = "_checks"
 
     def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
-        # Whether each call checks everything: an emulated query signals the fence, which must not reach another
-        # context.
+        # Whether each call checks everything: an emulated query signals the fence, which must not reach
+        # another context.
         self._checks = self.emulated or core.validates
 
     @property
@@ -258,7 +266,9 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
             self.finish(False)
             return
         if self._state is not _OPEN:
-            core.refuse(rules.QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
+            core.refuse(
+                rules.QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"
+            )
         self._leave(None, again=True)
 
     def _leave(self, error: BaseException | None, *, again: bool) -> None:
@@ -334,7 +344,8 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
 
 
 class Conditional(Scope):
-    """A `with device.conditional(query):` block, whose draws are executed only if the query counted samples."""
+    """A `with device.conditional(query):` block, whose draws are executed only if the query counted
+    samples."""
 
     __slots__ = ("_core", "_inverted", "_query")
 
@@ -347,7 +358,9 @@ class Conditional(Scope):
             check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
             inverted = check.flag("inverted", inverted)
         if query.emulated:
-            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
+            core.refuse(
+                rules.DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
+            )
         self._core = core
         self._query = query
         self._inverted = inverted
@@ -393,7 +406,9 @@ class Conditional(Scope):
         """Pop the scope, the innermost one, and end the condition."""
         core = self._core
         scopes = core.scopes
-        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        index = (
+            scopes._index - 1
+        )  # from here on nothing may be interrupted before the `try`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
         core.condition_open = False

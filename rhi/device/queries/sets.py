@@ -1,13 +1,13 @@
 """Query sets: many occlusion queries that one call uses, with their results in one array.
 
-- A set has a number of queries. `draw_counted` draws an array of draws, counts each in a query, and discards the
-  earlier results of the set. So a set holds the results of one call, and queries that the call did not use hold
-  `NOT_COUNTED`.
-- Each is an ordinary occlusion query. A backend may execute them all at once (`SupportsPreparedQueries`). Elsewhere, in
-  command buffers and in front of a recorder, they are begun and ended one by one (`PlainQueries`), which also defines
-  the behaviour of `SupportsPreparedQueries`.
-- An emulated set (thesis 4.4.2) writes the running counter before its first draw and after the last draw of each
-  query: one value more than there are queries, with one fence.
+- A set has a number of queries. `draw_counted` draws an array of draws, counts each in a query, and discards
+  the earlier results of the set. So a set holds the results of one call, and queries that the call did not
+  use hold `NOT_COUNTED`.
+- Each is an ordinary occlusion query. A backend may execute them all at once (`SupportsPreparedQueries`).
+  Elsewhere, in command buffers and in front of a recorder, they are begun and ended one by one
+  (`PlainQueries`), which also defines the behaviour of `SupportsPreparedQueries`.
+- An emulated set (thesis 4.4.2) writes the running counter before its first draw and after the last draw of
+  each query: one value more than there are queries, with one fence.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class EmulatedQueries:
 class QuerySet(PendingQuery[NDArray[np.int64]]):
     """A set of counters of visible samples, used together by `draw_counted`; created by `device.query_set`.
 
-    `visible_samples` and `wait` return (n,) int64, the number of samples of each query, and −1 for those that the
-    latest `draw_counted` did not use. The array is never written again, so it may be kept.
+    `visible_samples` and `wait` return (n,) int64, the number of samples of each query, and −1 for those that
+    the latest `draw_counted` did not use. The array is never written again, so it may be kept.
     """
 
     __slots__ = ("_in_order", "_prepared", "_query_indices", "_reader", "_size")
@@ -93,7 +93,8 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         return self._ids[0] if self._ids else 0
 
     def check_query_indices(self, query_indices: object, draws: int, call: str) -> NDArray[np.int64]:
-        """Return the query that counts each draw, (draws,) int64; `query-indices` if `query_indices` don't fit."""
+        """Return the query that counts each draw, (draws,) int64; `query-indices` if `query_indices` don't
+        fit."""
         each = self._resolve_query_indices(query_indices, draws, call)
         if query_indices is None:
             return each
@@ -106,8 +107,8 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
     def check_conditions(
         self, query_indices: object, draws: int, counted: NDArray[np.int64], call: str
     ) -> NDArray[np.int64]:
-        """Return the query that each draw depends on, (draws,) int64; `query-indices` if `query_indices` don't fit, or
-        name one that isn't among `counted`."""
+        """Return the query that each draw depends on, (draws,) int64; `query-indices` if `query_indices`
+        don't fit, or name one that isn't among `counted`."""
         each = self._resolve_query_indices(query_indices, draws, call)
         missing = each[~np.isin(each, counted)]
         if len(missing):
@@ -116,7 +117,8 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         return each
 
     def _resolve_query_indices(self, query_indices: object, draws: int, call: str) -> NDArray[np.int64]:
-        """Return the query of each draw, by default query i for draw i; `query-indices` if the set has none such."""
+        """Return the query of each draw, by default query i for draw i; `query-indices` if the set has none
+        such."""
         size = len(self)
         if query_indices is None:
             if draws > size:
@@ -125,11 +127,16 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         given = ArgumentChecker(call, self._core.refuse).array("query_indices", query_indices)
         if given.shape != (draws,) or (draws and given.dtype.kind not in "iu"):
             self._core.refuse(
-                QUERY_INDICES, call, f"indices of shape {given.shape} and {given.dtype}", f"({draws},) of integers"
+                QUERY_INDICES,
+                call,
+                f"indices of shape {given.shape} and {given.dtype}",
+                f"({draws},) of integers",
             )
         each: NDArray[np.int64] = given.astype(np.int64)
         if draws and not 0 <= each.min() <= each.max() < size:
-            self._core.refuse(QUERY_INDICES, call, f"indices {given.min()} to {given.max()}", f"0 to {size - 1}")
+            self._core.refuse(
+                QUERY_INDICES, call, f"indices {given.min()} to {given.max()}", f"0 to {size - 1}"
+            )
         return each
 
     @property
@@ -138,9 +145,15 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         return self._query_indices
 
     def draw(
-        self, core: Core, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], query_indices: NDArray[np.int64]
+        self,
+        core: Core,
+        vertex_array: Id,
+        primitive: Primitive,
+        draws: NDArray[Any],
+        query_indices: NDArray[np.int64],
     ) -> NDArray[np.int64]:
-        """Send draws and queries to `core`, the device's or a command buffer's; return the queries used, in order."""
+        """Send draws and queries to `core`, the device's or a command buffer's; return the queries used, in
+        order."""
         used = query_indices if query_indices.base is self._in_order else run_starts(query_indices)
         prepared = self._prepared if core is self._core else self._plain(core)
         if core is self._core:
@@ -159,7 +172,8 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         offset: int,
         query_indices: NDArray[np.int64],
     ) -> None:
-        """Send draws, each on condition that its query counted a sample, to `core`. The set isn't emulated."""
+        """Send draws, each on condition that its query counted a sample, to `core`. The set isn't
+        emulated."""
         reader = self._reader if core is self._core else self._plain(core)
         assert not isinstance(reader, EmulatedQueries)
         reader.draw_conditional(vertex_array, primitive, buffer, offset, query_indices)

@@ -1,10 +1,11 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
-Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
-its timestamps are available; `device.timers` is the tree of the latest such frame. Where the backend dates timestamps
-(`SupportsIssueTimes`), nodes also say when CPU and GPU worked on their event, on one clock: so the trees of consecutive
-frames show whether one is recorded while the GPU executes the other (3.7.2). A frame has at most `MAX_EVENTS`,
-also in a program that never presents: further events inside an open one are only labels, otherwise a new tree begins.
+Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when
+all of its timestamps are available; `device.timers` is the tree of the latest such frame. Where the backend
+dates timestamps (`SupportsIssueTimes`), nodes also say when CPU and GPU worked on their event, on one clock:
+so the trees of consecutive frames show whether one is recorded while the GPU executes the other (3.7.2). A
+frame has at most `MAX_EVENTS`, also in a program that never presents: further events inside an open one are
+only labels, otherwise a new tree begins.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from rhi.errors.arguments import ArgumentChecker
 class TimerNode:
     """An event of a frame: its label, its GPU and CPU time, and the events inside.
 
-    `gpu_span` and `cpu_span` are when the GPU executed it and when the CPU issued it: (begin, end) in milliseconds on
-    the GPU's clock, since the device's first timed event. They are None on a backend that can't tell.
+    `gpu_span` and `cpu_span` are when the GPU executed it and when the CPU issued it: (begin, end) in
+    milliseconds on the GPU's clock, since the device's first timed event. They are None on a backend that
+    can't tell.
     """
 
     name: str
@@ -248,7 +250,9 @@ class EventScope(Scope):
         node = self.node
         assert node is not None
         scopes = core.scopes
-        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        index = (
+            scopes._index - 1
+        )  # from here on nothing may be interrupted before the `try`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
         del timers._open[-1]

@@ -1,8 +1,8 @@
 """Buffers: memory on the device as arrays of a NumPy dtype, and typed buffers for shader bindings.
 
 - A lock provides a NumPy array for a range of elements (`rhi.device.resources.locks`).
-- `UniformBuffer`, `UniformArray` and `StorageBuffer` add the type that a shader declares; they are the ranges that
-  typed bindings accept.
+- `UniformBuffer`, `UniformArray` and `StorageBuffer` add the type that a shader declares; they are the ranges
+  that typed bindings accept.
 """
 
 from __future__ import annotations
@@ -163,22 +163,36 @@ class Buffer(Resource):
         self._clear(self.core, value)
 
     def copy_to(
-        self, target: Buffer | StorageBuffer[Any], *, size: int | None = None, offset: int = 0, target_offset: int = 0
+        self,
+        target: Buffer | StorageBuffer[Any],
+        *,
+        size: int | None = None,
+        offset: int = 0,
+        target_offset: int = 0,
     ) -> None:
         """Copy `size` bytes (None: all from `offset` on) on the device; offsets in bytes."""
         self._copy(self.core, target, size, offset, target_offset)
 
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
-        value = ArgumentChecker("Buffer.clear", self.core.refuse).integer("value", value, -(1 << 31), (1 << 32) - 1)
+        value = ArgumentChecker("Buffer.clear", self.core.refuse).integer(
+            "value", value, -(1 << 31), (1 << 32) - 1
+        )
         core.check_ready()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
-            self.core.refuse(rules.BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
+            self.core.refuse(
+                rules.BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes"
+            )
         core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
 
     def _copy(
-        self, core: Core, target: Buffer | StorageBuffer[Any], size: int | None, offset: int, target_offset: int
+        self,
+        core: Core,
+        target: Buffer | StorageBuffer[Any],
+        size: int | None,
+        offset: int,
+        target_offset: int,
     ) -> None:
         """Send a `copy_to` to `core`."""
         call = "Buffer.copy_to"
@@ -191,7 +205,9 @@ class Buffer(Resource):
         core.check_usable(self, call)
         core.check_usable(other, call)
         same, limits = other is self, core.capabilities
-        self.core.require(call, buffer_copy_faults(self.size, offset, other.size, target_offset, size, same, limits))
+        self.core.require(
+            call, buffer_copy_faults(self.size, offset, other.size, target_offset, size, same, limits)
+        )
         core.backend.copy_buffer(self.id, offset, other.id, target_offset, size)
 
     def _check(self, call: str) -> None:
@@ -214,7 +230,9 @@ class Buffer(Resource):
         count = self.count - first if count is None else check.integer("count", count)
         self._check(call)
         if first < 0 or count < 0 or first + count > self.count:
-            self.core.refuse(rules.BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
+            self.core.refuse(
+                rules.BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements"
+            )
         return first, count
 
     def _upload(self, array: NDArray[Any], first: int) -> None:
@@ -258,17 +276,20 @@ class UniformBuffer(UniformRange[T], Resource):
         return f"UniformBuffer({self.owner.label!r}, {_name(self.type)})"
 
     def write(self, value: T | None = None, /, **fields: Any) -> None:
-        """Replace the constants, or some fields of a struct (`sun.write(power=3)`), ordered after the draws before.
+        """Replace the constants, or some fields of a struct (`sun.write(power=3)`), ordered after the draws
+        before.
 
         Raises:
-            ValidationError: `layout-mismatch` for a value of another type, `shading-struct-value` for a field that the
-                struct doesn't have or that doesn't take its value; then nothing is written.
+            ValidationError: `layout-mismatch` for a value of another type, `shading-struct-value` for a field
+                that the struct doesn't have or that doesn't take its value; then nothing is written.
         """
         core, call = self.owner.core, "UniformBuffer.write"
         if fields:
             if value is not None or not issubclass(self.type, Struct):  # type: ignore[arg-type]
                 given = f"{', '.join(fields)} beside a value" if value is not None else ", ".join(fields)
-                core.refuse(rules.LAYOUT_MISMATCH, call, given, f"a {_name(self.type)}, or fields of a struct")
+                core.refuse(
+                    rules.LAYOUT_MISMATCH, call, given, f"a {_name(self.type)}, or fields of a struct"
+                )
             with core.refusals:
                 parts = [self.type.pack_field(name, part) for name, part in fields.items()]  # type: ignore[attr-defined]
             self.owner._check(call)
@@ -280,7 +301,9 @@ class UniformBuffer(UniformRange[T], Resource):
             if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct
                 layout, constants = self.type, _wrapper(self.type)(value=value)
         if layout is not self.type:
-            core.refuse(rules.LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {_name(self.type)}")
+            core.refuse(
+                rules.LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {_name(self.type)}"
+            )
         self.owner._check(call)
         self.owner._upload_bytes(constants.to_bytes(), 0)
 
@@ -292,9 +315,9 @@ class UniformBuffer(UniformRange[T], Resource):
 class UniformArray(Resource, Generic[T]):
     """Constants of many objects in one buffer, written as one array and bound one by one.
 
-    `array[i]` is the range of element i, created once. `dtype` has the struct's std140 fields and an item size
-    aligned for the device, so columns can be written at once:
-    `rows = np.zeros(len(objects), objects.dtype); rows["model"] = models; objects.write(rows)`.
+    `array[i]` is the range of element i, created once. `dtype` has the struct's std140 fields and an item
+    size aligned for the device, so columns can be written at once: `rows = np.zeros(len(objects),
+    objects.dtype); rows["model"] = models; objects.write(rows)`.
     """
 
     __slots__ = ("_ranges", "buffer", "dtype", "type")
@@ -368,8 +391,8 @@ class StorageBuffer(StorageRange[T], Resource):
         return self._typed().read_async(first, count)
 
     def write(self, values: ArrayLike, first: int = 0) -> None:
-        """Replace elements from `first` on. `values` is an array as for `Device.storage`; `layout-mismatch` for
-        anything else."""
+        """Replace elements from `first` on. `values` is an array as for `Device.storage`; `layout-mismatch`
+        for anything else."""
         call = "StorageBuffer.write"
         self._typed().write(match_layout(self.owner.core, values, self.dtype, call, self.type), first)
 
@@ -416,9 +439,15 @@ def storage_dtype(check: ArgumentChecker, element: Any) -> np.dtype[Any]:
 
 
 def as_storage(
-    check: ArgumentChecker, core: Core, element: Any, source: int | ArrayLike, dtype: np.dtype[Any], max_bytes: int
+    check: ArgumentChecker,
+    core: Core,
+    element: Any,
+    source: int | ArrayLike,
+    dtype: np.dtype[Any],
+    max_bytes: int,
 ) -> NDArray[Any]:
-    """Return the first data of storage of these elements, 1 to `max_bytes` bytes: a number of zeros, or an array."""
+    """Return the first data of storage of these elements, 1 to `max_bytes` bytes: a number of zeros, or an
+    array."""
     count = to_integer(source)
     array = None
     if count is None:
@@ -459,10 +488,13 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
-def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: str, element: Any = None) -> NDArray[Any]:
+def match_layout(
+    core: Core, array: ArrayLike, expected: np.dtype[Any], call: str, element: Any = None
+) -> NDArray[Any]:
     """Return an array as one of the expected dtype; refuse another layout, showing both side by side.
 
-    Numbers outside of structs are converted: whole ones exactly or not at all, floats rounded as a mesh's are. Vectors
+    Numbers outside of structs are converted: whole ones exactly or not at all, floats rounded as a mesh's
+    are. Vectors
     of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4).
     """
     given = ArgumentChecker(call, core.refuse).array("array", array)
@@ -482,7 +514,11 @@ def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: st
     if shape and given.shape[-len(shape) :] != shape:
         allowed = f"(n, {', '.join(map(str, shape))}) of {base}"
         core.refuse(
-            rules.LAYOUT_MISMATCH, call, f"shape {given.shape} of {given.dtype}", allowed, "give an array of this shape"
+            rules.LAYOUT_MISMATCH,
+            call,
+            f"shape {given.shape} of {given.dtype}",
+            allowed,
+            "give an array of this shape",
         )
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
@@ -496,16 +532,18 @@ def _convert(core: Core, numbers: NDArray[Any], dtype: np.dtype[Any], call: str)
         else:  # back and forth is exact, unless the sign was lost on the way
             fits = (converted.astype(numbers.dtype) == numbers) & ((converted < 0) == (numbers < 0))
     if not fits.all():
-        core.refuse(rules.LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {dtype} holds", "")
+        core.refuse(
+            rules.LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {dtype} holds", ""
+        )
     return converted
 
 
 def as_constants(check: ArgumentChecker, value: Any) -> tuple[Any, Struct]:
     """Return the type as which a value is bound to a `Uniform`, and the value as a struct.
 
-    A single value is laid out like a struct with one field. A number is a float, an int or a uint, an array of 2 to 4
-    numbers a vector, one of 2×2 to 4×4 floats a matrix; vectors and matrices of the shading language keep their
-    type.
+    A single value is laid out like a struct with one field. A number is a float, an int or a uint, an array
+    of 2 to 4 numbers a vector, one of 2×2 to 4×4 floats a matrix; vectors and matrices of the shading
+    language keep their type.
     """
     if isinstance(value, Struct):
         return type(value), value

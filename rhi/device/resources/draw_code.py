@@ -1,19 +1,22 @@
 """The functions generated for each program: its draw, and the checks and bindings before any other call.
 
-- They are generated because a loop over the bindings costs more than the draw: with two bindings, 1.5× of the bare
-  OpenGL calls against 1.2× (`benchmarks/draw_cost.py`).
-- Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose
-  ranges were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
-- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect. If
-  a call is cut off later, the next call checks and binds everything.
-- The number of instances is compared with 1 by identity, which is the quicker comparison and tells 1 from 1.0 and True.
-- A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
-  records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
-- A uniform binding takes a value as well as a range. The class of the last range is kept, so that one comparison tells
-  a range from a value. The checks pack a value into bytes. Once nothing is refused any more, `UniformRing.push` writes
-  the bytes, and their range is bound.
-- `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the dictionary
-  that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
+- They are generated because a loop over the bindings costs more than the draw: with two bindings, 1.5× of the
+  bare OpenGL calls against 1.2× (`benchmarks/draw_cost.py`).
+- Their state lies in closure cells that they share: the bound values (compared by identity) and the owners
+  whose ranges were checked. An event that invalidates it clears `core.program`, and the next call checks
+  everything.
+- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect.
+  If a call is cut off later, the next call checks and binds everything.
+- The number of instances is compared with 1 by identity, which is the quicker comparison and tells 1 from 1.0
+  and True.
+- A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its
+  backend, which records, and prepared draws are kept with the program, not with the mesh, which outlives the
+  recording.
+- A uniform binding takes a value as well as a range. The class of the last range is kept, so that one
+  comparison tells a range from a value. The checks pack a value into bytes. Once nothing is refused any more,
+  `UniformRing.push` writes the bytes, and their range is bound.
+- `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the
+  dictionary that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
 """
 
 from __future__ import annotations
@@ -36,7 +39,8 @@ _APPLY: Final = {
     BindingKind.STORAGE: "_backend.bind_storage({slot}, {name}.buffer, {name}.offset, {name}.size)",
     BindingKind.TEXTURE: "_backend.bind_texture({slot}, {name}.texture, {name}.sampler)",
     BindingKind.IMAGE: (
-        "_backend.bind_image({slot}, {name}.texture, {name}.level, -1 if {name}.layer is None else {name}.layer)"
+        "_backend.bind_image({slot}, {name}.texture, {name}.level, -1 if {name}.layer is None else "
+        "{name}.layer)"
     ),
 }
 
@@ -87,12 +91,22 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     types = tuple(binding.type for binding in bindings)
     return DrawCode(
         *scope["make"](
-            core, core.backend, core.states, program, program.uniforms.push, types, MISSING, object(), ValidationError
+            core,
+            core.backend,
+            core.states,
+            program,
+            program.uniforms.push,
+            types,
+            MISSING,
+            object(),
+            ValidationError,
         )
     )
 
 
-def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool, takes_more: bool) -> Iterator[str]:
+def _write_source(
+    bindings: tuple[Binding, ...], recorded: bool, validates: bool, takes_more: bool
+) -> Iterator[str]:
     """Yield the source of a function `make` that returns the fields of `DrawCode`.
 
     Its own names start with an underscore; names of bindings start with a letter.
@@ -111,7 +125,9 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
     yield f"    def draw(_mesh, _instances=1, /{star}{keywords}{rest}):"
     yield from _write_draw(bindings, cells, more, recorded=recorded, validates=validates)
     yield "    def draw_with(_mesh, _instances, _bindings):"
-    yield from _write_draw(bindings, cells, tuple(_write_unpack(bindings)), recorded=recorded, validates=validates)
+    yield from _write_draw(
+        bindings, cells, tuple(_write_unpack(bindings)), recorded=recorded, validates=validates
+    )
     yield "    def bind(_check, _mesh, _bindings):"
     yield from _write_nonlocal(cells)
     unpack = tuple(_write_unpack(bindings))
@@ -168,7 +184,12 @@ def _write_unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
 
 
 def _write_bind(
-    bindings: tuple[Binding, ...], cells: list[str], check: str, unpack: tuple[str, ...], recorded: bool, draws: bool
+    bindings: tuple[Binding, ...],
+    cells: list[str],
+    check: str,
+    unpack: tuple[str, ...],
+    recorded: bool,
+    draws: bool,
 ) -> Iterator[str]:
     """Yield the lines that check everything, then bind what changed."""
     values = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
@@ -221,8 +242,8 @@ def _write_bind(
 
 
 def _write_cut_off() -> Iterator[str]:
-    """Yield the lines that end the part in which a call takes effect. If an interrupt or a driver's error cuts
-    it off, the bindings are unknown, so the next call binds everything."""
+    """Yield the lines that end the part in which a call takes effect. If an interrupt or a driver's error
+    cuts it off, the bindings are unknown, so the next call binds everything."""
     yield "        except BaseException:"
     yield "            _core.program = None"
     yield "            raise"

@@ -1,8 +1,8 @@
 """Image files, read and written by Pillow, and the formats that follow from arrays of texels.
 
 - Arrays are numbers: uint8 becomes `RGBA8`, not `RGBA8_SRGB`. Colors that are lit need the latter, by name.
-- An image file holds what a screen shows: bytes of `RGBA8` and `RGBA8_SRGB` as they are, floats as linear light
-  from 0 to 1 in sRGB, depth as grey.
+- An image file holds what a screen shows: bytes of `RGBA8` and `RGBA8_SRGB` as they are, floats as linear
+  light from 0 to 1 in sRGB, depth as grey.
 """
 
 from __future__ import annotations
@@ -44,14 +44,16 @@ class ImageLike(Protocol):
 
 
 def load_image(source: str | Path | bytes | BinaryIO) -> NDArray[Any]:
-    """Return the texels of an image file, top row first: (height, width, 4) uint8, red, green, blue and alpha.
+    """Return the texels of an image file, top row first: (height, width, 4) uint8, red, green, blue and
+    alpha.
 
-    `device.texture(load_image("wood.jpg"), Format.RGBA8_SRGB, levels=None)` is a texture of colors with all mip levels.
-    A file of one channel of 16 bits is (height, width) uint16, one of floats float32. A photo is turned upright.
+    `device.texture(load_image("wood.jpg"), Format.RGBA8_SRGB, levels=None)` is a texture of colors with all
+    mip levels. A file of one channel of 16 bits is (height, width) uint16, one of floats float32. A photo is
+    turned upright.
 
     Args:
-        source: a path, the contents of a file, or an open one. Pillow reads PNG, JPEG, WebP, TIFF, BMP, DDS (whose
-            blocks it decodes) and others.
+        source: a path, the contents of a file, or an open one. Pillow reads PNG, JPEG, WebP, TIFF, BMP, DDS
+            (whose blocks it decodes) and others.
 
     Raises:
         ValidationError: `image-file` if the source is no readable image.
@@ -63,9 +65,20 @@ def load_image(source: str | Path | bytes | BinaryIO) -> NDArray[Any]:
     try:
         with library.open(io.BytesIO(source) if isinstance(source, bytes) else source) as image:
             return as_texels(ImageOps.exif_transpose(image))
-    except (OSError, ValueError, SyntaxError, UnidentifiedImageError, library.DecompressionBombError) as error:
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        UnidentifiedImageError,
+        library.DecompressionBombError,
+    ) as error:
         given = f"{len(source)} bytes" if isinstance(source, bytes) else str(source)
-        refuse(IMAGE_FILE, call, f"{given}: {error}", "what Pillow reads, such as PNG, JPEG, WebP and DDS; not KTX2")
+        refuse(
+            IMAGE_FILE,
+            call,
+            f"{given}: {error}",
+            "what Pillow reads, such as PNG, JPEG, WebP and DDS; not KTX2",
+        )
 
 
 def as_texels(source: Any) -> NDArray[Any]:
@@ -107,8 +120,8 @@ def convert_to_image(format: Format, texels: NDArray[Any]) -> NDArray[Any] | Non
 
 
 def write_image(image: NDArray[Any], target: str | Path | BinaryIO, kind: str | None = None) -> None:
-    """Write an image file in the format `kind`, or in that of the file's ending. Formats without alpha get the
-    colors only."""
+    """Write an image file in the format `kind`, or in that of the file's ending. Formats without alpha get
+    the colors only."""
     library = _import_pillow("Texture.save")
     pillow_image = library.fromarray(image)
     suffix = "" if kind else Path(str(target)).suffix.lower()

@@ -1,8 +1,8 @@
 """The lifetime of resources: it ends with `destroy`, with their `with` block, or with the last reference to
 them.
 
-Python finalizes an object on any thread and between any two steps, also of a driver's call. So a finalizer (`drop`)
-only queues the resource's id; the timeline retires what is queued at its next signal or creation.
+Python finalizes an object on any thread and between any two steps, also of a driver's call. So a finalizer
+(`drop`) only queues the resource's id; the timeline retires what is queued at its next signal or creation.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def retire(resource: Retirable) -> None:
 def drop(owner: Owner, *ids: Id) -> None:
     """Queue the ids of an unreferenced resource for retirement.
 
-    With validation or `python -X dev`, it also issues a ResourceWarning at the line that created the resource.
+    With validation or `python -X dev`, it also issues a ResourceWarning at the line that created the
+    resource.
     """
     core = owner.core
     sites = [site for resource in ids if (site := core.timeline.sites.get(resource)) is not None]

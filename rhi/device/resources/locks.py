@@ -1,7 +1,7 @@
 """Locks: a NumPy array for part of a resource, for the duration of a `with` block (thesis 4.1, Listing 4.1).
 
-- READ copies from the device and waits for the work that may write there. WRITE copies to the device when the block
-  ends and never waits. READ_WRITE does both. If the block raises, nothing is written.
+- READ copies from the device and waits for the work that may write there. WRITE copies to the device when the
+  block ends and never waits. READ_WRITE does both. If the block raises, nothing is written.
 - A locked resource can't be used by the device; every draw checks everything as long as there is a lock.
 - The resource provides the functions that read, create and write the array.
 """
@@ -19,7 +19,8 @@ from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
 
 
 class Lock:
-    """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is read-only."""
+    """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is
+    read-only."""
 
     __slots__ = ("__weakref__", "_access", "_array", "_make", "_owner", "_read", "_write")
 

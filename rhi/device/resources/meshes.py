@@ -3,8 +3,8 @@
 - A mesh's arrays are structured: one field per attribute. A program reads the fields that it names, in
   any order, width and padding; a missing field is refused with both lists.
 - `view` returns a part of a mesh (first, count, base vertex, base instance) that shares everything else.
-- The vertex array is created once per mesh and program, and shared by views; each view keeps its own prepared draw
-  per program (`prepared_draws`). So views are immutable: another part is another view.
+- The vertex array is created once per mesh and program, and shared by views; each view keeps its own prepared
+  draw per program (`prepared_draws`). So views are immutable: another part is another view.
 - All of these are dropped with the program or the buffer that they were made for (`Timeline.watch`).
 """
 
@@ -56,7 +56,8 @@ class DrawableData:
         buffers, vertex_arrays: as in `Drawable`.
         vertex_count, instance_count: numbers of vertices and of elements of the per-instance data.
         instance_fields: the names of fields that are read once per instance.
-        is_indexed: whether there are indices. element_count: number of indices or, without indices, of vertices.
+        is_indexed: whether there are indices. element_count: number of indices or, without indices, of
+            vertices.
     """
 
     core: Core
@@ -85,7 +86,8 @@ class MeshData(DrawableData):
     ) -> None:
         call = "device.mesh"
         core.check_ready()
-        # Everything is checked before the first buffer is created, so that a refused call leaves nothing behind.
+        # Everything is checked before the first buffer is created, so that a refused call leaves nothing
+        # behind.
         count = to_integer(vertices)
         vertex_array = None if count is not None else _source(core, cast("VertexSource", vertices), call)
         if count is not None and not 1 <= count < 1 << 31:
@@ -97,11 +99,15 @@ class MeshData(DrawableData):
         self.label = label
         self.owned: list[Buffer] = []
         self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
-        self.instances = None if instance_array is None else self._buffer(instance_array, f"{label} instances")
+        self.instances = (
+            None if instance_array is None else self._buffer(instance_array, f"{label} instances")
+        )
         self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
         self.index_format = IndexFormat.UINT32
         if self.index_buffer is not None:
-            self.index_format = IndexFormat.UINT16 if self.index_buffer.dtype.itemsize == 2 else IndexFormat.UINT32
+            self.index_format = (
+                IndexFormat.UINT16 if self.index_buffer.dtype.itemsize == 2 else IndexFormat.UINT32
+            )
             self.is_indexed, self.element_count = True, self.index_buffer.count
         if self.instances is not None:
             self.instance_count = self.instances.count
@@ -123,7 +129,9 @@ class MeshData(DrawableData):
         self.owned.append(buffer)
         return buffer
 
-    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
         """Create the vertex array of this mesh for a program's inputs; called at the first draw of the pair.
 
         It is kept under `key`, the `Program`, since ids of two devices may be equal.
@@ -145,7 +153,9 @@ class MeshData(DrawableData):
         self.vertex_arrays[key if key not in self.vertex_arrays else (key, vertex_array)] = vertex_array
         self.core.timeline.watch(self, program)
 
-    def describe_vertex_array(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> VertexArrayDescriptor:
+    def describe_vertex_array(
+        self, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> VertexArrayDescriptor:
         """Return how a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
         call = f"draw of program {name!r}"
         sources = [
@@ -193,7 +203,8 @@ def _program_id(key: Any) -> Id:
 
 
 class StreamSource(NamedTuple):
-    """Vertices or instances as they lie in a buffer: from byte `offset` on, elements of a structured dtype."""
+    """Vertices or instances as they lie in a buffer: from byte `offset` on, elements of a structured
+    dtype."""
 
     buffer: Id
     dtype: np.dtype[Any]
@@ -204,7 +215,8 @@ class StreamSource(NamedTuple):
 def describe_streams(
     core: Core, sources: Sequence[StreamSource], attributes: tuple[Attribute, ...], rule: Rule, call: str
 ) -> tuple[VertexStream, ...]:
-    """Return how the inputs of a vertex stage are read: each from the first source that has a field of its name.
+    """Return how the inputs of a vertex stage are read: each from the first source that has a field of its
+    name.
 
     Raises:
         ValidationError: `rule` if a field is missing or has a type that the stage can't read.
@@ -224,24 +236,38 @@ def describe_streams(
             remaining.pop(name, None)
         if read_attributes:
             streams.append(
-                VertexStream(source.buffer, source.offset, source.dtype.itemsize, source.per_instance, read_attributes)
+                VertexStream(
+                    source.buffer, source.offset, source.dtype.itemsize, source.per_instance, read_attributes
+                )
             )
     if remaining:
         have = ", ".join(field for source in sources for field in source.dtype.names or ()) or "no fields"
-        core.refuse(rule, call, f"a mesh with {have}", f"fields {', '.join(f'{a.name}: {a.type}' for a in attributes)}")
+        core.refuse(
+            rule,
+            call,
+            f"a mesh with {have}",
+            f"fields {', '.join(f'{a.name}: {a.type}' for a in attributes)}",
+        )
     core.require(call, vertex_faults(streams, core.capabilities))
     return tuple(streams)
 
 
-def select_vertex_format(core: Core, attribute: Attribute, dtype: np.dtype[Any], rule: Rule, call: str) -> VertexFormat:
+def select_vertex_format(
+    core: Core, attribute: Attribute, dtype: np.dtype[Any], rule: Rule, call: str
+) -> VertexFormat:
     """Return the format in which a field feeds an input; refuse by `rule` a field that can't.
 
-    Integers that feed floats are normalised. A field may have more components than the input reads, never fewer.
+    Integers that feed floats are normalised. A field may have more components than the input reads, never
+    fewer.
     """
     base, shape = dtype.subdtype or (dtype, ())
     components, scalar = attribute_shape(attribute)
     given = int(np.prod(shape)) if shape else 1
-    form = _FORMATS.get((base.str[1:], given, scalar == "float" and base.kind in "iu")) if base.isnative else None
+    form = (
+        _FORMATS.get((base.str[1:], given, scalar == "float" and base.kind in "iu"))
+        if base.isnative
+        else None
+    )
     if form is None or form.components < components or form.kind != scalar:
         formats = (f for f in VertexFormat if f.kind == scalar and f.components >= components)
         allowed = f"{attribute.name} as {attribute.type}: {', '.join(map(_format_text, formats))}"
@@ -269,8 +295,8 @@ class Drawable:
 
     Attributes:
         data: the vertices that it shares with its views.
-        primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in
-            indices for an indexed mesh, in vertices otherwise. Read-only.
+        primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are
+            in indices for an indexed mesh, in vertices otherwise. Read-only.
         buffers: the resources that a draw reads, which must be usable.
         vertex_arrays: the vertex array for each program that has drawn this.
         prepared_draws: by program, the prepared draw as a function of the number of instances.
@@ -307,7 +333,9 @@ class Drawable:
         self.buffers, self.vertex_arrays = data.buffers, data.vertex_arrays
         self.prepared_draws: dict[object, Callable[[int], object]] = {}
 
-    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
         """Create the vertex array for a program's inputs and keep it in `vertex_arrays`; see `MeshData`."""
         raise NotImplementedError
 
@@ -352,7 +380,8 @@ class Drawable:
         base_instance: int = 0,
         primitive: Primitive | None = None,
     ) -> Self:
-        """Return a part that shares everything else: `count` indices or vertices of the whole, from `first` on.
+        """Return a part that shares everything else: `count` indices or vertices of the whole, from `first`
+        on.
 
         Raises:
             ValidationError: `mesh-range` if the part reaches beyond the indices or vertices.
@@ -373,7 +402,9 @@ class Drawable:
         if not self.is_indexed and base_vertex:
             core.refuse(MESH_RANGE, call, f"base vertex {base_vertex}", "0 for a mesh without indices")
         if base_vertex >= self.vertex_count:
-            core.refuse(MESH_RANGE, call, f"base vertex {base_vertex}", f"below {self.vertex_count}, the vertices")
+            core.refuse(
+                MESH_RANGE, call, f"base vertex {base_vertex}", f"below {self.vertex_count}, the vertices"
+            )
         return self._part(first, count, base_vertex, base_instance, primitive or self.primitive)
 
     def draws(
@@ -415,7 +446,9 @@ class Drawable:
         """Convert draws that count from this mesh's first elements to the numbers that backends need."""
         return draws
 
-    def _part(self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive) -> Self:
+    def _part(
+        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
+    ) -> Self:
         """Return the part that `view` has checked."""
         raise NotImplementedError
 
@@ -440,7 +473,9 @@ class Mesh(Drawable, Resource):
         self._is_view = is_view
         data.views.add(self)
 
-    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
         """Create the vertex array of this mesh for a program's inputs; all views of the mesh share it."""
         return self.data.create_vertex_array(key, program, name, attributes)
 
@@ -467,11 +502,14 @@ class Mesh(Drawable, Resource):
     def __repr__(self) -> str:
         return f"Mesh({self.data.label!r}, {self.primitive.name}, {self.first}+{self.count})"
 
-    def _part(self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive) -> Mesh:
+    def _part(
+        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
+    ) -> Mesh:
         return Mesh(self.data, primitive, first, count, base_vertex, base_instance, is_view=True)
 
     def destroy(self) -> None:
-        """Destroy the buffers that were created for this mesh (not those passed in). A view owns none: they stay."""
+        """Destroy the buffers that were created for this mesh (not those passed in). A view owns none: they
+        stay."""
         if self._is_view:
             return
         self.data.destroy()
@@ -529,7 +567,9 @@ def check_draws(
     if len(array):
         last = int((array["first"].astype(np.int64) + array["count"]).max())
         if last > mesh.element_count:
-            core.refuse(MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements")
+            core.refuse(
+                MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements"
+            )
         _check_base_vertices(mesh, array, call)
         if reads_instances(mesh, attributes):
             ends = array["base_instance"].astype(np.int64) + array["instances"]
@@ -540,8 +580,8 @@ def check_draws(
 def instance_field_names(
     vertices: Buffer | NDArray[Any] | None, instances: Buffer | NDArray[Any] | None
 ) -> frozenset[str]:
-    """Return the names of the fields that a mesh reads once per instance. A vertex field of the same name takes
-    precedence."""
+    """Return the names of the fields that a mesh reads once per instance. A vertex field of the same name
+    takes precedence."""
     names = () if instances is None else instances.dtype.names or ()
     own = () if vertices is None else vertices.dtype.names or ()
     return frozenset(names).difference(own)
@@ -556,11 +596,14 @@ def reads_instances(mesh: Drawable, attributes: tuple[Attribute, ...]) -> bool:
 def check_instance_end(core: Core, mesh: Drawable, end: int, call: str) -> None:
     """Refuse a draw that reads per-instance data up to element `end` of a mesh that has fewer elements."""
     if end > mesh.instance_count:
-        core.refuse(MESH_RANGE, call, f"instances up to {end}", f"within the mesh's {mesh.instance_count} instances")
+        core.refuse(
+            MESH_RANGE, call, f"instances up to {end}", f"within the mesh's {mesh.instance_count} instances"
+        )
 
 
 def check_clips(core: Core, clips: ArrayLike, count: int, call: str) -> NDArray[np.int64]:
-    """Return rectangles (count, 4) of draws; refuse other shapes, other numbers than integers, and negative sizes."""
+    """Return rectangles (count, 4) of draws; refuse other shapes, other numbers than integers, and negative
+    sizes."""
     check = ArgumentChecker(call, core.refuse)
     array = check.array("clips", clips)
     if array.shape != (count, 4) or array.dtype.kind not in "iu":
@@ -584,16 +627,23 @@ def _source(core: Core, source: VertexSource, call: str) -> NDArray[Any] | Buffe
 
 
 def as_structured(core: Core, source: VertexSource, rule: Rule, call: str, minimum: int = 1) -> NDArray[Any]:
-    """Return vertices, a structured array or arrays by attribute name, as an array (n,) with a field for each.
+    """Return vertices, a structured array or arrays by attribute name, as an array (n,) with a field for
+    each.
 
     Raises:
-        ValidationError: `rule` for an array that isn't structured or has fewer than `minimum` elements, and for NaN and
-            infinity.
+        ValidationError: `rule` for an array that isn't structured or has fewer than `minimum` elements, and
+            for NaN and infinity.
     """
     check = ArgumentChecker(call, core.refuse, rule)
-    array = _interleave(core, source, rule, call) if isinstance(source, Mapping) else check.array("vertices", source)
+    array = (
+        _interleave(core, source, rule, call)
+        if isinstance(source, Mapping)
+        else check.array("vertices", source)
+    )
     if not array.dtype.names:
-        tip = 'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
+        tip = (
+            'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
+        )
         core.refuse(rule, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
     if array.ndim != 1 or len(array) < minimum:
         core.refuse(rule, call, f"shape {array.shape}", f"(n,) with n of {minimum} or more")
@@ -650,7 +700,12 @@ def _interleave(core: Core, arrays: Mapping[str, ArrayLike], rule: Rule, call: s
     ]
     if len(columns) == 1 and values.size:  # its memory is that of the rows
         (values,) = columns.values()
-        return np.ascontiguousarray(values, types[0][1]).reshape(len(values), -1).view(types).reshape(len(values))
+        return (
+            np.ascontiguousarray(values, types[0][1])
+            .reshape(len(values), -1)
+            .view(types)
+            .reshape(len(values))
+        )
     rows = np.empty(lengths.pop(), types)
     for name, values in columns.items():
         rows[name] = values

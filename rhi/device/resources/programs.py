@@ -1,7 +1,8 @@
 """Programs: compiled shaders, and the checks before each draw or dispatch.
 
-- A draw checks everything first and binds afterwards, so that a refused draw has no effect. The functions that do
-  this are generated per program (`rhi.device.resources.draw_code`) and compare bound and given values by identity.
+- A draw checks everything first and binds afterwards, so that a refused draw has no effect. The functions
+  that do this are generated per program (`rhi.device.resources.draw_code`) and compare bound and given values
+  by identity.
 - The checks themselves, which say what is wrong and what is allowed, are here, off the fast path.
 """
 
@@ -91,14 +92,18 @@ class Program(Generic[P]):
         self.name = descriptor.name
         self.destroyed = False
         self.recorded_code: CodeType | None = None
-        self._left_out = dict.fromkeys(set(declared) - {binding.name for binding in descriptor.bindings}, False)
+        self._left_out = dict.fromkeys(
+            set(declared) - {binding.name for binding in descriptor.bindings}, False
+        )
         self.id = core.create_id()
         core.create(core.backend.create_program, self.id, descriptor)
         self._install_code(self._compile_code())
 
     def _compile_code(self) -> CodeType:
         more = bool(self._left_out)
-        return compile_draw_code(self.name, self.descriptor.bindings, validates=self.core.validates, takes_more=more)
+        return compile_draw_code(
+            self.name, self.descriptor.bindings, validates=self.core.validates, takes_more=more
+        )
 
     def _install_code(self, code: CodeType) -> None:
         functions = make_draw_code(code, self, self.descriptor.bindings)
@@ -157,7 +162,9 @@ class Program(Generic[P]):
         core.check_command()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
-            core.refuse(rules.PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a vertex stage")
+            core.refuse(
+                rules.PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a vertex stage"
+            )
         if core.render_pass is None:
             core.refuse(rules.DRAW_OUTSIDE_PASS, call, "no open pass")
         for buffer in mesh.buffers:
@@ -178,7 +185,9 @@ class Program(Generic[P]):
         core.check_open()
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
-            core.refuse(rules.PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a compute stage")
+            core.refuse(
+                rules.PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a compute stage"
+            )
         if core.has_open_pass():
             core.refuse(rules.PASS_OPEN, call, "an open render pass")
 
@@ -241,7 +250,8 @@ class Program(Generic[P]):
         )
 
     def pack_value(self, index: int, value: Any) -> bytes | None:
-        """Return the bytes of a value for the uniform binding at `index`, None for a range of memory or a misfit.
+        """Return the bytes of a value for the uniform binding at `index`, None for a range of memory or a
+        misfit.
 
         Raises:
             ValidationError: `shading-struct-value` for a dictionary that doesn't give a struct's fields.
@@ -258,7 +268,8 @@ class Program(Generic[P]):
             return pack_single(type, value)
 
     def take_uniform(self, index: int, value: Any) -> bytes | None:
-        """Return the bytes of a value for the uniform binding at `index`, or None for a range, once it is checked."""
+        """Return the bytes of a value for the uniform binding at `index`, or None for a range, once it is
+        checked."""
         data = self.pack_value(index, value)
         if data is None:
             self.check(index, value)
@@ -289,7 +300,11 @@ class Program(Generic[P]):
         if binding.writes and not isinstance(value.owner, Buffer):
             tip = "make it with device.storage(…): shaders can't write transient memory"
             self.core.refuse(
-                rules.BINDING_TYPE, call, "transient storage, which shaders only read", _expected_text(binding), tip
+                rules.BINDING_TYPE,
+                call,
+                "transient storage, which shaders only read",
+                _expected_text(binding),
+                tip,
             )
         faults = range_faults(binding.kind, value.offset, value.size, binding.size, self.core.capabilities)
         self.core.require(call, faults)
@@ -303,13 +318,18 @@ class Program(Generic[P]):
         expected: Any = binding.type
         if (texture.samples > 1) != expected.samples:
             given = f"{texture!r} of {texture.samples} samples"
-            allowed, tip = "a texture of several samples", "give the binding a type of one sample, such as Texture2D"
+            allowed, tip = (
+                "a texture of several samples",
+                "give the binding a type of one sample, such as Texture2D",
+            )
             if texture.samples > 1:
                 allowed = "a single-sampled texture"
                 tip = "resolve it first: texture.resolve_to(…); or read each sample of a Texture2DSamples"
             self.core.refuse(rules.BINDING_TYPE, call, given, allowed, tip)
         if texture.kind is not expected.kind:
-            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _expected_text(binding))
+            self.core.refuse(
+                rules.BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _expected_text(binding)
+            )
         compares = self.core.sampler_descriptors[value.sampler].compare is not None
         if expected.compare != compares:
             tip = "use texture.sampled(SamplerDescriptor(compare=…))" if expected.compare else ""
@@ -328,7 +348,11 @@ class Program(Generic[P]):
     def _check_image(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, ImageBinding) or not isinstance(value.owner, Texture):
             self.core.refuse(
-                rules.BINDING_TYPE, call, _actual_text(value), _expected_text(binding), "use texture.image(level)"
+                rules.BINDING_TYPE,
+                call,
+                _actual_text(value),
+                _expected_text(binding),
+                "use texture.image(level)",
             )
         texture = value.owner
         self.core.check_usable(texture, call)
@@ -345,8 +369,8 @@ class Program(Generic[P]):
             self.core.refuse(rules.PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
     def explain(self, error: Exception, values: tuple[Any, ...], *meshes: object) -> Exception:
-        """Return the refusal for the argument that caused a Python error in a generated function; without one,
-        the error."""
+        """Return the refusal for the argument that caused a Python error in a generated function; without
+        one, the error."""
         try:
             for mesh in meshes:
                 if not isinstance(mesh, Drawable):
@@ -366,7 +390,9 @@ class Program(Generic[P]):
         if declared - names:
             missing_text = f"nothing for {', '.join(sorted(declared - names))}"
             declared_text = ", ".join(sorted(declared))
-            self.core.refuse(rules.BINDING_MISSING, f"draw of program {self.name!r}", missing_text, declared_text)
+            self.core.refuse(
+                rules.BINDING_MISSING, f"draw of program {self.name!r}", missing_text, declared_text
+            )
 
     def check_unknown(self, names: Iterable[str]) -> None:
         """Refuse names that aren't bindings; a name that the shader declares but doesn't read causes one
@@ -375,7 +401,9 @@ class Program(Generic[P]):
         unknown = sorted(set(names) - self._left_out.keys())
         if unknown:
             declared_text = ", ".join(sorted(declared)) or "no bindings"
-            self.core.refuse(rules.BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), declared_text)
+            self.core.refuse(
+                rules.BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), declared_text
+            )
         for name in sorted(names):
             if name not in declared and not self._left_out[name]:
                 self._left_out[name] = True
@@ -384,7 +412,8 @@ class Program(Generic[P]):
                 warnings.warn_explicit(text, ShaderWarning, site.file, site.line)
 
     def check_instances(self, instances: Any, mesh: Drawable) -> int:
-        """Return the number of instances as an int; refuse an invalid one, and one that `mesh` doesn't have."""
+        """Return the number of instances as an int; refuse an invalid one, and one that `mesh` doesn't
+        have."""
         if instances.__class__ is not int or not 0 <= instances <= MAX_INSTANCES:
             check = ArgumentChecker(f"draw of program {self.name!r}", self.core.refuse, rules.DRAW_COUNT)
             instances = check.integer("instances", instances, 0, MAX_INSTANCES)

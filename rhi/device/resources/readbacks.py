@@ -1,7 +1,7 @@
 """Readbacks: futures of reads from textures and buffers.
 
-`Texture.read_async` and `Buffer.read_async` copy on the device, in the order of the commands, and return at once. So
-what is changed or destroyed afterwards doesn't affect the result.
+`Texture.read_async` and `Buffer.read_async` copy on the device, in the order of the commands, and return at
+once. So what is changed or destroyed afterwards doesn't affect the result.
 """
 
 from __future__ import annotations
@@ -19,10 +19,21 @@ class Readback:
     """The future of a read: `done` polls, `result` waits.
 
     Attributes:
-        fence: the fence value after which the result is available, as in `device.completed` and `device.wait`.
+        fence: the fence value after which the result is available, as in `device.completed` and
+            `device.wait`.
     """
 
-    __slots__ = ("__weakref__", "_array", "_core", "_dtype", "_memory", "_row_bytes", "_rows", "_shape", "fence")
+    __slots__ = (
+        "__weakref__",
+        "_array",
+        "_core",
+        "_dtype",
+        "_memory",
+        "_row_bytes",
+        "_rows",
+        "_shape",
+        "fence",
+    )
 
     def __init__(
         self, core: Core, dtype: np.dtype[Any], shape: tuple[int, ...], rows: int = 1, row_bytes: int = 0

@@ -2,8 +2,9 @@
 
 - Row 0 of every array is the top row. `read` and `write` use the format's own dtype; nothing is converted
   silently.
-- A `Texture` can be bound directly, with a default sampler for its format. `sampled(...)` binds it with another
-  sampler, `image(...)` binds one level for loads and stores, and `at(...)` is one level and layer as a render target.
+- A `Texture` can be bound directly, with a default sampler for its format. `sampled(...)` binds it with
+  another sampler, `image(...)` binds one level for loads and stores, and `at(...)` is one level and layer as
+  a render target.
 """
 
 from __future__ import annotations
@@ -81,7 +82,9 @@ class Texture(TextureBinding, Resource):
 
     __slots__ = ("core", "descriptor", "destroyed", "id", "requested")
 
-    def __init__(self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None) -> None:
+    def __init__(
+        self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None
+    ) -> None:
         core.check_ready()
         self.requested = descriptor
         if compressed is not None:
@@ -174,7 +177,9 @@ class Texture(TextureBinding, Resource):
                 return TextureBinding(self.id, sampler.id, self)
         else:
             allowed = "a Sampler from device.sampler(…), or an rhi.SamplerDescriptor"
-            descriptor = ArgumentChecker(call, core.refuse).instance("sampler", sampler, SamplerDescriptor, allowed)
+            descriptor = ArgumentChecker(call, core.refuse).instance(
+                "sampler", sampler, SamplerDescriptor, allowed
+            )
         return TextureBinding(self.id, core.sampler(descriptor), self)
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
@@ -198,8 +203,8 @@ class Texture(TextureBinding, Resource):
     def save(self, path: str | Path, level: int = 0, layer: int = 0) -> None:
         """Write one layer to an image file, as a screen would show it; the path's ending says in what format.
 
-        Bytes are written as they are. Floats are linear light from 0 to 1, and written as sRGB; depth as grey. `R16`
-        keeps its 16 bits in a PNG. Waits for the device.
+        Bytes are written as they are. Floats are linear light from 0 to 1, and written as sRGB; depth as
+        grey. `R16` keeps its 16 bits in a PNG. Waits for the device.
 
         Raises:
             ValidationError: `texture-format` for integers, `image-file` for an ending that isn't known.
@@ -209,7 +214,9 @@ class Texture(TextureBinding, Resource):
             ArgumentChecker("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
         image = convert_to_image(self.format, self.read(level, layer))
         if image is None:
-            self.core.refuse(rules.TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
+            self.core.refuse(
+                rules.TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth"
+            )
         write_image(image, path)
 
     def _repr_png_(self) -> bytes | None:
@@ -259,10 +266,10 @@ class Texture(TextureBinding, Resource):
     def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
         """Replace texels from (x, y) on.
 
-        `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width, channels)
-        for several layers from `layer` on. For a format of red, green, blue and alpha it may lack alpha, which becomes
-        1; that copies the array. To a compressed texture, write blocks: (rows, columns, bytes) of uint8, with or
-        without layers in front, from multiples of 4 texels on.
+        `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width,
+        channels) for several layers from `layer` on. For a format of red, green, blue and alpha it may lack
+        alpha, which becomes 1; that copies the array. To a compressed texture, write blocks: (rows, columns,
+        bytes) of uint8, with or without layers in front, from multiples of 4 texels on.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -294,10 +301,19 @@ class Texture(TextureBinding, Resource):
         region = Region(check.integer("x", x), check.integer("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
         self.core.upload_bytes += array.nbytes
-        self.core.backend.write_texture(self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data)
+        self.core.backend.write_texture(
+            self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data
+        )
 
     def _write_blocks(
-        self, call: str, compressed: CompressedFormat, blocks: NDArray[Any], level: int, layer: int, x: int, y: int
+        self,
+        call: str,
+        compressed: CompressedFormat,
+        blocks: NDArray[Any],
+        level: int,
+        layer: int,
+        x: int,
+        y: int,
     ) -> None:
         """Write blocks as they are, or decode them if the device doesn't store them."""
         if blocks.ndim == 3:
@@ -306,8 +322,12 @@ class Texture(TextureBinding, Resource):
             allowed = f"(rows, columns, {compressed.block_bytes}) of uint8"
             self.core.refuse(rules.TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
         layers, rows, columns = blocks.shape[:3]
-        right, bottom = (size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True))
-        region = Region(x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers)
+        right, bottom = (
+            size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True)
+        )
+        region = Region(
+            x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers
+        )
         whole = columns * BLOCK - region.width < BLOCK and rows * BLOCK - region.height < BLOCK
         if x % BLOCK or y % BLOCK or not whole:
             allowed = f"blocks inside {self.descriptor.level_size(level)}, from multiples of {BLOCK} on"
@@ -344,7 +364,8 @@ class Texture(TextureBinding, Resource):
         y: int = 0,
         layer: int = 0,
     ) -> None:
-        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; the formats must be equal."""
+        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; the formats must be
+        equal."""
         self._copy(self.core, target, level, region, target_level, x, y, layer)
 
     def _copy(
@@ -382,13 +403,13 @@ class Texture(TextureBinding, Resource):
     ) -> None:
         """Copy a region (None: the whole level) to bytes of a buffer from `offset` on, on the device.
 
-        The texels are those that `read` returns, depth as float32. Rows begin `row_bytes` apart (None: as tightly as
-        the device can), and the rows of a layer follow those of the layer before.
+        The texels are those that `read` returns, depth as float32. Rows begin `row_bytes` apart (None: as
+        tightly as the device can), and the rows of a layer follow those of the layer before.
 
         Raises:
             ValidationError: `buffer-alignment` for an offset that isn't a multiple of
-                `capabilities.copy_offset_alignment`, or rows that aren't of `copy_row_alignment`, or either that
-                aren't whole texels; `buffer-range` beyond the end; `device-capability` without
+                `capabilities.copy_offset_alignment`, or rows that aren't of `copy_row_alignment`, or either
+                that aren't whole texels; `buffer-range` beyond the end; `device-capability` without
                 `capabilities.texture_buffer_copies`.
         """
         self._copy_to_buffer(self.core, target, level, region, offset, row_bytes)
@@ -449,13 +470,16 @@ class Texture(TextureBinding, Resource):
         row_bytes: int | None,
         core: Core,
     ) -> tuple[Buffer, int, int]:
-        """Check the layout of a region's rows in a buffer; return the buffer, the offset and the row pitch."""
+        """Check the layout of a region's rows in a buffer; return the buffer, the offset and the row
+        pitch."""
         check = ArgumentChecker(call, self.core.refuse)
         buffer = check_buffer(check, "buffer", buffer)
         offset, row_bytes = check.integer("offset", offset), check.integer_or_none("row_bytes", row_bytes)
         core.check_usable(buffer, call)
         row_bytes = self._tight_row(region) if row_bytes is None else row_bytes
-        faults = limits.row_faults(self.requested, level, region, offset, row_bytes, buffer.size, core.capabilities)
+        faults = limits.row_faults(
+            self.requested, level, region, offset, row_bytes, buffer.size, core.capabilities
+        )
         core.require(call, faults)
         core.check_ready()
         return buffer, offset, row_bytes
@@ -467,7 +491,8 @@ class Texture(TextureBinding, Resource):
         return -(-region.width * texel // step) * step
 
     def resolve_to(self, target: Texture) -> None:
-        """Resolve this multi-sampled texture to `target`: average the samples; size and format must be equal."""
+        """Resolve this multi-sampled texture to `target`: average the samples; size and format must be
+        equal."""
         self._resolve(self.core, target)
 
     def _resolve(self, core: Core, target: Texture) -> None:
@@ -476,12 +501,15 @@ class Texture(TextureBinding, Resource):
         ArgumentChecker(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
-        self.core.require(call, limits.resolve_faults(self.requested, target.requested, self.core.capabilities))
+        self.core.require(
+            call, limits.resolve_faults(self.requested, target.requested, self.core.capabilities)
+        )
         core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
-        """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
+        """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row
+        first."""
         call = "Texture.lock"
         ArgumentChecker(call, self.core.refuse).choice("access", access, Access)
         self.core.require(call, limits.plain_faults(self.requested))
@@ -551,7 +579,8 @@ def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:
 
 
 def _count_bytes(descriptor: TextureDescriptor) -> int:
-    """Return the size of all levels, layers and samples in bytes; their alignment on the device isn't counted."""
+    """Return the size of all levels, layers and samples in bytes; their alignment on the device isn't
+    counted."""
     texels = 0
     for level in range(descriptor.levels):
         width, height = descriptor.level_size(level)

@@ -1,7 +1,7 @@
 """Execution of shading functions and compute shaders on NumPy, for tests and as the reference of accuracy.
 
-`evaluate` calls a `@function` on whole arrays, `run_compute` runs a compute shader over a grid of work-groups. Floats
-are float32 or float64.
+`evaluate` calls a `@function` on whole arrays, `run_compute` runs a compute shader over a grid of
+work-groups. Floats are float32 or float64.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ from rhi.shading.parser.stage import parse_function
 Array = NDArray[Any]
 
 _DTYPES: Final = {layout.INT: np.int32, layout.UINT: np.uint32, layout.BOOL: np.bool_}
-_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, LaneFunction]] = weakref.WeakKeyDictionary()
+_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, LaneFunction]] = (
+    weakref.WeakKeyDictionary()
+)
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
 INVALIDATION_CALLBACKS.extend((_functions.clear, _shaders.clear))
 
@@ -51,8 +53,8 @@ def evaluate(
     """Run a `@function` on whole arrays with NumPy.
 
     Args:
-        arguments, named: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)` for
-            a `mat3`, a structured array or `Struct` for a struct. The axes `…` broadcast.
+        arguments, named: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)`
+            for a `mat3`, a structured array or `Struct` for a struct. The axes `…` broadcast.
         dtype: the type of floats, and of the result.
 
     Returns:
@@ -171,9 +173,9 @@ def run_compute(
     Args:
         groups: numbers of work-groups in 1 to 3 dimensions.
         dtype: the type of floats in variables and shared memory; buffers hold float32.
-        bindings: a `Struct`, number or array for each `Uniform`; for each `Storage` and `StorageRW` an array of
-            the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of zeros; a
-            `HostTexture` for each texture and image.
+        bindings: a `Struct`, number or array for each `Uniform`; for each `Storage` and `StorageRW` an array
+            of the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of
+            zeros; a `HostTexture` for each texture and image.
 
     Returns:
         The contents of each `StorageRW` and image afterwards; the given arrays aren't modified.
@@ -197,7 +199,9 @@ def run_compute(
     return results
 
 
-def bound_words(shader: type[Shader], bindings: dict[str, Any], call: str) -> tuple[dict[str, Any], dict[str, Array]]:
+def bound_words(
+    shader: type[Shader], bindings: dict[str, Any], call: str
+) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the words of all bindings by name, and the arrays among them that the shader writes.
 
     Raises:

@@ -1,7 +1,8 @@
 """Execution of vertex and fragment stages on NumPy, for tests and as the reference of a rasteriser.
 
-Stages run from the same lane code as on OpenCL, in float32 or float64, on arrays of any size: vertices of any shape,
-fragments in rows and columns. The quads for `ddx` and `ddy` are 2 by 2 fragments, from the first row and column on.
+Stages run from the same lane code as on OpenCL, in float32 or float64, on arrays of any size: vertices of any
+shape, fragments in rows and columns. The quads for `ddx` and `ddy` are 2 by 2 fragments, from the first row
+and column on.
 """
 
 from __future__ import annotations
@@ -95,8 +96,8 @@ def run_vertex(
     """Run a shader's vertex stage on NumPy.
 
     Args:
-        attributes: an array for each attribute, or a structured one: `(…)` for a number, `(…, 3)` for a `vec3`. All
-            broadcast. Those that a lean shader doesn't read may be left out.
+        attributes: an array for each attribute, or a structured one: `(…)` for a number, `(…, 3)` for a
+            `vec3`. All broadcast. Those that a lean shader doesn't read may be left out.
         vertex_index: the index of each vertex; counts from 0 by default.
         instance_index, draw_index: numbers, or one for each vertex.
         dtype: the type of floats in variables; buffers hold float32.
@@ -139,10 +140,11 @@ def run_fragment(
     """Run a shader's fragment stage on NumPy.
 
     Args:
-        varyings: an array for each varying that the stage reads, or a structured one: `(…, rows, columns)` for a
-            number, `(…, rows, columns, 3)` for a `vec3`. All broadcast with `covered`.
+        varyings: an array for each varying that the stage reads, or a structured one: `(…, rows, columns)`
+            for a number, `(…, rows, columns, 3)` for a `vec3`. All broadcast with `covered`.
         covered: which fragments are covered, (…, rows, columns). The others in their quads are helpers.
-        fragment_coordinate: (…, rows, columns, 4); by default pixel centres counted from 0, depth 0 and 1 / w = 1.
+        fragment_coordinate: (…, rows, columns, 4); by default pixel centres counted from 0, depth 0 and 1 / w
+            = 1.
         front_facing, primitive_index: one for the primitive, or one for each fragment.
         point_coordinate: (…, rows, columns, 2), or one for all fragments.
         dtype: the type of floats in variables; buffers hold float32.
@@ -159,7 +161,11 @@ def run_fragment(
     values = _inputs(compiled.stage, varyings, read, dtype, call)
     front, primitive = np.asarray(front_facing, np.bool_), np.asarray(primitive_index, np.int32)
     shapes = [np.shape(value) for value in (*values, front, primitive, covered)]
-    at = [] if fragment_coordinate is None else scalars_of(VEC4, fragment_coordinate, dtype, f"{call}: coordinate")
+    at = (
+        []
+        if fragment_coordinate is None
+        else scalars_of(VEC4, fragment_coordinate, dtype, f"{call}: coordinate")
+    )
     inside = scalars_of(VECTORS[FLOAT, 2], point_coordinate, dtype, f"{call}: point coordinate")
     shape = _broadcast([*shapes, *map(np.shape, at), *map(np.shape, inside), (1, 1)], call)
     if takes_differences(compiled.stage) and (shape[-2] % 2 or shape[-1] % 2):
@@ -175,7 +181,9 @@ def run_fragment(
     mask = np.array(np.broadcast_to(covered, shape), np.bool_)
     memory, written = bound_words(shader, bindings, call)
     with np.errstate(all="ignore"):
-        results = list(compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, *inside, mask]))
+        results = list(
+            compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, *inside, mask])
+        )
     coverage = np.array(np.broadcast_to(results.pop(), shape), np.bool_)
     depth = results.pop() if compiled.code.has_depth else None
     outputs = {}
@@ -183,7 +191,9 @@ def run_fragment(
         words = range(4 * output.location, 4 * output.location + output.components)
         parts = [results[compiled.code.words.index(word)] for word in words]
         outputs[output.name] = assemble(_output_type(compiled.stage, output.name), parts, shape, dtype)
-    return FragmentRun(outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), coverage, written)
+    return FragmentRun(
+        outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), coverage, written
+    )
 
 
 def _output_type(stage: tree.StageTree, name: str) -> HostType:
@@ -193,7 +203,9 @@ def _output_type(stage: tree.StageTree, name: str) -> HostType:
     return result  # type: ignore[return-value]
 
 
-def _fields(type: Any, position: str, results: list[Any], shape: tuple[int, ...], dtype: Any) -> dict[str, Array]:
+def _fields(
+    type: Any, position: str, results: list[Any], shape: tuple[int, ...], dtype: Any
+) -> dict[str, Array]:
     """Return the fields of a vertex stage's result by name; a plain position has the name ""."""
     fields = [(field.name, field.type) for field in type.fields] if position else [("", type)]
     outputs, start = {}, 0
@@ -223,7 +235,9 @@ def _inputs(
     inputs, names = inputs or {}, {field.name for field in fields}
     is_unknown = stage.stage is Stage.VERTEX and set(inputs) - names
     if names & read - set(inputs) or is_unknown:
-        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(inputs) or "nothing", ", ".join(sorted(names)) or "nothing")
+        refuse(
+            rules.WRONG_ARGUMENTS, call, ", ".join(inputs) or "nothing", ", ".join(sorted(names)) or "nothing"
+        )
     values: list[Any] = []
     for field in fields:
         if field.name in read:
@@ -235,7 +249,9 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:
-        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(map(str, dict.fromkeys(shapes))), "shapes that broadcast")
+        refuse(
+            rules.WRONG_ARGUMENTS, call, ", ".join(map(str, dict.fromkeys(shapes))), "shapes that broadcast"
+        )
 
 
 def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:

@@ -48,7 +48,9 @@ class StageWriter:
             self.names.get(("binding", declaration.name), declaration.name)
         self.writer = self.writer_type(self.names)
         if not any("glsl" in function.native for function in stage.functions):
-            buffers = [(each.name, each.type) for each in stage.bindings if isinstance(each.type, StorageType)]
+            buffers = [
+                (each.name, each.type) for each in stage.bindings if isinstance(each.type, StorageType)
+            ]
             self.writer.by_columns = {
                 name for name, type in buffers if not type.writable and has_plain_matrices(type.element)
             }
@@ -105,7 +107,9 @@ class StageWriter:
             native = function.native.get("glsl")
             texts = [native.declarations] if native is not None else []
             if native is not None and self.whole and function is self.stage.entry:
-                extensions |= dict.fromkeys(re.findall(r"^\s*(#extension .*?)\s*$", native.body, re.MULTILINE))
+                extensions |= dict.fromkeys(
+                    re.findall(r"^\s*(#extension .*?)\s*$", native.body, re.MULTILINE)
+                )
             for line in "\n".join(texts).splitlines():
                 if line.lstrip().startswith("#extension"):
                     extensions[line.strip()] = None
@@ -162,7 +166,13 @@ class StageWriter:
             case StorageClass.IMAGE:
                 assert isinstance(type, ImageType)
                 stored = declaration.name in self.stage.stored
-                access = "readonly " if not stored else "" if declaration.name in self.stage.loaded else "writeonly "
+                access = (
+                    "readonly "
+                    if not stored
+                    else ""
+                    if declaration.name in self.stage.loaded
+                    else "writeonly "
+                )
                 layout = f"layout({image_format(type)}, {slot})"
                 self.lines.add(f"{layout} {access}uniform {self.writer.type(type)} {name};")
 
@@ -245,7 +255,8 @@ class StageWriter:
             assert isinstance(parameter.type, StructType)
             # A lean vertex stage lacks attributes that nothing reads.
             parts = ", ".join(
-                inputs.get(field.name) or f"{self.writer.type(field.type)}(0)" for field in parameter.type.fields
+                inputs.get(field.name) or f"{self.writer.type(field.type)}(0)"
+                for field in parameter.type.fields
             )
             arguments.append(f"{self.writer.type(parameter.type)}({parts})")
         call = f"{self.names.get(entry, entry.name)}({', '.join(arguments)})"
@@ -255,7 +266,11 @@ class StageWriter:
                 return
             result = self.names.get("result", "result")
             self.lines.add(f"{self.writer.type(entry.result)} {result} = {call};")
-            field = (lambda name: f".{self.writer.field(name)}") if isinstance(entry.result, StructType) else _no_field
+            field = (
+                (lambda name: f".{self.writer.field(name)}")
+                if isinstance(entry.result, StructType)
+                else _no_field
+            )
             if self.stage.stage is Stage.VERTEX:
                 self.lines.add(f"gl_Position = {result}{field(interface.position)};")
                 if interface.point_size:

@@ -1,8 +1,9 @@
 """GLSL 4.30 from the typed tree: types, literals, declarations, built-ins.
 
-Rows of matrices come first in memory. Where a buffer is only read, they are declared as the columns of the transpose,
-which is transposed where it is read: compilers load a column at once, and a row number by number. On llvmpipe a vertex
-that reads two 3×3 matrices takes half the time so. Native code sees matrices as they are, so its stages have rows.
+Rows of matrices come first in memory. Where a buffer is only read, they are declared as the columns of the
+transpose, which is transposed where it is read: compilers load a column at once, and a row number by number.
+On llvmpipe a vertex that reads two 3×3 matrices takes half the time so. Native code sees matrices as they
+are, so its stages have rows.
 """
 
 from __future__ import annotations
@@ -57,7 +58,9 @@ class Writer(TextWriter):
             case layout.MatrixType():
                 return f"transpose({text})"
             case layout.StructType(fields=fields):
-                names = [self.field(field.name) for field in fields if isinstance(field.type, layout.MatrixType)]
+                names = [
+                    self.field(field.name) for field in fields if isinstance(field.type, layout.MatrixType)
+                ]
                 body = " ".join(f"x.{name} = transpose(x.{name});" for name in names)
                 return f"{self.helper('rhi_rows', self.type(node.type), 'x', f'{body} return x;')}({text})"
         return text
@@ -191,11 +194,14 @@ class Writer(TextWriter):
         type = self.type(node.type)
         zero = self.zero(node.type)  # type: ignore[arg-type]
         if isinstance(node.type, layout.ScalarType):
-            # However `/` rounds negative operands, |r| < |b| holds, and r's sign tells whether to correct the result.
+            # However `/` rounds negative operands, |r| < |b| holds, and r's sign tells whether to correct the
+            # result.
             wrong = "r != 0 && (r < 0) != (b < 0)"
             result = f"{wrong} ? q - 1 : q" if divide else f"{wrong} ? r + b : r"
         else:
-            wrong = f"{type}(notEqual(r, {zero})) * {type}(notEqual(lessThan(r, {zero}), lessThan(b, {zero})))"
+            wrong = (
+                f"{type}(notEqual(r, {zero})) * {type}(notEqual(lessThan(r, {zero}), lessThan(b, {zero})))"
+            )
             result = f"q - {wrong}" if divide else f"r + b * {wrong}"
         # A division by 0 is one by 1, and so is that of the least int by -1.
         least = "a == (-2147483647 - 1)"

@@ -1,8 +1,8 @@
 """Whole stages in GLSL: the text of a `@native("glsl", …)` that has a `main` of its own.
 
-The class declares the interface: structs, bindings, inputs and outputs, under the names of their fields. Existing text
-keeps its `main` and its functions; its own declarations of these names are left out once they agree with the class. No
-line is removed, so that the driver's messages lead to the Python lines.
+The class declares the interface: structs, bindings, inputs and outputs, under the names of their fields.
+Existing text keeps its `main` and its functions; its own declarations of these names are left out once they
+agree with the class. No line is removed, so that the driver's messages lead to the Python lines.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from rhi.shading.language.source import SourceSpan, refuse_at, suggest
 
 # Patterns are compiled on first use, which most programs never make.
 _MAIN: Final = r"(?m)^\s*void\s+main\s*\("
-_QUALIFIERS: Final = r"(?:(?:flat|smooth|noperspective|centroid|highp|mediump|lowp|readonly|writeonly|coherent)\s+)*"
+_QUALIFIERS: Final = (
+    r"(?:(?:flat|smooth|noperspective|centroid|highp|mediump|lowp|readonly|writeonly|coherent)\s+)*"
+)
 _DECLARATION: Final = (
-    rf"^\s*(?:layout\s*\([^)]*\)\s*)?{_QUALIFIERS}(in|out|uniform)\s+{_QUALIFIERS}(\w+)\s+(\w+)\s*(\[\s*\w*\s*\])?\s*;"
+    rf"^\s*(?:layout\s*\([^)]*\)\s*)?{_QUALIFIERS}(in|out|uniform)\s+"
+    rf"{_QUALIFIERS}(\w+)\s+(\w+)\s*(\[\s*\w*\s*\])?\s*;"
 )
 _BLOCK: Final = r"^\s*(?:layout\s*\([^)]*\)\s*)?(?:\w+\s+)*(uniform|buffer|struct)\s+(\w+)\s*(?:\{|$)"
 _GROUP: Final = r"^\s*layout\s*\(([^)]*local_size[^)]*)\)\s*in\s*;"
@@ -67,9 +70,17 @@ def lines_of(
             direction, type, name = match[1], match[2] + (match[4] or ""), match[3]
             expected_type = declared.get((direction, name))
             if expected_type != type:
-                declarations = [f"{way} {kind} {key}" for (way, key), kind in declared.items() if way == direction]
-                tip = suggest(name, [key for way, key in declared if way == direction]) if expected_type is None else ""
-                refuse(number, f"{direction} {type} {name}", ", ".join(declarations) or f"no {direction}", tip)
+                declarations = [
+                    f"{way} {kind} {key}" for (way, key), kind in declared.items() if way == direction
+                ]
+                tip = (
+                    suggest(name, [key for way, key in declared if way == direction])
+                    if expected_type is None
+                    else ""
+                )
+                refuse(
+                    number, f"{direction} {type} {name}", ", ".join(declarations) or f"no {direction}", tip
+                )
             text = line[: match.start()] + line[match.end() :]
         elif (block := re.match(_BLOCK, line)) and (block[1] != "struct" or block[2] in structs):
             tip = "remove it: the class declares it; a uniform's fields are read as `camera.view`"

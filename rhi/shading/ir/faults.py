@@ -1,11 +1,11 @@
 """Errors for faults that checked shaders report from the device.
 
-A shader whose `checked` is true tests every index of a buffer, array, vector or matrix, and every `uniform(x)`, where
-it is used. On OpenCL its kernel, or the function of a stage that draws, has one more argument after its bindings:
-`global int *`, three words that are zero before a launch. The first fault of a launch writes there its line in the
-stage's text (`StageText.origins` leads from it to the Python line), the index, and the limit that the index must be
-below. A limit of -1 stands for values of `uniform` that differ, one of -2 for an endless loop. On NumPy the error
-is raised at once.
+A shader whose `checked` is true tests every index of a buffer, array, vector or matrix, and every
+`uniform(x)`, where it is used. On OpenCL its kernel, or the function of a stage that draws, has one more
+argument after its bindings: `global int *`, three words that are zero before a launch. The first fault of a
+launch writes there its line in the stage's text (`StageText.origins` leads from it to the Python line), the
+index, and the limit that the index must be below. A limit of -1 stands for values of `uniform` that differ,
+one of -2 for an endless loop. On NumPy the error is raised at once.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ def make_index_error(line: tuple[str, int], value: int, limit: int) -> ShaderErr
 
 
 def find_fault(words: Sequence[int], lines: Sequence[tuple[str, int]]) -> ShaderError | None:
-    """Return the error for the words that a kernel wrote, or None if they are zero; `lines` are the text's origins."""
+    """Return the error for the words that a kernel wrote, or None if they are zero; `lines` are the text's
+    origins."""
     number, value, limit = words
     return make_index_error(lines[number - 1], value, limit) if number else None

@@ -25,9 +25,9 @@ class Varying:
 class Interface:
     """A shader's name, bindings and work-group, and the inputs, outputs and varyings of its graphics stages.
 
-    `bindings` holds their slots, by name and in order. `position` is the name of the vertex stage's position field, ""
-    if it returns a plain vec4. `depth` is the name of the fragment stage's depth field, `point_size` that of the vertex
-    stage's point size; "" if there is none.
+    `bindings` holds their slots, by name and in order. `position` is the name of the vertex stage's position
+    field, "" if it returns a plain vec4. `depth` is the name of the fragment stage's depth field,
+    `point_size` that of the vertex stage's point size; "" if there is none.
     """
 
     name: str

@@ -1,11 +1,11 @@
 """Lane code: stages in scalar components with explicit masks. OpenCL C and NumPy are written from it.
 
-- One value is one component of W invocations ("lanes"). Its `Uniformity` says which invocations share the value; all
-  but VARYING values are written as scalars. An `Affine` value is a uniform value plus a multiple of the lane index, so
-  that memory is read with vector loads.
-- A branch whose condition is the same for all lanes is a real branch. Where the condition varies, a mask (a bool
-  variable) says which lanes take part: `Set`, `Store` and `Atomic` have a mask, loops end when no lane is active, and
-  `If(any_lane=True)` skips work that no lane needs.
+- One value is one component of W invocations ("lanes"). Its `Uniformity` says which invocations share the
+  value; all but VARYING values are written as scalars. An `Affine` value is a uniform value plus a multiple
+  of the lane index, so that memory is read with vector loads.
+- A branch whose condition is the same for all lanes is a real branch. Where the condition varies, a mask (a
+  bool variable) says which lanes take part: `Set`, `Store` and `Atomic` have a mask, loops end when no lane
+  is active, and `If(any_lane=True)` skips work that no lane needs.
 - There are no calls: each is inlined, so that a function is specialised for the uniformity of its arguments.
 - Memory consists of 32-bit words; an access addresses the word `index * scale + offset`.
 """
@@ -58,7 +58,8 @@ class AddressSpace(Choice):
 class MemoryRegion:
     """An array of words.
 
-    PRIVATE memory is one array of `kind` for each lane; a `uniformity` below VARYING means that all lanes share one.
+    PRIVATE memory is one array of `kind` for each lane; a `uniformity` below VARYING means that all lanes
+    share one.
 
     Attributes:
         stride: words of one element.
@@ -164,7 +165,8 @@ class ElementCount(Value):
 
 
 class DispatchIndex(Choice):
-    """A built-in index of an invocation or its work-group. Those with several axes are read one axis at a time."""
+    """A built-in index of an invocation or its work-group. Those with several axes are read one axis at a
+    time."""
 
     GROUP_ID = "group_id"
     GROUP_COUNT = "group_count"
@@ -226,8 +228,8 @@ class Set(Statement):
 class Store(Statement):
     """Store consecutive words, starting at `index * scale + offset`.
 
-    If several lanes store different values to one address, the last active lane wins. `padding` is the number of words
-    behind the values that are never read and may be overwritten.
+    If several lanes store different values to one address, the last active lane wins. `padding` is the number
+    of words behind the values that are never read and may be overwritten.
     """
 
     memory: MemoryRegion
@@ -243,8 +245,8 @@ class Store(Statement):
 class Atomic(Statement):
     """Perform an atomic operation on one word.
 
-    `result` receives the old word, unless it is None because the result is unused. `values` has one element; a compare
-    and exchange has two, the expected and the new word.
+    `result` receives the old word, unless it is None because the result is unused. `values` has one element;
+    a compare and exchange has two, the expected and the new word.
     """
 
     result: Variable | None
@@ -262,11 +264,12 @@ class Atomic(Statement):
 class TextureAccess(Statement):
     """Read, query or write a texture or image; `results` receive the components.
 
-    Coordinates have three components. The operations and their arguments are: sample (at, level), sample_compare
-    (at, reference, level), sample_grad (at, step right, step down, bias), sample_compare_grad (at, reference, step
-    right, step down, bias), gather (component, at), gather_compare (at, reference), load (texel, level), store (texel,
-    four values), size (level), levels. Steps are the differences of coordinates to the next pixels, which
-    bound the pixel's area. Nothing is read outside the texture. `mask` says which lanes store.
+    Coordinates have three components. The operations and their arguments are: sample (at, level),
+    sample_compare (at, reference, level), sample_grad (at, step right, step down, bias), sample_compare_grad
+    (at, reference, step right, step down, bias), gather (component, at), gather_compare (at, reference), load
+    (texel, level), store (texel, four values), size (level), levels. Steps are the differences of coordinates
+    to the next pixels, which bound the pixel's area. Nothing is read outside the texture. `mask` says which
+    lanes store.
     """
 
     operation: str
@@ -295,7 +298,8 @@ class Check(Statement):
 
 @dataclass(slots=True, eq=False)
 class If(Statement):
-    """A real branch on a condition that all lanes share or, with `any_lane`, on whether it is true in any lane."""
+    """A real branch on a condition that all lanes share or, with `any_lane`, on whether it is true in any
+    lane."""
 
     condition: Value
     then: Block
@@ -410,7 +414,8 @@ def apply(operation: str, *arguments: Value) -> Value:
 
 
 def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
-    """Fold addresses (sums, products of int constants and affine values), selects, masks; None if nothing folds."""
+    """Fold addresses (sums, products of int constants and affine values), selects, masks; None if nothing
+    folds."""
     a = arguments[0]
     match operation:
         case "select" if isinstance(a, Literal):
@@ -500,16 +505,17 @@ WIDTH: Final = 16
 """The number of lanes of a draw's stages on OpenCL: 16 vertices, or 4 by 4 pixels with lane = x + 4 y."""
 
 FIRST_VERTEX: Final = "vertex"
-"""Name of the argument with the first lane's vertex. The others are consecutive unless the writer says otherwise."""
+"""Name of the argument with the first lane's vertex. The others are consecutive unless the writer says
+otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
 class StageCode:
     """A stage in lane code.
 
-    `code.arguments` are the parameters' components that are read, the built-in inputs in the order of the table of
-    built-ins, and the mask. `code.results` are the outputs, one for each word of `words`; then the depth, if the stage
-    writes one; and, for a fragment stage, the mask of the lanes that were not discarded.
+    `code.arguments` are the parameters' components that are read, the built-in inputs in the order of the
+    table of built-ins, and the mask. `code.results` are the outputs, one for each word of `words`; then the
+    depth, if the stage writes one; and, for a fragment stage, the mask of the lanes that were not discarded.
     """
 
     code: Code
@@ -522,8 +528,8 @@ class PositionBounds:
     """Lane code that computes clip positions and their slacks.
 
     Attributes:
-        stage: computes the position in words 0 to 3 and the slacks in words 4 to 7. Its argument `reaches_k` is the
-            greatest magnitude of input k.
+        stage: computes the position in words 0 to 3 and the slacks in words 4 to 7. Its argument `reaches_k`
+            is the greatest magnitude of input k.
         inputs: the inputs that positions depend on.
     """
 

@@ -20,7 +20,9 @@ often."""
 def _choose_reader(kind: type, class_name: str) -> _Reader:
     """Return the function that reads a node's fields declared as `class_name`, or as a tuple of it."""
     typed_fields = [
-        (field.name, str(field.type)) for field in fields(kind) if re.search(rf"\b{class_name}\b", str(field.type))
+        (field.name, str(field.type))
+        for field in fields(kind)
+        if re.search(rf"\b{class_name}\b", str(field.type))
     ]
     if not typed_fields:
         return lambda node: ()
@@ -50,7 +52,8 @@ def operands(node: Any, class_name: str) -> tuple[Any, ...]:
 
 
 def within(node: Any, class_name: str) -> Iterator[Any]:
-    """Yield a node and all nodes that it is computed from, in order; `class_name` is the name of their base class."""
+    """Yield a node and all nodes that it is computed from, in order; `class_name` is the name of their base
+    class."""
     left = [node]
     while left:
         node = left.pop()

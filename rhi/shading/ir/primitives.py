@@ -4,7 +4,8 @@ The table holds operators. Built-ins that act by component have their spellings 
 `rhi.shading.language.builtins`; `spelling` finds both.
 
 - `{0}`, `{1}` are the arguments, `{type}` is the OpenCL type of the result.
-- `infix`: OpenCL accepts a scalar operand beside a vector. For all others, arguments are widened to the widest.
+- `infix`: OpenCL accepts a scalar operand beside a vector. For all others, arguments are widened to the
+  widest.
 - `fast` replaces the OpenCL form with Precision.FAST.
 - A `vector` form replaces the OpenCL form where the value varies among lanes: a varying bool is 0 or -1.
 """

@@ -1,4 +1,5 @@
-"""A builder for the text of a stage in a C-like language (GLSL, OpenCL C) that records the origin of each line."""
+"""A builder for the text of a stage in a C-like language (GLSL, OpenCL C) that records the origin of each
+line."""
 
 from __future__ import annotations
 
@@ -7,7 +8,8 @@ from contextlib import contextmanager
 
 
 class Lines:
-    """A stage's text under construction. `origins` holds each line's Python (file, line), ("", 0) if it has none."""
+    """A stage's text under construction. `origins` holds each line's Python (file, line), ("", 0) if it has
+    none."""
 
     __slots__ = ("indent", "origins", "text")
 
@@ -32,5 +34,6 @@ class Lines:
 
 
 def power_steps(exponent: int) -> str:
-    """Return C statements that raise r, initially x, to a power by square and multiply, from the highest bit down."""
+    """Return C statements that raise r, initially x, to a power by square and multiply, from the highest bit
+    down."""
     return " ".join("r *= r; r *= x;" if bit == "1" else "r *= r;" for bit in f"{exponent:b}"[1:])

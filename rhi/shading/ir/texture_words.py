@@ -1,7 +1,7 @@
 """The description of a bound texture for lane code: its memory, format and sampler as 32-bit words.
 
-The description is data, so that a program's text doesn't depend on which texture or sampler is bound. OpenCL code
-(`rhi.shading.opencl.opencl_textures`) knows the numbers by the same names.
+The description is data, so that a program's text doesn't depend on which texture or sampler is bound. OpenCL
+code (`rhi.shading.opencl.opencl_textures`) knows the numbers by the same names.
 """
 
 from __future__ import annotations
@@ -167,7 +167,9 @@ def describe_texture(
     words = np.zeros(TextureWord.LEVELS + LEVEL_WORDS * len(levels), np.int32)
     stored = channel_encoding(format)
     texel = format.transfer_bytes
-    linear = [filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)]
+    linear = [
+        filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)
+    ]
     mip = MipFilter.NO_MIP if len(levels) == 1 else _MIP_FILTERS[sampler.mip]
     if format.is_integer and mip is MipFilter.LINEAR_MIP:
         mip = MipFilter.NEAREST_MIP
@@ -182,8 +184,14 @@ def describe_texture(
     words[TextureWord.LEVEL_COUNT] = len(levels)
     words[TextureWord.MINIFY], words[TextureWord.MAGNIFY] = linear
     words[TextureWord.MIP] = mip
-    words[TextureWord.ONE_FILTER] = mip is MipFilter.NO_MIP and linear[0] == linear[1] and kind is not TextureKind.CUBE
-    plain = format.channels == 4 and kind in (TextureKind.D2, TextureKind.D2_ARRAY) and WrapMode.BORDER not in used
+    words[TextureWord.ONE_FILTER] = (
+        mip is MipFilter.NO_MIP and linear[0] == linear[1] and kind is not TextureKind.CUBE
+    )
+    plain = (
+        format.channels == 4
+        and kind in (TextureKind.D2, TextureKind.D2_ARRAY)
+        and WrapMode.BORDER not in used
+    )
     words[TextureWord.PLAIN8] = plain and stored in (ChannelEncoding.UNORM8, ChannelEncoding.SRGB8)
     words[TextureWord.PLAIN_HALF] = plain and stored is ChannelEncoding.HALF
     words[TextureWord.WRAP_U : TextureWord.WRAP_W + 1] = edges
@@ -193,7 +201,9 @@ def describe_texture(
     words[TextureWord.ANISOTROPY] = np.float32(anisotropy_of(format, sampler)).view(np.int32)
     border = border_color(format, sampler)
     words[TextureWord.BORDER_COLOR : TextureWord.BORDER_COLOR + 4] = (
-        border.astype(np.int64).astype(np.int32) if format.is_integer else border.astype(np.float32).view(np.int32)
+        border.astype(np.int64).astype(np.int32)
+        if format.is_integer
+        else border.astype(np.float32).view(np.int32)
     )
     for number, level in enumerate(levels):
         at = TextureWord.LEVELS + LEVEL_WORDS * number
@@ -218,7 +228,8 @@ def anisotropy_of(format: Format, sampler: SamplerDescriptor) -> float:
 
 
 def border_color(format: Format, sampler: SamplerDescriptor) -> NDArray[np.float64]:
-    """Return the border color as a texel of the format: without channels the format lacks, clamped to its range."""
+    """Return the border color as a texel of the format: without channels the format lacks, clamped to its
+    range."""
     border = np.array([0.0, 0.0, 0.0, 1.0])
     color = np.array(sampler.border, np.float64)[: format.channels]
     if format.kind in (FormatKind.UNORM, FormatKind.SRGB) or has_fixed_depth(format):

@@ -1,4 +1,5 @@
-"""The typed tree: a representation of stages that is independent of Python's syntax and of any device language.
+"""The typed tree: a representation of stages that is independent of Python's syntax and of any device
+language.
 
 - Every expression has a type and a span of the source. Conversions are nodes, so an emitter never converts
   implicitly. Types have value semantics: an assignment copies.
@@ -36,7 +37,8 @@ class Operator(Choice):
         sign: the operator in Python.
         syntax: its class in Python's syntax tree.
         fold: the function that computes it from constants.
-        primitive: its name in lane code (`rhi.shading.ir.primitives`), "" if it takes more than one operation.
+        primitive: its name in lane code (`rhi.shading.ir.primitives`), "" if it takes more than one
+            operation.
     """
 
     ADD = "+", ast.Add, operator.add, "add"
@@ -143,8 +145,8 @@ class Swizzle(Expression):
 class Index(Expression):
     """An element of an array, storage buffer or vector, or a row of a matrix.
 
-    `inside`: the index is known to be inside. Otherwise a read outside gives the nearest element, and a write outside
-    is dropped; each language says so in its text.
+    `inside`: the index is known to be inside. Otherwise a read outside gives the nearest element, and a write
+    outside is dropped; each language says so in its text.
     """
 
     base: Expression
@@ -192,9 +194,9 @@ class Convert(Expression):
 class Construct(Expression):
     """A vector, matrix, struct or array constructed from parts that have the right types.
 
-    The parts of a vector are scalars and vectors in order, or one scalar for all components; those of a matrix are one
-    vector for each row, scalars row by row, one scalar for the diagonal, or another matrix; those of a struct or array
-    are one for each field or element.
+    The parts of a vector are scalars and vectors in order, or one scalar for all components; those of a
+    matrix are one vector for each row, scalars row by row, one scalar for the diagonal, or another matrix;
+    those of a struct or array are one for each field or element.
     """
 
     parts: tuple[Expression, ...]
@@ -242,7 +244,8 @@ class Declare(Statement):
 
 @dataclass(slots=True, eq=False)
 class Assign(Statement):
-    """Assign to an lvalue: a Read, or a Member, Swizzle or Index of a local, of storage or of shared memory."""
+    """Assign to an lvalue: a Read, or a Member, Swizzle or Index of a local, of storage or of shared
+    memory."""
 
     target: Expression
     value: Expression
@@ -342,7 +345,8 @@ class StageTree:
 
 
 def has_python_bodies(stage: StageTree) -> bool:
-    """Return whether all functions of a stage have a Python body, so that the stage can be lowered to lane code."""
+    """Return whether all functions of a stage have a Python body, so that the stage can be lowered to lane
+    code."""
     return not any(function.native and not function.body for function in stage.functions)
 
 
@@ -371,7 +375,8 @@ def parts_of(node: Expression | Statement) -> tuple[Expression, ...]:
 
 
 def left_chain(node: Binary) -> list[Binary]:
-    """Return the operations of a chain such as `a + b - c`, which nests to the left, in the order of evaluation.
+    """Return the operations of a chain such as `a + b - c`, which nests to the left, in the order of
+    evaluation.
 
     Chains may be longer than Python's recursion limit, so visitors iterate over them.
     """
@@ -382,7 +387,8 @@ def left_chain(node: Binary) -> list[Binary]:
 
 
 def has_effect(node: Expression) -> bool:
-    """Return whether an expression has side effects, so that evaluating it twice differs from evaluating it once."""
+    """Return whether an expression has side effects, so that evaluating it twice differs from evaluating it
+    once."""
     for part in nodes.within(node, "Expression"):
         if isinstance(part, BuiltinCall) and part.builtin.effect is not SideEffect.NONE:
             return True
@@ -410,7 +416,8 @@ def root_of(lvalue: Expression) -> Expression:
 
 
 def walk(block: Block) -> Iterator[Statement | Expression]:
-    """Yield all statements and expressions of a block. Of the target of an assignment only the indices are included."""
+    """Yield all statements and expressions of a block. Of the target of an assignment only the indices are
+    included."""
     for statement in nodes.walk(block):
         yield statement
         for part in parts_of(statement):

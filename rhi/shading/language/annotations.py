@@ -1,4 +1,5 @@
-"""Annotations of values: the value type that an annotation denotes, and the role that it gives a struct's field."""
+"""Annotations of values: the value type that an annotation denotes, and the role that it gives a struct's
+field."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ def role_of(annotation: Any) -> Role | None:
 
 
 def value_type_of(annotation: Any) -> HostType:
-    """Return the value type for `float`, `int`, `uint`, `bool`, a vector or matrix class, or a `Struct` class.
+    """Return the value type for `float`, `int`, `uint`, `bool`, a vector or matrix class, or a `Struct`
+    class.
 
     Raises:
         TypeError: the annotation is none of these.

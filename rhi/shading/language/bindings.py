@@ -1,9 +1,10 @@
-"""Annotations for a shader's buffer bindings, and the handles that draws and dispatches bind to a shader's fields.
+"""Annotations for a shader's buffer bindings, and the handles that draws and dispatches bind to a shader's
+fields.
 
-- For type checkers an annotation is a descriptor. Reading the field inside a stage gives the shader's view of it:
-  `Uniform[T]` reads as a `T`. Assigning to it takes a handle, here a `UniformRange[T]` or a value; the constructor that
-  `dataclass_transform` synthesises assigns, and `device.draw` has that constructor's parameters. At run time these
-  classes are only annotations.
+- For type checkers an annotation is a descriptor. Reading the field inside a stage gives the shader's view of
+  it: `Uniform[T]` reads as a `T`. Assigning to it takes a handle, here a `UniformRange[T]` or a value; the
+  constructor that `dataclass_transform` synthesises assigns, and `device.draw` has that constructor's
+  parameters. At run time these classes are only annotations.
 - A handle has slots for what a draw needs and nothing else. Resources create handles or derive from them.
 """
 
@@ -44,11 +45,14 @@ class UniformRange(Generic[T]):
 
 
 class StorageRange(Generic[T]):
-    """A range of a buffer that holds `count` elements of type `T` in std430 layout; otherwise like `UniformRange`."""
+    """A range of a buffer that holds `count` elements of type `T` in std430 layout; otherwise like
+    `UniformRange`."""
 
     __slots__ = ("buffer", "count", "offset", "owner", "size", "type")
 
-    def __init__(self, buffer: int, offset: int, size: int, type: object, count: int, owner: object = None) -> None:
+    def __init__(
+        self, buffer: int, offset: int, size: int, type: object, count: int, owner: object = None
+    ) -> None:
         self.buffer = buffer
         self.offset = offset
         self.size = size
@@ -99,7 +103,8 @@ class ImageBinding:
 
 
 class Uniform(Generic[T]):
-    """Annotation of a value in a uniform buffer, the same for the whole draw or dispatch; shaders read it as a `T`."""
+    """Annotation of a value in a uniform buffer, the same for the whole draw or dispatch; shaders read it as
+    a `T`."""
 
     if TYPE_CHECKING:
 

@@ -1,21 +1,24 @@
 """The built-in functions: one table with one row per function.
 
-- A row holds a name, its signatures, and its spelling in each language. The type checks of the parser, the stubs, the
-  code writers and the documentation all read this table. To support another language, add a column.
-- Every row says what it means in every language: a spelling, `POLYFILL` if code of the language's package writes it, or
-  `Refused(tip)` if the language lacks it. A row that says nothing fails at import, and so does a polyfill that the
-  package lacks (`check_polyfills`).
+- A row holds a name, its signatures, and its spelling in each language. The type checks of the parser, the
+  stubs, the code writers and the documentation all read this table. To support another language, add a
+  column.
+- Every row says what it means in every language: a spelling, `POLYFILL` if code of the language's package
+  writes it, or `Refused(tip)` if the language lacks it. A row that says nothing fails at import, and so does
+  a polyfill that the package lacks (`check_polyfills`).
 - Methods of textures and images are in a table of their own (`rhi.shading.language.textures`).
-- In a signature, letters stand for types of one common size: F is float or vec, I, U and B are int, uint and bool or
-  their vectors, V, IV, UV and BV are vectors only, M is mat. `F(F,F,float)` is four overloads. `int&` is a memory
-  location that the function modifies.
-- A spelling is a function's name, which is called with all arguments, or a template with `{0}` for the first argument.
-  OpenCL's and NumPy's are for one component. `fast` is OpenCL's spelling with `Precision.FAST`. WGSL's templates may
-  also name the result's type `{type}`, the first argument's bits as uints `{bits}`, and the first argument as wide as
-  the widest one `{v0}`.
-- Instead of spellings for OpenCL and NumPy, `lanes` composes a built-in from others: an expression in the arguments
-  a, b, c and d (`rhi.shading.lowering.expansions`). `POLYFILL` there is a function of `rhi.shading.lowering`.
-- `error` bounds the error of the results. `python -m rhi shading accuracy` measures it, and tests check the bounds.
+- In a signature, letters stand for types of one common size: F is float or vec, I, U and B are int, uint and
+  bool or their vectors, V, IV, UV and BV are vectors only, M is mat. `F(F,F,float)` is four overloads. `int&`
+  is a memory location that the function modifies.
+- A spelling is a function's name, which is called with all arguments, or a template with `{0}` for the first
+  argument. OpenCL's and NumPy's are for one component. `fast` is OpenCL's spelling with `Precision.FAST`.
+  WGSL's templates may also name the result's type `{type}`, the first argument's bits as uints `{bits}`, and
+  the first argument as wide as the widest one `{v0}`.
+- Instead of spellings for OpenCL and NumPy, `lanes` composes a built-in from others: an expression in the
+  arguments a, b, c and d (`rhi.shading.lowering.expansions`). `POLYFILL` there is a function of
+  `rhi.shading.lowering`.
+- `error` bounds the error of the results. `python -m rhi shading accuracy` measures it, and tests check the
+  bounds.
 """
 
 from __future__ import annotations
@@ -36,9 +39,11 @@ LANGUAGE_NAMES.add("Precision")
 
 
 class Precision(Choice):
-    """Accuracy of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT is within a few ulp, FAST less exact.
+    """Accuracy of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT is within a few ulp, FAST
+    less exact.
 
-    With FAST, OpenCL may flush numbers below 2^-126 to 0. `python -m rhi shading accuracy` measures the errors of both.
+    With FAST, OpenCL may flush numbers below 2^-126 to 0. `python -m rhi shading accuracy` measures the
+    errors of both.
     """
 
     EXACT = "exact"
@@ -76,19 +81,21 @@ Spelling: TypeAlias = str | Polyfill | Refused
 
 @dataclass(frozen=True, slots=True)
 class ErrorBound:
-    """The largest error of a result, in the units that `rhi.testing.accuracy.probes` counts. By default they are exact.
+    """The largest error of a result, in the units that `rhi.testing.accuracy.probes` counts. By default they
+    are exact.
 
     Attributes:
-        glsl, exact, fast, numpy: bounds in units: on OpenGL (with Mesa's llvmpipe; OpenGL itself guarantees less), on
-            OpenCL with either precision (EXACT's bound is OpenCL's own guarantee, FAST's is measured), and on NumPy in
-            float32.
+        glsl, exact, fast, numpy: bounds in units: on OpenGL (with Mesa's llvmpipe; OpenGL itself guarantees
+            less), on OpenCL with either precision (EXACT's bound is OpenCL's own guarantee, FAST's is
+            measured), and on NumPy in float32.
         glsl_absolute: an absolute error that is allowed on OpenGL whatever the units.
-        domain: the range of each float argument in which the bounds of OpenGL and FAST hold; the last range also
-            holds for the arguments after it. The bounds of EXACT and NumPy hold for every number, unless the units
-            are `of_arguments`.
-        of_arguments: the built-in is composed of others, and one unit is the change of the result when an argument
-            changes by one unit.
-        defined: where the result is defined, as a NumPy expression in the arguments a, b, c and d; everywhere if empty.
+        domain: the range of each float argument in which the bounds of OpenGL and FAST hold; the last range
+            also holds for the arguments after it. The bounds of EXACT and NumPy hold for every number, unless
+            the units are `of_arguments`.
+        of_arguments: the built-in is composed of others, and one unit is the change of the result when an
+            argument changes by one unit.
+        defined: where the result is defined, as a NumPy expression in the arguments a, b, c and d; everywhere
+            if empty.
     """
 
     glsl: float = 0
@@ -121,7 +128,8 @@ class Overload:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Builtin:
-    """A row of the table: a built-in function, or a method of a texture. The module's head describes the columns."""
+    """A row of the table: a built-in function, or a method of a texture. The module's head describes the
+    columns."""
 
     name: str
     overloads: tuple[Overload, ...]
@@ -139,7 +147,8 @@ class Builtin:
     _choices: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
 
     def choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
-        """Return the overload for arguments of these types: an exact match, else the first that they convert to."""
+        """Return the overload for arguments of these types: an exact match, else the first that they convert
+        to."""
         key = (*types, *literals)
         if key not in self._choices:
             self._choices[key] = self._choose(types, literals)
@@ -161,7 +170,8 @@ class Builtin:
     def signatures(self) -> str:
         """Return all overloads as text, one per line."""
         return "\n".join(
-            f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}" for o in self.overloads
+            f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}"
+            for o in self.overloads
         )
 
     def __call__(self, *arguments: object, **named: object) -> NoReturn:
@@ -185,7 +195,8 @@ _LETTERS: Final[dict[str, dict[int, Type]]] = {
     "M": {**MATRICES},
 }
 _SIZED: Final[dict[int, dict[str, Type]]] = {
-    size: {name: letter[size] for name, letter in _LETTERS.items() if size in letter} for size in (0, 1, 2, 3, 4)
+    size: {name: letter[size] for name, letter in _LETTERS.items() if size in letter}
+    for size in (0, 1, 2, 3, 4)
 }
 _NAMED: Final[dict[str, Type]] = {
     "None": VOID,
@@ -196,7 +207,8 @@ _NAMED: Final[dict[str, Type]] = {
 
 
 def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> Iterator[Overload]:
-    """Yield the overloads of signatures that are separated by semicolons. `names` adds type names to the known ones."""
+    """Yield the overloads of signatures that are separated by semicolons. `names` adds type names to the
+    known ones."""
     named_types = _NAMED | (names or {})
     for signature in signatures.split(";"):
         result, _, rest = signature.strip().partition("(")
@@ -208,7 +220,9 @@ def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> 
         for size in (1, 2, 3, 4) if used else (0,):
             if all(size in letter for letter in used):
                 scope = {**named_types, **_SIZED[size]} if used else named_types
-                concrete = tuple(BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters)
+                concrete = tuple(
+                    BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters
+                )
                 yield Overload(concrete, scope[result], glsl)
 
 
@@ -238,7 +252,8 @@ def _row(
     ):
         if not has_meaning:
             raise TypeError(
-                f"built-in {name!r} has no meaning in {language}: give a spelling, POLYFILL, or Refused(tip) in WGSL"
+                f"built-in {name!r} has no meaning in {language}: give a spelling, POLYFILL, or Refused(tip) "
+                "in WGSL"
             )
     overloads = tuple(dict.fromkeys(expand(signatures, glsl)))
     count = len(overloads[0].parameters)
@@ -445,7 +460,9 @@ _ROWS: Final = (
         numpy="np.power",
         fast="rhi_fast_pow",
         doc="x to the power y; undefined for x < 0",
-        error=ErrorBound(128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"),
+        error=ErrorBound(
+            128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"
+        ),
     ),
     _row(
         "exp",
@@ -1299,12 +1316,16 @@ def check_polyfills(language: str, expected: Iterable[str], written: Iterable[st
     if rows - functions:
         raise TypeError(f"built-ins in {language}: no polyfill of {', '.join(sorted(rows - functions))}")
     if functions - rows:
-        raise TypeError(f"built-ins in {language}: polyfills without a row: {', '.join(sorted(functions - rows))}")
+        raise TypeError(
+            f"built-ins in {language}: polyfills without a row: {', '.join(sorted(functions - rows))}"
+        )
 
 
-# Ints: no division by 0, and none of the smallest int by -1. Floats: the quotient must not underflow or overflow.
+# Ints: no division by 0, and none of the smallest int by -1. Floats: the quotient must not underflow or
+# overflow.
 _DIVISIBLE: Final = (
-    "(b != 0) & ((a != -2147483648) | (b != -1)) & ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
+    "(b != 0) & ((a != -2147483648) | (b != -1)) "
+    "& ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
 )
 # x - y floor(x / y) has no correct digits left when the quotient has as many digits as a float.
 _NEAR: Final = "((abs(a) < abs(b) * 1e6) | ((a == np.floor(a)) & (b == np.floor(b))))"
@@ -1318,6 +1339,8 @@ OPERATORS: Final[dict[str, ErrorBound]] = {
     "**": BUILTINS["pow"].error,
     "@": BUILTINS["dot"].error,
     **dict.fromkeys(("<<", ">>"), _SHIFT),
-    **dict.fromkeys(("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT),
+    **dict.fromkeys(
+        ("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT
+    ),
 }
 """The error bounds of the operators by sign. `neg` is unary minus."""

@@ -31,7 +31,15 @@ from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import StorageType
 
 _UNEDITED: Final = frozenset(
-    ("__dict__", "__weakref__", "__module__", "__qualname__", "__firstlineno__", "__static_attributes__", "_declared")
+    (
+        "__dict__",
+        "__weakref__",
+        "__module__",
+        "__qualname__",
+        "__firstlineno__",
+        "__static_attributes__",
+        "_declared",
+    )
 )
 """Attributes of a class that aren't part of its text, or are derived from the others."""
 
@@ -119,11 +127,16 @@ class Edit:
         if closure is not None and owner is not None:  # the cell of `super()`
             free = function.__code__.co_freevars
             closure = tuple(
-                CellType(owner) if name == "__class__" else cell for name, cell in zip(free, closure, strict=True)
+                CellType(owner) if name == "__class__" else cell
+                for name, cell in zip(free, closure, strict=True)
             )
-        adopted = FunctionType(function.__code__, vars(self.module), function.__name__, function.__defaults__, closure)
+        adopted = FunctionType(
+            function.__code__, vars(self.module), function.__name__, function.__defaults__, closure
+        )
         adopted.__kwdefaults__ = function.__kwdefaults__
-        adopted.__annotations__ = {name: self._translate(each) for name, each in function.__annotations__.items()}
+        adopted.__annotations__ = {
+            name: self._translate(each) for name, each in function.__annotations__.items()
+        }
         adopted.__qualname__, adopted.__doc__ = function.__qualname__, function.__doc__
         adopted.__module__ = function.__module__
         vars(adopted).update(vars(function))
@@ -250,7 +263,9 @@ def defines_shaders(module: ModuleType) -> bool:
     """Return whether a module itself defines shaders, structs or shading functions."""
     for value in list(vars(module).values()):
         python = value.python if isinstance(value, ShadingFunction) else value
-        if (python is not value or _is_kind(value, (Shader, Struct))) and python.__module__ == module.__name__:
+        if (
+            python is not value or _is_kind(value, (Shader, Struct))
+        ) and python.__module__ == module.__name__:
             return True
     return False
 
@@ -300,7 +315,8 @@ def _recollect_bindings(cls: type[Shader], names: dict[str, Any]) -> None:
         own = {
             name: declared
             for name, declared in derived._declared.items()
-            if name in inspect.get_annotations(derived) or isinstance(derived.__dict__.get(name), SharedMemory)
+            if name in inspect.get_annotations(derived)
+            or isinstance(derived.__dict__.get(name), SharedMemory)
         }
         inherited: dict[str, Any] = {}
         for base in reversed(derived.__mro__[1:]):

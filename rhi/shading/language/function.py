@@ -1,9 +1,9 @@
 """Decorators of functions: `@function` outside shader classes, `@native` for bodies in a device language.
 
 - `@function` marks a module-level function as part of the shading language: shaders may call it.
-- `@native("glsl", body)` gives a stage, helper or function a body in one device language (OpenCL C for stages only).
-  Its signature stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared as for other
-  functions. The Python body, if there is one, is used for the other languages.
+- `@native("glsl", body)` gives a stage, helper or function a body in one device language (OpenCL C for stages
+  only). Its signature stays Python, so bindings, structs, vertex inputs and varyings stay typed and are
+  declared as for other functions. The Python body, if there is one, is used for the other languages.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ NATIVE = "_rhi_native"
 class Native:
     """A function's body in a device language, and the declarations at file level that it needs.
 
-    `line` is the Python line on which the body's text starts, or 0 if the text isn't a literal in the Python file.
+    `line` is the Python line on which the body's text starts, or 0 if the text isn't a literal in the Python
+    file.
     """
 
     body: str
@@ -41,7 +42,8 @@ class Native:
 
 
 class ShadingFunction(Generic[P, R]):
-    """A module-level function of the shading language. Shaders call it; `rhi.shading.evaluate` runs it on the CPU."""
+    """A module-level function of the shading language. Shaders call it; `rhi.shading.evaluate` runs it on the
+    CPU."""
 
     def __init__(self, function: FunctionType) -> None:
         self.python = function
@@ -66,13 +68,14 @@ def function(python: Callable[P, R]) -> ShadingFunction[P, R]:
 
 
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:
-    """Give a function a body in `language`: "glsl", or for a stage "opencl" with its number of lanes ("opencl16").
+    """Give a function a body in `language`: "glsl", or for a stage "opencl" with its number of lanes
+    ("opencl16").
 
-    `body` is the text between the braces, or a whole GLSL stage with its own `main` (`rhi.shading.glsl.native`). It may
-    use the parameters, bindings and struct types by their Python names. `declarations` is inserted at file level before
-    the function; its `#extension` lines go to the top of the file.
-    In OpenCL C, bindings and parameters are those of the stage function that `rhi.shading.opencl.opencl_stages`
-    describes, or of the kernel (`rhi.shading.opencl.opencl_writer`).
+    `body` is the text between the braces, or a whole GLSL stage with its own `main`
+    (`rhi.shading.glsl.native`). It may use the parameters, bindings and struct types by their Python names.
+    `declarations` is inserted at file level before the function; its `#extension` lines go to the top of the
+    file. In OpenCL C, bindings and parameters are those of the stage function that
+    `rhi.shading.opencl.opencl_stages` describes, or of the kernel (`rhi.shading.opencl.opencl_writer`).
     """
 
     def attach(python: F) -> F:

@@ -1,4 +1,5 @@
-"""The built-in functions as importable names. Their types are in the stub beside this file, `functions.pyi`."""
+"""The built-in functions as importable names. Their types are in the stub beside this file,
+`functions.pyi`."""
 
 from __future__ import annotations
 

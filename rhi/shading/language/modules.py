@@ -27,20 +27,32 @@ _numbers: Final = itertools.count(1)
 @overload
 def from_source(text: str, *, file: str = ..., scope: Mapping[str, object] | None = ...) -> type[Shader]: ...
 @overload
-def from_source(text: str, name: str, /, *, file: str = ..., scope: Mapping[str, object] | None = ...) -> Any: ...
+def from_source(
+    text: str, name: str, /, *, file: str = ..., scope: Mapping[str, object] | None = ...
+) -> Any: ...
 @overload
 def from_source(
-    text: str, name: str, second: str, /, *more: str, file: str = ..., scope: Mapping[str, object] | None = ...
+    text: str,
+    name: str,
+    second: str,
+    /,
+    *more: str,
+    file: str = ...,
+    scope: Mapping[str, object] | None = ...,
 ) -> tuple[Any, ...]: ...
-def from_source(text: str, *names: str, file: str = "<shader>", scope: Mapping[str, object] | None = None) -> Any:
-    """Execute Python text that defines shaders, and return the last shader class that it defines at its top level.
+def from_source(
+    text: str, *names: str, file: str = "<shader>", scope: Mapping[str, object] | None = None
+) -> Any:
+    """Execute Python text that defines shaders, and return the last shader class that it defines at its top
+    level.
 
-    The text runs as Python, with everything that Python may do: never pass text from a source that you don't trust.
+    The text runs as Python, with everything that Python may do: never pass text from a source that you don't
+    trust.
 
     Args:
         text: a module's text, with its imports.
-        names: the names to return instead: classes, structs or functions. One name returns one object, several names
-            return a tuple in their order.
+        names: the names to return instead: classes, structs or functions. One name returns one object,
+            several names return a tuple in their order.
         file: the name that errors show for the text, such as the path of an editor's buffer.
         scope: names that the text may use without importing them.
 
@@ -60,7 +72,9 @@ def from_source(text: str, *names: str, file: str = "<shader>", scope: Mapping[s
     return shaders[0] if len(shaders) == 1 else tuple(shaders)
 
 
-def execute(call: str, source: SourceFile, text: str, module: ModuleType, registered: ModuleType | None = None) -> None:
+def execute(
+    call: str, source: SourceFile, text: str, module: ModuleType, registered: ModuleType | None = None
+) -> None:
     """Run a text in a module, which is in `sys.modules` meanwhile because the creation of classes looks it
     up.
 

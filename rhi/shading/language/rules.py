@@ -9,7 +9,8 @@ from rhi.errors import Rule
 NO_SOURCE: Final = Rule(
     "shading-no-source",
     "the source of a shader can't be read",
-    "shaders are compiled from their Python source: define them in a file or a notebook cell, or make them with "
+    "shaders are compiled from their Python source: define them in a file or a notebook cell, or make them "
+    "with "
     "rhi.shading.from_source(text)",
 )
 TEXT: Final = Rule("shading-text", "a text doesn't define the requested shader")

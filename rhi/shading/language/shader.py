@@ -1,9 +1,9 @@
 """Shaders as classes: fields are bindings, methods are stages and helpers.
 
-- The class is never instantiated. Its constructor exists for type checkers only: `dataclass_transform` gives it one
-  parameter for each binding's handle, and `Device.draw` takes over that signature.
-- Bindings are collected when the class is created, those of its bases first, so that a derived shader keeps the
-  slots of its base.
+- The class is never instantiated. Its constructor exists for type checkers only: `dataclass_transform` gives
+  it one parameter for each binding's handle, and `Device.draw` takes over that signature.
+- Bindings are collected when the class is created, those of its bases first, so that a derived shader keeps
+  the slots of its base.
 - Numbers on the class without annotation are constants. Shaders read them as `self.name`, and a subclass may
   override them: a variant of a shader is a subclass.
 """
@@ -51,7 +51,8 @@ class StorageClass(Choice):
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """A binding or shared variable of a shader. `host` is its type on the CPU: a `Struct` class, `float`, `vec3`…"""
+    """A binding or shared variable of a shader. `host` is its type on the CPU: a `Struct` class, `float`,
+    `vec3`…"""
 
     name: str
     storage_class: StorageClass
@@ -74,9 +75,11 @@ def shared(element: type[T]) -> T: ...
 @overload
 def shared(element: type[T], length: int) -> Array[T]: ...
 def shared(element: Any, length: int | None = None) -> Any:
-    """Declare memory that a work-group shares: `partial = shared(float, 256)`; without a length, a single value.
+    """Declare memory that a work-group shares: `partial = shared(float, 256)`; without a length, a single
+    value.
 
-    The result is assigned to a field of a shader with a `compute` stage. The memory's initial contents are undefined.
+    The result is assigned to a field of a shader with a `compute` stage. The memory's initial contents are
+    undefined.
     """
     return SharedMemory(element, length)
 
@@ -88,14 +91,14 @@ class Shader:
     Attributes:
         work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
         precision: accuracy of some functions on OpenCL. Other backends compute them in one way only.
-        checked: test every index and every `uniform(x)` on the device where it is used, and raise an error with the
-            Python line for a fault. Works on NumPy and on OpenCL, where it waits for each dispatch and each batch of
-            draws. Costs nothing when off. `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders
-            that don't set it.
+        checked: test every index and every `uniform(x)` on the device where it is used, and raise an error
+            with the Python line for a fault. Works on NumPy and on OpenCL, where it waits for each dispatch
+            and each batch of draws. Costs nothing when off. `RHI_SHADING_CHECKED=1` in the environment turns
+            it on for all shaders that don't set it.
         early_depth: test depth and stencil before the fragment stage, which then can't change them.
-        lean: leave out bindings and vertex attributes that no stage reads once constant conditions are decided, so that
-            a variant binds only what it reads. Branches that aren't taken, and what follows a return, aren't checked
-            either.
+        lean: leave out bindings and vertex attributes that no stage reads once constant conditions are
+            decided, so that a variant binds only what it reads. Branches that aren't taken, and what follows
+            a return, aren't checked either.
     """
 
     work_group: ClassVar[tuple[int, ...]] = (1,)
@@ -123,12 +126,15 @@ class Shader:
 
 
 def work_group_size(shader: type[Shader]) -> tuple[int, int, int]:
-    """Return the size of a shader's work-groups; `shading-out-of-range` if it isn't 1 to 3 numbers of at most 1024
-    together."""
+    """Return the size of a shader's work-groups; `shading-out-of-range` if it isn't 1 to 3 numbers of at most
+    1024 together."""
     size: Any = shader.work_group
     valid = isinstance(size, tuple) and 1 <= len(size) <= 3 and all(type(n) is int and n > 0 for n in size)
     if not valid or math.prod(size) > 1024:
-        call, allowed = f"class {shader.__name__}: work_group", "1 to 3 positive numbers whose product is at most 1024"
+        call, allowed = (
+            f"class {shader.__name__}: work_group",
+            "1 to 3 positive numbers whose product is at most 1024",
+        )
         raise ShaderError(rules.OUT_OF_RANGE, call, repr(size), allowed, site=find_call_site())
     x, y, z = (*size, 1, 1)[:3]
     return x, y, z
@@ -140,7 +146,8 @@ def list_bindings(shader: type[Shader]) -> list[str]:
 
 
 def find_element(shader: type[Shader], name: str) -> Any:
-    """Return the type of the elements of a shader's buffer, such as a `Struct` class; None if it has no such buffer."""
+    """Return the type of the elements of a shader's buffer, such as a `Struct` class; None if it has no such
+    buffer."""
     declared = shader._declared.get(name)
     return None if declared is None else declared.host
 
@@ -148,7 +155,8 @@ def find_element(shader: type[Shader], name: str) -> Any:
 def collect_bindings(
     cls: type[Shader], module: dict[str, Any], names: Mapping[str, Any] = MappingProxyType({})
 ) -> None:
-    """Collect the bindings of a class from its annotations and those of its bases, and evaluate its methods' ones.
+    """Collect the bindings of a class from its annotations and those of its bases, and evaluate its methods'
+    ones.
 
     Args:
         module: the globals of the class's module.

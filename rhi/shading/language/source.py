@@ -4,9 +4,10 @@ them.
 - `keep_sources` stores the text of a file when one of its classes or functions is created. A later edit
   changes neither the compiled class nor the lines in its errors. The text is parsed when a shader is
   compiled.
-- Functions are found in their file by their first line. Notebook cells and interpreters work wherever `linecache`
-  knows their lines.
-- `NameScope` resolves a name as the function itself would: variables of enclosing functions, globals, builtins.
+- Functions are found in their file by their first line. Notebook cells and interpreters work wherever
+  `linecache` knows their lines.
+- `NameScope` resolves a name as the function itself would: variables of enclosing functions, globals,
+  builtins.
 - Annotations may be strings, and closures don't capture names that only annotations use.
   `resolve_annotations` evaluates them when the class or function is defined, while those names still exist.
 """
@@ -45,7 +46,8 @@ class SourceFile(str):
 
     @cached_property
     def functions(self) -> dict[int, ast.FunctionDef]:
-        """The functions of the file by their first line, that of a decorator included. The file is parsed here."""
+        """The functions of the file by their first line, that of a decorator included. The file is parsed
+        here."""
         try:
             tree = ast.parse("".join(self.lines), self)
         except SyntaxError:
@@ -94,7 +96,8 @@ def read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
 
 @dataclass(frozen=True, slots=True)
 class SourceSpan:
-    """A span of a source line. Lines count from 1, columns from 0 in UTF-8 bytes; `end_column` 0 is the line's end."""
+    """A span of a source line. Lines count from 1, columns from 0 in UTF-8 bytes; `end_column` 0 is the
+    line's end."""
 
     line: int
     column: int = 0
@@ -234,7 +237,8 @@ def globals_of(cls: type, frame: FrameType) -> dict[str, Any]:
 
 
 def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> None:
-    """Evaluate a function's string annotations with the names around it. Annotations that fail stay strings."""
+    """Evaluate a function's string annotations with the names around it. Annotations that fail stay
+    strings."""
     for name, annotation in function.__annotations__.items():
         if isinstance(annotation, str):
             with contextlib.suppress(Exception):

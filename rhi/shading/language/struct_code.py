@@ -15,7 +15,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.contract.layout import BOOL, Field, Layout, MatrixType, ScalarType, StructType, VectorType, memory_layout
+from rhi.contract.layout import (
+    BOOL,
+    Field,
+    Layout,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+    memory_layout,
+)
 
 MISSING: Final = object()
 """The value of a field that was not passed."""
@@ -27,7 +36,9 @@ _ERRORS: Final = (TypeError, ValueError, OverflowError, struct.error, Warning)
 errors."""
 
 
-def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any]) -> Callable[..., None] | None:
+def make_constructor(
+    owner: type, type: StructType, defaults: Mapping[str, Any]
+) -> Callable[..., None] | None:
     """Return the `__init__` of a struct class, or None if a field is no scalar, vector or matrix.
 
     The constructor sets `_numbers` and `_bytes` of the value, or calls `_set_fields(values)`.
@@ -36,9 +47,13 @@ def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any])
         return None
     unpack, names, parameters = [], [], []
     scope: dict[str, Any] = {
-        "__rhi_internal__": True, "__name__": __name__, "_errors": _ERRORS, "_owner": owner, "_bytes_of": _matrix_bytes,
+        "__rhi_internal__": True,
+        "__name__": __name__,
+        "_errors": _ERRORS,
+        "_owner": owner,
+        "_bytes_of": _matrix_bytes,
         "_pack": struct.Struct(_format_of(type)).pack,
-    }  # fmt: skip
+    }
     for i, field in enumerate(type.fields):
         parts = [f"_{i}_{j}" for j in range(_count(field))]
         if isinstance(field.type, MatrixType):

@@ -1,9 +1,10 @@
 """Structs: one class is a type in shaders, a layout in memory and a value on the CPU.
 
-- `class Light(Struct)` declares annotated fields. `Light.dtype` is its NumPy dtype in storage and vertex buffers
-  (std430), `Light.uniform_dtype` the one in uniform blocks (std140); both include the padding.
-- `Light(position=(0, 1, 0), …)` is a value on the CPU. Its fields are checked when they are set, and `to_bytes` lays
-  them out in memory. For many values, prefer an array of `Light.dtype`. Constructors are generated (`struct_code`).
+- `class Light(Struct)` declares annotated fields. `Light.dtype` is its NumPy dtype in storage and vertex
+  buffers (std430), `Light.uniform_dtype` the one in uniform blocks (std140); both include the padding.
+- `Light(position=(0, 1, 0), …)` is a value on the CPU. Its fields are checked when they are set, and
+  `to_bytes` lays them out in memory. For many values, prefer an array of `Light.dtype`. Constructors are
+  generated (`struct_code`).
 - A struct may inherit from another; the fields of the base come first.
 """
 
@@ -89,8 +90,8 @@ class FieldAccess:
 class Struct:
     """Base class of structs. Fields are annotated; the constructor takes them by name.
 
-    Raises (constructor):
-        ValidationError `shading-struct-value`: a field is missing or unknown, or a value doesn't match its type.
+    Raises (constructor): ValidationError `shading-struct-value`: a field is missing or unknown, or a value
+        doesn't match its type.
     """
 
     shading_type: ClassVar[StructType] = StructType("Struct", ())
@@ -101,8 +102,9 @@ class Struct:
     _depth: ClassVar[int] = 0
     _leaves: ClassVar[int] = 0
 
-    # A value of which no field was read or set since it was constructed by a generated constructor has, instead of
-    # `_values`: its scalars in order, with the bytes of matrices among them, and the bytes of a uniform block.
+    # A value of which no field was read or set since it was constructed by a generated constructor has,
+    # instead of `_values`: its scalars in order, with the bytes of matrices among them, and the bytes of a
+    # uniform block.
     _numbers: tuple[Any, ...]
     _bytes: bytes
 
@@ -167,7 +169,9 @@ class Struct:
         missing = [name for name in names if name not in values and name not in cls._defaults]
         if missing:
             actual = f"no {', '.join(missing)}"
-            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", actual, "a value for each field without a default")
+            refuse(
+                rules.STRUCT_VALUE, f"{cls.__name__}(…)", actual, "a value for each field without a default"
+            )
         self._values = dict(cls._defaults)
         for name, value in values.items():
             setattr(self, name, value)
@@ -194,7 +198,8 @@ class Struct:
         """Return the byte offset of a field in a uniform block, and the field's bytes for a value.
 
         Raises:
-            ValidationError: `shading-struct-value`: there is no such field, or the value doesn't match its type.
+            ValidationError: `shading-struct-value`: there is no such field, or the value doesn't match its
+                type.
         """
         field = cls.shading_type.field(name)
         if field is None:
@@ -209,7 +214,8 @@ class Struct:
 
     @classmethod
     def array(cls, count: int) -> np.recarray[Any, Any]:
-        """Return `count` zeroed values as an array of `dtype` whose fields are attributes: `lights.power[:] = 2`.
+        """Return `count` zeroed values as an array of `dtype` whose fields are attributes: `lights.power[:] =
+        2`.
 
         A field that is called like an attribute of arrays, such as `size`, is `lights["size"]`.
         """

@@ -148,7 +148,9 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     for name, kinds, signatures, doc in rows:
         if type.kind in kinds:
             overloads = tuple(
-                Overload((BuiltinParameter(type, "self"), *overload.parameters), overload.result, overload.glsl)
+                Overload(
+                    (BuiltinParameter(type, "self"), *overload.parameters), overload.result, overload.glsl
+                )
                 for signature, glsl in signatures.items()
                 for overload in expand(signature, glsl.replace("REFERENCE", reference), names)
             )

@@ -1,8 +1,8 @@
 """Tips for names of other languages: the name or expression that the shading language has instead.
 
-`FOREIGN` is the table, from HLSL, GLSL, CUDA, Metal, NumPy and Python. The names that GLSL and NumPy have for a
-built-in follow from its row in `BUILTINS`; the others are listed here. A test resolves each
-`name(` in a tip, so that all exist.
+`FOREIGN` is the table, from HLSL, GLSL, CUDA, Metal, NumPy and Python. The names that GLSL and NumPy have for
+a built-in follow from its row in `BUILTINS`; the others are listed here. A test resolves each `name(` in a
+tip, so that all exist.
 """
 
 from __future__ import annotations
@@ -174,7 +174,9 @@ def _derive_tips() -> Iterator[tuple[str, str]]:
             arguments = listed[1]
         elif len(overload.parameters) == 1:
             is_vector = isinstance(overload.parameters[0].type, VectorType)
-            arguments = "v" if is_vector else "m" if isinstance(overload.parameters[0].type, MatrixType) else "x"
+            arguments = (
+                "v" if is_vector else "m" if isinstance(overload.parameters[0].type, MatrixType) else "x"
+            )
         else:
             arguments = ", ".join("abcd"[: len(overload.parameters)])
         tip = f"{'call' if overload.result is VOID else 'use'} {row.name}({arguments})"
@@ -185,7 +187,8 @@ def _derive_tips() -> Iterator[tuple[str, str]]:
 
 
 _GLSL_NAME: Final = re.compile(r"(?:\w+\()?(?=\w*[A-Z])(\w+)\)?(?:\(\))?")
-"""A name that isn't lower-case throughout, perhaps converted or called: `findLSB`, `ivec3(gl_WorkGroupID)`."""
+"""A name that isn't lower-case throughout, perhaps converted or called: `findLSB`,
+`ivec3(gl_WorkGroupID)`."""
 _NUMPY_NAME: Final = re.compile(r"np\.(\w+)\(.*\)")
 FOREIGN.update({**dict(_derive_tips()), **FOREIGN})
 for _size in (2, 3, 4):

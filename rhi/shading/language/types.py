@@ -1,6 +1,7 @@
 """The types of the shading language: the value types of `rhi.contract.layout`, and the types of bindings.
 
-- `converts` knows the only implicit conversions: int to float, as in Python, and a non-negative int literal to uint.
+- `converts` knows the only implicit conversions: int to float, as in Python, and a non-negative int literal
+  to uint.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from rhi.contract.layout import (
 LANGUAGE_NAMES: Final[set[str]] = set()
 """The names that shaders import from `rhi.shading`. Each module adds its own names when it is imported."""
 
-VECTORS: Final = {(scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)}
+VECTORS: Final = {
+    (scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)
+}
 MATRICES: Final = {size: MatrixType(size) for size in (2, 3, 4)}
 VEC4: Final = VECTORS[FLOAT, 4]
 
@@ -44,8 +47,8 @@ VOID: Final = VoidType()
 
 @dataclass(frozen=True, slots=True)
 class TextureType:
-    """A sampled texture. With `compare`, a depth texture whose samples are results of a depth comparison. With
-    `samples`, a texture of several samples, which are read one by one."""
+    """A sampled texture. With `compare`, a depth texture whose samples are results of a depth comparison.
+    With `samples`, a texture of several samples, which are read one by one."""
 
     kind: TextureKind
     scalar: ScalarType = FLOAT
@@ -141,4 +144,8 @@ def converts(source: Type, target: Type, literal: bool = False) -> bool:
 
     `literal`: the value is a non-negative int literal.
     """
-    return source == target or (source is INT and target is FLOAT) or (literal and source is INT and target is UINT)
+    return (
+        source == target
+        or (source is INT and target is FLOAT)
+        or (literal and source is INT and target is UINT)
+    )

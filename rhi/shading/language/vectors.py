@@ -1,10 +1,12 @@
-"""Vectors, matrices, arrays and `uint` in Python: annotations and constructors in shaders, constants on the CPU.
+"""Vectors, matrices, arrays and `uint` in Python: annotations and constructors in shaders, constants on the
+CPU.
 
 - The stub beside this file (`vectors.pyi`, written by `rhi.shading.tools.stubs`) declares their operators,
-  swizzles and conversions in a shader. On the CPU they only hold components, so that
-  `SKY = vec3(0.2, 0.4, 0.9)` at module level is a constant that shaders can use. For arithmetic on the CPU, convert
-  to NumPy: `numpy.asarray(SKY)`.
-- `Array` is the type of arrays. `array` creates one in a shader, and gives an array field of a struct its length.
+  swizzles and conversions in a shader. On the CPU they only hold components, so that `SKY = vec3(0.2, 0.4,
+  0.9)` at module level is a constant that shaders can use. For arithmetic on the CPU, convert to NumPy:
+  `numpy.asarray(SKY)`.
+- `Array` is the type of arrays. `array` creates one in a shader, and gives an array field of a struct its
+  length.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ import numpy as np
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS
 
-__all__ = sorted(["Array", "ReadOnlyArray", "array", "uint", *map(str, [*VECTORS.values(), *MATRICES.values()])])
+__all__ = sorted(
+    ["Array", "ReadOnlyArray", "array", "uint", *map(str, [*VECTORS.values(), *MATRICES.values()])]
+)
 LANGUAGE_NAMES.update(__all__)
 
 T = TypeVar("T")
@@ -49,7 +53,9 @@ class Composite:
         if len(flat) == 1:
             # A single number is copied to all components, or to a matrix's diagonal.
             scalar = flat[0]
-            flat = [scalar] * size if count == size else [scalar * (i % (size + 1) == 0) for i in range(count)]
+            flat = (
+                [scalar] * size if count == size else [scalar * (i % (size + 1) == 0) for i in range(count)]
+            )
         if len(flat) != count:
             raise TypeError(f"{type(self).__name__} has {count} components, not {len(flat)}")
         self.components = tuple(map(self.convert, flat))
@@ -125,7 +131,8 @@ class ArrayLength:
 def array(element: type[T], length: int) -> Any:
     """Declare an array of `length` elements.
 
-    In a struct it gives a field its length: `weights: Array[float] = array(float, 4)`. In a shader it creates a local
+    In a struct it gives a field its length: `weights: Array[float] = array(float, 4)`. In a shader it creates
+    a local
     array of zeros: `stack = array(int, 32)`.
     """
     return ArrayLength(element, length)

@@ -1,19 +1,20 @@
 """Bounds of a vertex stage's clip positions, where they are an affine function of its inputs.
 
-- Affine means a sum of inputs times values that all vertices of an instance share (uniforms, constants, an instance's
-  row of a buffer). If the inputs of vertices lie in a box, their clip positions are then convex combinations of the
-  clip positions of the box's corners, except for rounding. The corners therefore bound all vertices before any of them
-  is transformed.
-- `bound_positions` creates separate lane code. It contains only the computation of positions, so that no memory is
-  read at an index that depends on a corner's inputs. For each component it also computes a slack, the effect of
-  rounding: how far a vertex may lie outside the corners' hull, and the error of a sum or difference of two such
-  components.
-- Slacks come from a running error analysis. The magnitude of a component is its value if all terms were positive and
-  as large as they can be in the box. Each rounding in the computation of a component adds an error of at most 2^-24 of
-  the magnitude. After n roundings a vertex and a corner are each within n 2^-24 magnitudes of the exact function:
-  2 n + 1 with a sum of two. The slack is (4 n + 16) 2^-24, more than twice that.
-- Each term is increased by a thousandth, so that no vertex overflows unless magnitudes do, and then slacks are
-  infinite. Each term is at least 2^-64, which covers the losses of denormals. NaN gives NaN.
+- Affine means a sum of inputs times values that all vertices of an instance share (uniforms, constants, an
+  instance's row of a buffer). If the inputs of vertices lie in a box, their clip positions are then convex
+  combinations of the clip positions of the box's corners, except for rounding. The corners therefore bound
+  all vertices before any of them is transformed.
+- `bound_positions` creates separate lane code. It contains only the computation of positions, so that no
+  memory is read at an index that depends on a corner's inputs. For each component it also computes a slack,
+  the effect of rounding: how far a vertex may lie outside the corners' hull, and the error of a sum or
+  difference of two such components.
+- Slacks come from a running error analysis. The magnitude of a component is its value if all terms were
+  positive and as large as they can be in the box. Each rounding in the computation of a component adds an
+  error of at most 2^-24 of the magnitude. After n roundings a vertex and a corner are each within n 2^-24
+  magnitudes of the exact function: 2 n + 1 with a sum of two. The slack is (4 n + 16) 2^-24, more than twice
+  that.
+- Each term is increased by a thousandth, so that no vertex overflows unless magnitudes do, and then slacks
+  are infinite. Each term is at least 2^-64, which covers the losses of denormals. NaN gives NaN.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ def bound_positions(stage: lanes.StageCode) -> lanes.PositionBounds | None:
     for statement in code.block:
         analysis.add(statement)
     magnitudes = [analysis.measure(value) for value in positions]
-    slacks = [size * lanes.literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, magnitudes)]
+    slacks = [
+        size * lanes.literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, magnitudes)
+    ]
     results = (*positions, *slacks)
     block = _slice(analysis.block, results)
     if len(slacks) < 4 or block is None:
@@ -85,7 +88,11 @@ class _Analysis:
         if value.kind is not FLOAT:
             return None
         if _is_fixed(value):
-            size = lanes.literal(abs(value.value)) if isinstance(value, lanes.Literal) else lanes.apply("abs", value)
+            size = (
+                lanes.literal(abs(value.value))
+                if isinstance(value, lanes.Literal)
+                else lanes.apply("abs", value)
+            )
             return _extend(size), 0
         match value:
             case lanes.Argument(name=name) if name.startswith(_INPUTS):
@@ -162,7 +169,8 @@ def _is_assignment(statement: lanes.Statement) -> TypeGuard[lanes.Let | lanes.Se
 
 
 def _slice(block: lanes.Block, results: tuple[lanes.Value, ...]) -> lanes.Block | None:
-    """Return the statements that results depend on; None unless all are plain assignments of fixed or affine values."""
+    """Return the statements that results depend on; None unless all are plain assignments of fixed or affine
+    values."""
     needed = {id(variable) for value in results for variable in lanes.variables_of(value)}
     slice: lanes.Block = []
     for statement in reversed(block):

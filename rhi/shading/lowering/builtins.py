@@ -46,13 +46,16 @@ def lower_difference(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
 
 def lower_fwidth(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     values = lowering.lower_named(node.arguments[0])
-    return [apply("abs", difference("ddx", value)) + apply("abs", difference("ddy", value)) for value in values]
+    return [
+        apply("abs", difference("ddx", value)) + apply("abs", difference("ddy", value)) for value in values
+    ]
 
 
 def lower_uniform(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     mask = lowering.effect_mask()  # the values of helpers may differ
     return [
-        broadcast_first(lowering, value, mask, lowering.checked) for value in lowering.lower_named(node.arguments[0])
+        broadcast_first(lowering, value, mask, lowering.checked)
+        for value in lowering.lower_named(node.arguments[0])
     ]
 
 
@@ -66,7 +69,9 @@ def lower_dispatch_index(lowering: Lowering, node: tree.BuiltinCall) -> list[Val
     return dispatch_index(lowering, node.builtin.name)
 
 
-def broadcast_first(lowering: Lowering, value: Value, mask: lanes.Variable | None, is_checked: bool = False) -> Value:
+def broadcast_first(
+    lowering: Lowering, value: Value, mask: lanes.Variable | None, is_checked: bool = False
+) -> Value:
     """Return the value of the first lane of a mask for all lanes of a work-item.
 
     Args:
@@ -107,7 +112,11 @@ def lower_atomic(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool)
 
 
 def emit_atomic(
-    lowering: Lowering, node: tree.BuiltinCall, at: MemoryLvalue, result: lanes.Variable | None, values: list[Value]
+    lowering: Lowering,
+    node: tree.BuiltinCall,
+    at: MemoryLvalue,
+    result: lanes.Variable | None,
+    values: list[Value],
 ) -> None:
     (kind,) = all_kinds(at.type)
     lowering.emit(
@@ -129,7 +138,8 @@ def emit_atomic(
 def lower_barrier(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     """Lower `barrier()` or `memory_barrier()`.
 
-    All invocations of a work-group must reach a barrier, so no enclosing condition may vary within the work-group.
+    All invocations of a work-group must reach a barrier, so no enclosing condition may vary within the
+    work-group.
     """
     waits = node.builtin.name == "barrier"
     if waits:
@@ -167,7 +177,9 @@ def local_index(lowering: Lowering) -> Value:
         return number(0)
     if lowering.width == 0:
         return lanes.Input(INT, Uniformity.VARYING, lanes.DispatchIndex.LOCAL_INDEX)
-    return lanes_from(lowering, lanes.Input(INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width))
+    return lanes_from(
+        lowering, lanes.Input(INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
+    )
 
 
 def lanes_from(lowering: Lowering, first: Value) -> Value:
@@ -199,7 +211,9 @@ _FUNCTIONS: Final[dict[str, Callable[[Lowering, tree.BuiltinCall], list[Value]]]
     "broadcast_first": lower_broadcast_first,
     "barrier": lower_barrier,
     "memory_barrier": lower_barrier,
-    **dict.fromkeys(("global_id", "local_id", "group_id", "group_count", "local_index"), lower_dispatch_index),
+    **dict.fromkeys(
+        ("global_id", "local_id", "group_id", "group_count", "local_index"), lower_dispatch_index
+    ),
 }
 """The built-ins that involve other invocations, with the functions that lower them."""
 
@@ -208,6 +222,8 @@ _WRITTEN: Final = {
     *_FUNCTIONS.keys() - {"ddx", "ddy"},  # which have spellings, too
     "discard",  # a statement of its own: `tree.Discard`
     *(name for name in BUILTINS if name.startswith("atomic_")),  # `lower_atomic`
-    *(name for inputs in STAGE_INPUTS.values() for name in inputs),  # arguments of the stage: `Lowering.inputs`
+    *(
+        name for inputs in STAGE_INPUTS.values() for name in inputs
+    ),  # arguments of the stage: `Lowering.inputs`
 }
 check_polyfills("lane code", (row.name for row in BUILTINS.values() if row.lanes is POLYFILL), _WRITTEN)

@@ -17,7 +17,8 @@ from rhi.shading.language.types import count_scalars
 
 
 def leaf_kinds(type: HostType) -> list[tuple[ScalarType, int]]:
-    """Return the kinds of a type's components, each with the number of array elements that share it (0: no array)."""
+    """Return the kinds of a type's components, each with the number of array elements that share it (0: no
+    array)."""
     match type:
         case ScalarType():
             return [(type, 0)]
@@ -32,7 +33,8 @@ def leaf_kinds(type: HostType) -> list[tuple[ScalarType, int]]:
 
 
 def words_of(type: HostType) -> int:
-    """Return the words of a value without padding. This is the layout of shared memory, where a bool is a word."""
+    """Return the words of a value without padding. This is the layout of shared memory, where a bool is a
+    word."""
     return count_scalars(type)
 
 

@@ -1,15 +1,16 @@
 """The state of lowering a stage or function, which the modules beside this one share: `Lowering`.
 
 - Each module beside this one has functions of a `Lowering` and a node. The table
-  `rhi.shading.lowering.functions.EXPRESSIONS` selects those of expressions by the node's type: an operand may be a
-  call, whose body has statements, which have expressions again.
-- A `MaskScope` is a part of the stage under one condition: a branch, a loop, an iteration of a loop, the body of an
-  inlined call. Where its condition varies among lanes, it owns a mask. A variable that is assigned inside scopes that
-  don't hold its declaration varies at least as they do, and the assignment is blended if one of them owns a mask.
-- The uniformity of a variable, of a loop's exits and of a function's returns is found by iteration to a fixpoint: each
-  run joins its results with earlier ones, so that values only rise in the semilattice of `Uniformity`.
-  Lowering runs again until all assumptions of a run hold at its end. The last run therefore knows at a loop's
-  beginning what its end implies.
+  `rhi.shading.lowering.functions.EXPRESSIONS` selects those of expressions by the node's type: an operand may
+  be a call, whose body has statements, which have expressions again.
+- A `MaskScope` is a part of the stage under one condition: a branch, a loop, an iteration of a loop, the body
+  of an inlined call. Where its condition varies among lanes, it owns a mask. A variable that is assigned
+  inside scopes that don't hold its declaration varies at least as they do, and the assignment is blended if
+  one of them owns a mask.
+- The uniformity of a variable, of a loop's exits and of a function's returns is found by iteration to a
+  fixpoint: each run joins its results with earlier ones, so that values only rise in the semilattice of
+  `Uniformity`. Lowering runs again until all assumptions of a run hold at its end. The last run therefore
+  knows at a loop's beginning what its end implies.
 """
 
 from __future__ import annotations
@@ -30,15 +31,16 @@ R = TypeVar("R")
 _UNKNOWN: Final = (lanes.Uniformity.DISPATCH, 0)
 
 HEAVY: Final = 24
-"""A masked block with more statements than this is skipped if no lane is active, even if it accesses no memory."""
+"""A masked block with more statements than this is skipped if no lane is active, even if it accesses no
+memory."""
 
 
 @dataclass(slots=True, eq=False)
 class MaskScope:
     """A part of a stage under one condition (see the head of this module).
 
-    `kind` is "branch", "loop", "iteration" or "function". `mask` is the innermost mask; it belongs to an outer scope
-    unless `owns_mask` is true.
+    `kind` is "branch", "loop", "iteration" or "function". `mask` is the innermost mask; it belongs to an
+    outer scope unless `owns_mask` is true.
     """
 
     kind: str
@@ -80,8 +82,8 @@ class Lowering:
     """Emits statements into the current block, under the current scope.
 
     Attributes:
-        joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and strides
-            found so far, in all runs.
+        joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and
+            strides found so far, in all runs.
         memories: the memory that the code accesses, by the names of bindings; constant arrays by a key.
         assumptions: the first assumption of this run about each key. Later ones, and the result, are never
             below it.
@@ -103,7 +105,8 @@ class Lowering:
         Args:
             expressions: the function that lowers each type of expression.
             checked: whether to test every index.
-            inputs: the components of the built-in inputs of a vertex or fragment stage, by the built-in's name.
+            inputs: the components of the built-in inputs of a vertex or fragment stage, by the built-in's
+                name.
             has_helpers: whether the stage has differences between pixels, for which helper invocations run.
             may_discard: whether the stage discards fragments.
         """
@@ -123,7 +126,9 @@ class Lowering:
         while True:
             self.start()
             result = run()
-            if all(self.joined.get(key, _UNKNOWN) == assumption for key, assumption in self.assumptions.items()):
+            if all(
+                self.joined.get(key, _UNKNOWN) == assumption for key, assumption in self.assumptions.items()
+            ):
                 return result
 
     def start(self) -> None:
@@ -190,7 +195,9 @@ class Lowering:
         self.assumptions.setdefault(key, assumption)
         return assumption
 
-    def join(self, key: object, uniformity: lanes.Uniformity, stride: int = 0) -> tuple[lanes.Uniformity, int]:
+    def join(
+        self, key: object, uniformity: lanes.Uniformity, stride: int = 0
+    ) -> tuple[lanes.Uniformity, int]:
         """Join a uniformity and stride with those known for a key, and return the join.
 
         Its stride is 0 unless both pairs are equal.
@@ -328,12 +335,17 @@ class Lowering:
 
 
 def is_heavy(block: lanes.Block) -> bool:
-    """Return whether skipping a block if no lane is active is faster than executing it, or needed for safety."""
+    """Return whether skipping a block if no lane is active is faster than executing it, or needed for
+    safety."""
     statements = list(nodes.walk(block))
     if len(statements) > HEAVY:
         return True
     return any(
         isinstance(statement, lanes.Store | lanes.Atomic | lanes.TextureAccess | lanes.Loop)
-        or any(isinstance(part, lanes.Load) for value in lanes.parts_of(statement) for part in lanes.within(value))
+        or any(
+            isinstance(part, lanes.Load)
+            for value in lanes.parts_of(statement)
+            for part in lanes.within(value)
+        )
         for statement in statements
     )

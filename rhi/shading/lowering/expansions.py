@@ -3,8 +3,8 @@
 They are expressions in the rows of `rhi.shading.language.builtins`, and functions where no expression
 suffices: whole vectors and matrices, bits, packing.
 
-An expansion is a function of `let`, which names a value that is used more than once, and of the components of each
-argument. It returns the components of the result. The arguments are variables or constants.
+An expansion is a function of `let`, which names a value that is used more than once, and of the components of
+each argument. It returns the components of the result. The arguments are variables or constants.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ Expansion: TypeAlias = Callable[..., list[Value]]
 
 
 def by_component(function: Callable[..., Value]) -> Expansion:
-    """Return an expansion that applies a function to each component; an argument with one component is broadcast."""
+    """Return an expansion that applies a function to each component; an argument with one component is
+    broadcast."""
 
     def expand(let: LetFunction, *arguments: Components) -> list[Value]:
         size = max(len(argument) for argument in arguments)
@@ -39,7 +40,7 @@ def _if(condition: Value, then: Value, otherwise: Value) -> Value:
     return apply("select", condition, then, otherwise)
 
 
-# -- conversions and operators ----------------------------------------------------------------------------------
+# -- conversions and operators -------------------------------------------------------------------------------
 
 
 def convert(value: Value, kind: ScalarType) -> Value:
@@ -79,9 +80,9 @@ def _parse(text: str) -> ast.expr:
 class _ExpressionExpansion:
     """An expression of a built-in's arguments, with the semantics of the shading language.
 
-    Operators act by component, a scalar operand of a vector is broadcast, `v.yzx` is a swizzle, and calls are of
-    built-ins and primitives. `(t := …)` names a value for the rest of the expression, `inf` is infinity, and numbers
-    have the kind of the first argument.
+    Operators act by component, a scalar operand of a vector is broadcast, `v.yzx` is a swizzle, and calls are
+    of built-ins and primitives. `(t := …)` names a value for the rest of the expression, `inf` is infinity,
+    and numbers have the kind of the first argument.
     """
 
     def __init__(self, text: str) -> None:

@@ -82,7 +82,9 @@ def lower_construct(lowering: Lowering, node: tree.Construct) -> list[Value]:
         if isinstance(source, MatrixType):
             m = source.size
             return [
-                values[i * m + j] if max(i, j) < m else unit if i == j else zero for i in range(n) for j in range(n)
+                values[i * m + j] if max(i, j) < m else unit if i == j else zero
+                for i in range(n)
+                for j in range(n)
             ]
         diagonal = lowering.let(values[0])
         return [diagonal if i == j else zero for i in range(n) for j in range(n)]
@@ -100,7 +102,9 @@ def lower_select(lowering: Lowering, node: tree.Select) -> list[Value]:
     kinds, key = all_kinds(then.type), (lowering.frame.path, id(then))  # type: ignore[arg-type]
     slots = []
     for i, kind in enumerate(kinds):
-        slots.append(lowering.variable("chosen", kind, max(condition.uniformity, lowering.assume_uniformity((key, i)))))
+        slots.append(
+            lowering.variable("chosen", kind, max(condition.uniformity, lowering.assume_uniformity((key, i))))
+        )
         lowering.emit(lanes.Let(lowering.line, slots[-1], None))
     for branch_condition, branch in ((condition, then), (opposite, otherwise)):
         with lowering.branch(branch_condition):
@@ -116,7 +120,9 @@ def lower_select(lowering: Lowering, node: tree.Select) -> list[Value]:
 
 
 def lower_unary(lowering: Lowering, node: tree.Unary) -> list[Value]:
-    return shallow(lowering, [apply(node.operator.primitive, value) for value in lowering.lower(node.operand)])
+    return shallow(
+        lowering, [apply(node.operator.primitive, value) for value in lowering.lower(node.operand)]
+    )
 
 
 def lower_binary(lowering: Lowering, node: tree.Binary) -> list[Value]:
@@ -158,7 +164,9 @@ def lower_operation(lowering: Lowering, node: tree.Binary, left: list[Value]) ->
         right = lowering.lower(node.right)
     size = max(len(left), len(right))
     if size > min(len(left), len(right)):
-        left, right = ([lowering.let(value) for value in side] if len(side) == 1 else side for side in (left, right))
+        left, right = (
+            [lowering.let(value) for value in side] if len(side) == 1 else side for side in (left, right)
+        )
     left, right = ([*side] * (size // len(side)) for side in (left, right))
     pairs = list(zip(left, right, strict=True))
     if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
@@ -172,7 +180,9 @@ def lower_operation(lowering: Lowering, node: tree.Binary, left: list[Value]) ->
     return any_of(lowering.let, results) if op is Operator.NOT_EQUAL else results
 
 
-def lower_short_circuit(lowering: Lowering, node: tree.Binary, operand: list[Value], is_and: bool) -> list[Value]:
+def lower_short_circuit(
+    lowering: Lowering, node: tree.Binary, operand: list[Value], is_and: bool
+) -> list[Value]:
     """Lower `and` or `or`: the right operand is evaluated only where the left one doesn't decide."""
     (left,) = operand
     if is_simple(node.right):
@@ -218,7 +228,8 @@ def lower_power(lowering: Lowering, node: tree.Binary, left: list[Value]) -> lis
 
 
 def is_simple(node: Expression) -> bool:
-    """Return whether inactive lanes may evaluate an expression: it has no memory access, call or side effect."""
+    """Return whether inactive lanes may evaluate an expression: it has no memory access, call or side
+    effect."""
     stack = [node]
     while stack:
         node = stack.pop()
@@ -226,7 +237,9 @@ def is_simple(node: Expression) -> bool:
             case tree.Call() | tree.ConstantArray():
                 return False
             case tree.BindingRead():
-                if node.declaration.storage_class is not StorageClass.UNIFORM or isinstance(node.type, ArrayType):
+                if node.declaration.storage_class is not StorageClass.UNIFORM or isinstance(
+                    node.type, ArrayType
+                ):
                     return False
             case tree.Index() if isinstance(node.base.type, ArrayType | StorageType) or (
                 isinstance(tree.root_of(node), tree.BindingRead) and not isinstance(node.index, tree.Constant)

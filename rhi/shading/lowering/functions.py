@@ -32,7 +32,8 @@ def lower_compute(
         checked: whether to test every index.
 
     Raises:
-        ShaderError: a rule that only lowering can check, such as a barrier that part of a work-group may not reach.
+        ShaderError: a rule that only lowering can check, such as a barrier that part of a work-group may not
+            reach.
     """
     lowering = Lowering(EXPRESSIONS, width, work_group, checked=checked)
     lowering.run_to_fixpoint(lambda: lower_entry(lowering, stage.entry, ()))
@@ -50,12 +51,16 @@ def lower_function(function: tree.Function) -> lanes.Code:
     return lowering.code(function.name, arguments, results)
 
 
-def lower_entry(lowering: Lowering, function: tree.Function, arguments: tuple[lanes.Value, ...]) -> list[lanes.Value]:
+def lower_entry(
+    lowering: Lowering, function: tree.Function, arguments: tuple[lanes.Value, ...]
+) -> list[lanes.Value]:
     """Lower the outermost function and return its result's scalars."""
     lowering.frame = InlinedFrame(function, ())
     invocations = math.prod(lowering.work_group)
     if lowering.width > 1 and invocations % lowering.width:
-        first = lanes.Input(INT, lanes.Uniformity.LANES, lanes.DispatchIndex.ITEM) * lanes.number(lowering.width)
+        first = lanes.Input(INT, lanes.Uniformity.LANES, lanes.DispatchIndex.ITEM) * lanes.number(
+            lowering.width
+        )
         present = lanes.apply("less", lanes_from(lowering, first), lanes.number(invocations))
         lowering.scope.mask, lowering.scope.owns_mask = lowering.new_mask(present, "present"), True
     return inline(lowering, function, list(arguments), ())
@@ -105,7 +110,9 @@ def inline(
     uniformity = lowering.assume_uniformity((path, "function"))
     if early and function.result != VOID:
         for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
-            frame.results.append(new_slot(lowering, f"{function.name}_result", kind, (path, "result", i), None))
+            frame.results.append(
+                new_slot(lowering, f"{function.name}_result", kind, (path, "result", i), None)
+            )
     lowering.frame, lowering.jump_pending = frame, False
     masked = early and not (lowering.branches(uniformity) and lowering.width)
     if not masked:
@@ -232,7 +239,9 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
     start, stop, step = lowering.let(start), copy(lowering, stop), copy(lowering, step)
     key = (path, id(node), "count")
     uniformity = max(start.uniformity, step.uniformity)
-    stride = start.stride if isinstance(start, lanes.Affine) and step.uniformity < lanes.Uniformity.VARYING else 0
+    stride = (
+        start.stride if isinstance(start, lanes.Affine) and step.uniformity < lanes.Uniformity.VARYING else 0
+    )
     uniformity, stride = lowering.join(key, uniformity, stride)
     first = start.base if stride and isinstance(start, lanes.Affine) else start
     variable = lowering.variable(node.local.name, INT, lanes.Uniformity.LANES if stride else uniformity)
@@ -245,7 +254,8 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
         order = "less" if isinstance(step, lanes.Literal) and step.value > 0 else "greater"
         lower_loop(lowering, node, lambda: lanes.apply(order, count, stop), node.body, [advance])
         return
-    # Whether there is a next value is known before the counter advances, which may wrap then (docs/shading.md).
+    # Whether there is a next value is known before the counter advances, which may wrap then
+    # (docs/shading.md).
     up, down = lanes.apply("greater", step, lanes.number(0)), lanes.apply("less", step, lanes.number(0))
     ascending, descending = lanes.apply("less", start, stop), lanes.apply("greater", start, stop)
     last = lowering.let(last_count(stop, step))
@@ -254,10 +264,14 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
         more = lanes.apply("less" if step.value > 0 else "greater", count, last)
     else:
         first = lanes.apply("select", up, ascending, lanes.apply("and", down, descending))
-        more = lanes.apply("select", up, lanes.apply("less", count, last), lanes.apply("greater", count, last))
+        more = lanes.apply(
+            "select", up, lanes.apply("less", count, last), lanes.apply("greater", count, last)
+        )
     going = lowering.variable("more", BOOL, max(first.uniformity, more.uniformity))
     lowering.emit(lanes.Let(lowering.line, going, first))
-    following = lanes.apply("as_int", lanes.apply("as_uint", lanes.get(variable)) + lanes.apply("as_uint", step))
+    following = lanes.apply(
+        "as_int", lanes.apply("as_uint", lanes.get(variable)) + lanes.apply("as_uint", step)
+    )
     steps: lanes.Block = [
         lanes.Set(lowering.line, going, more, None),
         lanes.Set(lowering.line, variable, following, None),
@@ -283,7 +297,11 @@ Ctrl-C."""
 
 
 def lower_loop(
-    lowering: Lowering, node: tree.Statement, test: Callable[[], lanes.Value], body: tree.Block, advance: lanes.Block
+    lowering: Lowering,
+    node: tree.Statement,
+    test: Callable[[], lanes.Value],
+    body: tree.Block,
+    advance: lanes.Block,
 ) -> None:
     """Lower a loop, with a mask if its condition or one of its breaks varies."""
     key, outer, returns = (lowering.frame.path, id(node)), lowering.scope, lowering.returns
@@ -313,7 +331,11 @@ def lower_loop(
         elif not (isinstance(condition, lanes.Literal) and condition.value):
             stop: lanes.Block = [lanes.Break(lowering.line)]
             lowering.emit(lanes.If(lowering.line, lanes.apply("not", condition), stop, []))
-        if not masked and mask is not None and not lowering.branches(lowering.assume_uniformity((key, "returns"))):
+        if (
+            not masked
+            and mask is not None
+            and not lowering.branches(lowering.assume_uniformity((key, "returns")))
+        ):
             lowering.emit(lanes.Break(lowering.line, mask))
         if not lowering.branches(iteration_uniformity):
             active = lowering.new_mask(lowering.mask_value(), "iteration", iteration_uniformity)
@@ -327,7 +349,12 @@ def lower_loop(
                     lowering.emit(lanes.Check(lowering.line, *checked))
                 lowering.emit(lanes.Break(lowering.line))
             lowering.emit(
-                lanes.If(lowering.line, lanes.apply("equal", lanes.get(turns), lanes.number(MAX_ITERATIONS)), end, [])
+                lanes.If(
+                    lowering.line,
+                    lanes.apply("equal", lanes.get(turns), lanes.number(MAX_ITERATIONS)),
+                    end,
+                    [],
+                )
             )
         lower_block(lowering, body)
     lowering.scope = outer
@@ -339,7 +366,9 @@ def lower_loop(
 def jump(lowering: Lowering, kind: str, jump: lanes.Statement) -> None:
     """Lower a break, continue or return: a jump if all lanes take it, otherwise an update of the masks."""
     target = next(scope for scope in lowering.scopes_up_to(None) if scope.kind == kind)
-    uniformity = max([scope.uniformity for scope in lowering.scopes_up_to(target)], default=lanes.Uniformity.DISPATCH)
+    uniformity = max(
+        [scope.uniformity for scope in lowering.scopes_up_to(target)], default=lanes.Uniformity.DISPATCH
+    )
     uniformity, _ = lowering.join((target.key, kind), uniformity)
     if kind == "function":
         lowering.frame.return_uniformity = max(lowering.frame.return_uniformity, uniformity)
@@ -365,7 +394,9 @@ def discard(lowering: Lowering) -> None:
     assert frame.inlined_call is not None
     assert isinstance(lowering.result_mask, lanes.Get)
     remaining = lanes.apply("not", lowering.mask_value())
-    lowering.emit(lanes.Set(lowering.line, lowering.result_mask.variable, lowering.result_mask & remaining, None))
+    lowering.emit(
+        lanes.Set(lowering.line, lowering.result_mask.variable, lowering.result_mask & remaining, None)
+    )
     if lowering.branches(uniformity) and lowering.width:
         frame.inlined_call.returns_early = True
         lowering.emit(lanes.Return(lowering.line, frame.inlined_call))

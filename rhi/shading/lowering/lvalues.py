@@ -1,8 +1,10 @@
 """Lvalues: the storage that a stage can read and assign.
 
-- A local is stored by component: each has a `Slot`, which is a variable, or private memory if it belongs to an array.
-- An lvalue in a buffer or in shared memory is an index, a scale and an offset in words. The scale of a single index is
-  kept, so that elements of structs are read with vector loads; several indices are summed to a word index.
+- A local is stored by component: each has a `Slot`, which is a variable, or private memory if it belongs to
+  an array.
+- An lvalue in a buffer or in shared memory is an index, a scale and an offset in words. The scale of a single
+  index is kept, so that elements of structs are read with vector loads; several indices are summed to a word
+  index.
 - A vector or matrix indexed with a variable gives an `LvalueChoice`.
 """
 

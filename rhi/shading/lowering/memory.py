@@ -89,11 +89,15 @@ def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = No
         case tree.Swizzle(base=base, components=(component,)):
             at = lvalue(lowering, base, guards)
             return lvalues.part(at, component) if at is not None else None
-        case tree.Index(base=tree.BindingRead(declaration=declaration)) if isinstance(declaration.type, StorageType):
+        case tree.Index(base=tree.BindingRead(declaration=declaration)) if isinstance(
+            declaration.type, StorageType
+        ):
             memory = region_of(lowering, declaration)
             elements = lanes.ElementCount(INT, Uniformity.DISPATCH, memory)
             row, limit = bound_index(lowering, node, elements, guards, streams=True)
-            return lvalues.MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0, limit)
+            return lvalues.MemoryLvalue(
+                declaration.type.element, memory, Layout.STD430, row, memory.stride, 0, limit
+            )
         case tree.Index(base=base):
             at = lvalue(lowering, base, guards)
             if at is None:
@@ -115,8 +119,9 @@ def bound_index(
 ) -> tuple[Value, Value | None]:
     """Return an index as an int that is inside: below `count`, and not negative.
 
-    Where it isn't known to be, a read gets the nearest index, and a write adds a condition to `guards`. Consecutive
-    indices of a region that `streams` stay as they are, so that vectors are loaded: the second result is their limit.
+    Where it isn't known to be, a read gets the nearest index, and a write adds a condition to `guards`.
+    Consecutive indices of a region that `streams` stay as they are, so that vectors are loaded: the second
+    result is their limit.
     """
     row = lowering.let(lowering.lower_scalar(node.index))
     if lowering.checked:
@@ -224,7 +229,10 @@ def read(lowering: Lowering, at: lvalues.Lvalue) -> list[Value]:
             ]
         case lvalues.LvalueChoice(index=index, choices=choices):
             values_of_choices = [read(lowering, choice) for choice in choices]
-            return [lvalues.select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)]
+            return [
+                lvalues.select_by_index(index, list(values))
+                for values in zip(*values_of_choices, strict=True)
+            ]
 
 
 def read_home(lowering: Lowering, home: lvalues.Slot | MemoryRegion, index: Value | None) -> Value:
@@ -237,9 +245,14 @@ def read_home(lowering: Lowering, home: lvalues.Slot | MemoryRegion, index: Valu
 
 
 def load(
-    lowering: Lowering, memory: MemoryRegion, kind: ScalarType, index: Value, scale: int, offset: int,
+    lowering: Lowering,
+    memory: MemoryRegion,
+    kind: ScalarType,
+    index: Value,
+    scale: int,
+    offset: int,
     limit: Value | None = None,
-) -> Value:  # fmt: skip
+) -> Value:
     """Return a word of memory. Writable memory is read here, not later where the value is used."""
     uniformity = index.uniformity
     match memory.space:
@@ -261,7 +274,9 @@ def load(
 # -- declaring ---------------------------------------------------------------------------------------------
 
 
-def new_slot(lowering: Lowering, name: str, kind: ScalarType, key: object, value: Value | None) -> lvalues.Slot:
+def new_slot(
+    lowering: Lowering, name: str, kind: ScalarType, key: object, value: Value | None
+) -> lvalues.Slot:
     """Declare a component of a local."""
     stride = value.stride if isinstance(value, Affine) else 0
     if value is not None:
@@ -360,7 +375,9 @@ def assign_to(lowering: Lowering, target: tree.Expression, values: list[Value]) 
         write(lowering, at, values)
 
 
-def without_aliases(lowering: Lowering, homes: list[lvalues.Slot | MemoryRegion], values: list[Value]) -> list[Value]:
+def without_aliases(
+    lowering: Lowering, homes: list[lvalues.Slot | MemoryRegion], values: list[Value]
+) -> list[Value]:
     """Return the values, copied if assigning one of them would change another: `v = v.yx`."""
     targets = {id(home.variable) for home in homes if isinstance(home, lvalues.Slot)}
     clash = len(values) > 1 and any(
@@ -413,7 +430,8 @@ def store(lowering: Lowering, at: lvalues.MemoryLvalue, values: list[Value]) -> 
     if at.index.uniformity < Uniformity.VARYING and lowering.scope.mask is None:
         check_race(lowering, memory, values)
     words = [
-        apply("select", value, literal(1, UINT), literal(0, UINT)) if value.kind is BOOL else value for value in values
+        apply("select", value, literal(1, UINT), literal(0, UINT)) if value.kind is BOOL else value
+        for value in values
     ]
     words = [lowering.let(word) for word in words]
     mask, start = lowering.effect_mask(), 0

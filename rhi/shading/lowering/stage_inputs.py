@@ -22,10 +22,14 @@ STAGE_INPUTS: Final[dict[Stage, dict[str, tuple[lanes.Value, ...]]]] = {
         "draw_index": (stage_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(stage_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in "xyzw"),
+        "fragment_coordinate": tuple(
+            stage_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in "xyzw"
+        ),
         "front_facing": (stage_argument("front", BOOL),),
         "primitive_index": (stage_argument("primitive"),),
-        "point_coordinate": tuple(stage_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in ("across", "down")),
+        "point_coordinate": tuple(
+            stage_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in ("across", "down")
+        ),
     },
 }
 """The components of each input, by the name of its built-in."""

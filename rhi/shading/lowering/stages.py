@@ -1,10 +1,14 @@
-"""The lowering of vertex and fragment stages: inputs and outputs, helper lanes, discard, differences between pixels.
+"""The lowering of vertex and fragment stages: inputs and outputs, helper lanes, discard, differences between
+pixels.
 
-- A stage's inputs are arguments. Inputs that 16 vertices or a block of 4 by 4 pixels share have the uniformity LANES:
-  flat varyings, the instance, the draw, the facing. A material index, for example, gives scalar loads.
-- Only covered lanes have side effects. If a stage takes differences between pixels, the other pixels of the quads run
-  as helpers: they compute and read (within bounds, whatever their extrapolated inputs are) but never write.
-- `discard()` removes lanes from all masks, as if they returned from the whole stage, and from the stage's result.
+- A stage's inputs are arguments. Inputs that 16 vertices or a block of 4 by 4 pixels share have the
+  uniformity LANES: flat varyings, the instance, the draw, the facing. A material index, for example, gives
+  scalar loads.
+- Only covered lanes have side effects. If a stage takes differences between pixels, the other pixels of the
+  quads run as helpers: they compute and read (within bounds, whatever their extrapolated inputs are) but
+  never write.
+- `discard()` removes lanes from all masks, as if they returned from the whole stage, and from the stage's
+  result.
 - A difference is undefined where a part of the quad is inactive or was discarded before, as in GLSL.
 """
 
@@ -22,7 +26,8 @@ from rhi.shading.lowering.functions import EXPRESSIONS, inline
 from rhi.shading.lowering.stage_inputs import STAGE_INPUTS, stage_argument
 
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
-"""The built-ins that compare pixels of a quad, including the texture methods that compute the mip level implicitly."""
+"""The built-ins that compare pixels of a quad, including the texture methods that compute the mip level
+implicitly."""
 
 _DEPTH: Final = -1
 _MASK: Final = stage_argument("mask", BOOL, lanes.Uniformity.VARYING)
@@ -49,11 +54,18 @@ def lower_stage(
     built_in = [value for values in inputs.values() for value in values]
     if stage.stage is Stage.VERTEX and width:
         inputs = inputs | {
-            "vertex_index": (lanes.Affine(INT, lanes.Uniformity.VARYING, stage_argument(lanes.FIRST_VERTEX), 1),)
+            "vertex_index": (
+                lanes.Affine(INT, lanes.Uniformity.VARYING, stage_argument(lanes.FIRST_VERTEX), 1),
+            )
         }
     has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
     lowering = Lowering(
-        EXPRESSIONS, width, checked=checked, inputs=inputs, has_helpers=has_helpers, may_discard=stage.discards
+        EXPRESSIONS,
+        width,
+        checked=checked,
+        inputs=inputs,
+        has_helpers=has_helpers,
+        may_discard=stage.discards,
     )
     if stage.stage is Stage.VERTEX:
         arguments, words = _vertex_arguments(stage, interface), _vertex_words(stage, interface, varyings)
@@ -66,9 +78,13 @@ def lower_stage(
     values = [value for _, value in outputs] + depth
     if stage.stage is Stage.FRAGMENT:
         values.append(lowering.result_mask)
-    stage_arguments = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, lanes.Argument))
+    stage_arguments = tuple(
+        value for value in (*arguments, *built_in, _MASK) if isinstance(value, lanes.Argument)
+    )
     return lanes.StageCode(
-        lowering.code(interface.name, stage_arguments, values), tuple(word for word, _ in outputs), bool(depth)
+        lowering.code(interface.name, stage_arguments, values),
+        tuple(word for word, _ in outputs),
+        bool(depth),
     )
 
 
@@ -77,7 +93,9 @@ def lower_stage(
 
 def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
     types = [parameter.type for parameter in stage.entry.parameters]
-    return [(field.name, field.type) for type in types if isinstance(type, StructType) for field in type.fields]
+    return [
+        (field.name, field.type) for type in types if isinstance(type, StructType) for field in type.fields
+    ]
 
 
 def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[lanes.Value]:
@@ -112,8 +130,11 @@ def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...
     return values
 
 
-def _vertex_words(stage: tree.StageTree, interface: Interface, varyings: tuple[StageVarying, ...]) -> list[int | None]:
-    """Return the word of each result component: position from 0, varyings from 4 on, None for those never read."""
+def _vertex_words(
+    stage: tree.StageTree, interface: Interface, varyings: tuple[StageVarying, ...]
+) -> list[int | None]:
+    """Return the word of each result component: position from 0, varyings from 4 on, None for those never
+    read."""
     if not isinstance(stage.entry.result, StructType):
         return [0, 1, 2, 3]
     starts = {varying.name: 4 + varying.word for varying in varyings}

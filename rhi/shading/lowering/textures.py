@@ -1,10 +1,10 @@
 """The lowering of the methods of textures and images.
 
-- Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array. A texture of
-  several samples is an array whose layers are the samples.
-- Where GLSL computes the mip level implicitly, the access (`sample_grad`) is given the differences between the pixels
-  of a quad: the sampler decides which texels a pixel covers. In vertex and compute stages there are no differences, and
-  the level is 0.
+- Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array. A
+  texture of several samples is an array whose layers are the samples.
+- Where GLSL computes the mip level implicitly, the access (`sample_grad`) is given the differences between
+  the pixels of a quad: the sampler decides which texels a pixel covers. In vertex and compute stages there
+  are no differences, and the level is 0.
 """
 
 from __future__ import annotations
@@ -88,7 +88,12 @@ def binding_of(lowering: Lowering, node: tree.Expression) -> tree.BindingRead:
 
 
 def lower_image(
-    lowering: Lowering, name: str, memory: MemoryRegion, type: ImageType, at: list[Value], rest: list[list[Value]]
+    lowering: Lowering,
+    name: str,
+    memory: MemoryRegion,
+    type: ImageType,
+    at: list[Value],
+    rest: list[list[Value]],
 ) -> list[Value]:
     texel = check_texel(lowering, memory, at, number(0))
     if name == "load":
@@ -102,7 +107,8 @@ def lower_image(
 
 
 def check_texel(lowering: Lowering, memory: MemoryRegion, at: list[Value], level: Value) -> list[Value]:
-    """Return a texel's coordinates and its level, checked against the texture's size if the shader is checked.
+    """Return a texel's coordinates and its level, checked against the texture's size if the shader is
+    checked.
 
     If the level varies among lanes, only the level is checked.
     """
@@ -132,7 +138,12 @@ def texture_region(lowering: Lowering, source: tree.BindingRead) -> MemoryRegion
 
 
 def access(
-    lowering: Lowering, operation: str, memory: MemoryRegion, arguments: list[Value], kind: ScalarType, count: int
+    lowering: Lowering,
+    operation: str,
+    memory: MemoryRegion,
+    arguments: list[Value],
+    kind: ScalarType,
+    count: int,
 ) -> list[Value]:
     """Emit a texture access and return its results."""
     arguments = [lowering.let(value) for value in arguments]

@@ -1,7 +1,7 @@
 """Textures in NumPy arrays, sampled as specified by OpenGL 4.3, chapter 8.14: the reference of accuracy.
 
-Arguments are numbers or arrays that broadcast. Coordinates have three components, of which a 2D texture ignores the
-third. Everything is computed in `dtype`, float32 or float64, with weights of full precision.
+Arguments are numbers or arrays that broadcast. Coordinates have three components, of which a 2D texture
+ignores the third. Everything is computed in `dtype`, float32 or float64, with weights of full precision.
 """
 
 from __future__ import annotations
@@ -37,10 +37,12 @@ _COMPARISONS: Final[dict[Comparison, Callable[[Array, Array], Array]]] = {
     Comparison.GREATER_EQUAL: np.greater_equal,
     Comparison.ALWAYS: lambda reference, depth: np.ones(np.shape(reference), bool),
 }
-# For each face, the components that s, t and the major axis come from, and their signs; t points down. OpenGL 4.3,
-# table 8.19.
+# For each face, the components that s, t and the major axis come from, and their signs; t points down. OpenGL
+# 4.3, table 8.19.
 _AXES: Final = np.array([(2, 1, 0), (2, 1, 0), (0, 2, 1), (0, 2, 1), (0, 1, 2), (0, 1, 2)])
-_SIGNS: Final = np.array([(-1, -1, 1), (1, -1, -1), (1, 1, 1), (1, -1, -1), (1, -1, 1), (-1, -1, -1)], np.float32)
+_SIGNS: Final = np.array(
+    [(-1, -1, 1), (1, -1, -1), (1, 1, 1), (1, -1, -1), (1, -1, 1), (-1, -1, -1)], np.float32
+)
 
 
 class HostTexture:
@@ -61,8 +63,8 @@ class HostTexture:
         """Create a texture from copies of texels.
 
         Args:
-            levels: one mip level or all of them, largest first. A single layer may be given as (height, width,
-                channels), and with one channel as (height, width).
+            levels: one mip level or all of them, largest first. A single layer may be given as (height,
+                width, channels), and with one channel as (height, width).
             format, kind: the format and the dimensions.
             sampler: defaults to the sampler that a device's textures have by default.
 
@@ -70,7 +72,11 @@ class HostTexture:
             ValidationError `shading-arguments`: `levels` has another dtype or shape.
         """
         nearest = format.is_integer or format.is_depth
-        default = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, Filter.NEAREST) if nearest else SamplerDescriptor()
+        default = (
+            SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, Filter.NEAREST)
+            if nearest
+            else SamplerDescriptor()
+        )
         all_levels = [levels] if isinstance(levels, np.ndarray) else list(levels)
         self.levels = [_layered(level, format) for level in all_levels]
         self.format = format
@@ -98,7 +104,9 @@ class HostTexture:
         result = self._average(dtype, (u, v, z), steps, partial(self._sample_levels, dtype))
         return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
 
-    def sample_compare_grad(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, *steps: Any) -> tuple[Array]:
+    def sample_compare_grad(
+        self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, *steps: Any
+    ) -> tuple[Array]:
         """Compare each texel with a reference, and return the filtered results over a pixel's area."""
 
         def sample(u: Any, v: Any, z: Any, lod: Any) -> Array:
@@ -107,7 +115,8 @@ class HostTexture:
         return (self._average(dtype, (u, v, z), steps, sample)[..., 0],)
 
     def gather(self, dtype: Any, component: int, u: Any, v: Any, z: Any) -> FourArrays:
-        """Return one component of the four texels around a point: counterclockwise from the lower left, with v up."""
+        """Return one component of the four texels around a point: counterclockwise from the lower left, with
+        v up."""
         taps, _ = self._taps(dtype, 0, *self._locate(dtype, u, v, z))
         return tuple(taps[tap][..., int(component)] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
 
@@ -124,17 +133,22 @@ class HostTexture:
         result = np.zeros((*x.shape, 4), self._value_dtype(dtype))
         for number in range(len(self.levels)):
             depth, height, width, _ = self.levels[number].shape
-            inside = (level == number) & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
+            inside = (
+                (level == number) & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
+            )
             result[inside] = self._values(dtype, number, z[inside], y[inside], x[inside])
         return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
 
-    def store(self, x: Any, y: Any, z: Any, values: tuple[Any, ...], mask: Any, shape: tuple[int, ...]) -> None:
-        """Write texels of level 0; writes outside are dropped, and the last of several values for a texel stays."""
+    def store(
+        self, x: Any, y: Any, z: Any, values: tuple[Any, ...], mask: Any, shape: tuple[int, ...]
+    ) -> None:
+        """Write texels of level 0; writes outside are dropped, and the last of several values for a texel
+        stays."""
         texels = self.levels[0]
         depth, height, width, _ = texels.shape
-        x, y, z, mask, *parts = np.broadcast_arrays(x, y, z, True if mask is None else mask, *values, np.empty(shape))[
-            :-1
-        ]
+        x, y, z, mask, *parts = np.broadcast_arrays(
+            x, y, z, True if mask is None else mask, *values, np.empty(shape)
+        )[:-1]
         inside = mask & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
         whole = np.stack([part[inside] for part in parts], -1)[:, : self.format.channels]
         integer = self.format.is_integer and not self.format.is_packed
@@ -230,7 +244,8 @@ class HostTexture:
         layer: Array,
         compare: Callable[[Array], Array] | None = None,
     ) -> tuple[list[Array], tuple[Array, Array]]:
-        """Return the four texels around a point in a layer, or their comparisons, and the second ones' weights."""
+        """Return the four texels around a point in a layer, or their comparisons, and the second ones'
+        weights."""
         compare = compare or (lambda texels: texels)
         _, height, width, _ = self.levels[level].shape
         wrap_u, wrap_v, _ = self._wraps()
@@ -241,16 +256,25 @@ class HostTexture:
             return [compare(self._tap(dtype, level, layer, y, x)) for x, y in corners], (near_x, near_y)
         taps = [compare(self._values(dtype, level, *_cross_edges(width, layer, y, x))) for x, y in corners]
         result = []
-        for tap, (x, y) in enumerate(corners):  # where three faces meet, the missing texel is the mean of the others
+        for tap, (x, y) in enumerate(
+            corners
+        ):  # where three faces meet, the missing texel is the mean of the others
             corner = ((x < 0) | (x >= width)) & ((y < 0) | (y >= height))
             mean = (taps[tap ^ 1] + taps[tap ^ 2] + taps[tap ^ 3]) / 3
             result.append(np.where(corner[..., None], mean.astype(taps[tap].dtype), taps[tap]))
         return result, (near_x, near_y)
 
     def _filter(
-        self, dtype: Any, level: int, filter: Filter, samples: Array, u: Array, v: Array, z: Array,
+        self,
+        dtype: Any,
+        level: int,
+        filter: Filter,
+        samples: Array,
+        u: Array,
+        v: Array,
+        z: Array,
         compare: TexelComparison | None = None,
-    ) -> Array:  # fmt: skip
+    ) -> Array:
         """Filter a mip level at the coordinates of `samples`; `compare` is applied to texels before."""
         depth, height, width, _ = self.levels[level].shape
         wrap_u, wrap_v, wrap_w = self._wraps()
@@ -271,15 +295,17 @@ class HostTexture:
             means.append(_mix(a, b, near_y))
         return _mix(means[0], means[1], slices[2]) if solid else means[0]
 
-    def _average(self, dtype: Any, at: Sequence[Any], steps: Sequence[Any], sample: Callable[..., Array]) -> Array:
+    def _average(
+        self, dtype: Any, at: Sequence[Any], steps: Sequence[Any], sample: Callable[..., Array]
+    ) -> Array:
         """Return the mean of the samples over a pixel's area, or the sample at the level of the longer step.
 
         OpenGL 4.3, equations 8.5 and 8.8.
 
-        An anisotropic sampler averages along the longer axis of the ellipse that the pixel covers, at the level of the
-        shorter one. Each sample stands for a segment as long as the shorter axis. Segments are laid from both
-        ends; the rest in the middle is one or two segments of less weight, so that no result jumps where one
-        more is covered.
+        An anisotropic sampler averages along the longer axis of the ellipse that the pixel covers, at the
+        level of the shorter one. Each sample stands for a segment as long as the shorter axis. Segments are
+        laid from both ends; the rest in the middle is one or two segments of less weight, so that no result
+        jumps where one more is covered.
         """
         *steps, bias = np.broadcast_arrays(*(np.asarray(step, dtype) for step in steps))
         a, b = self._in_texels(dtype, at, [np.stack(step, -1) for step in (steps[:3], steps[3:])])
@@ -352,7 +378,9 @@ class HostTexture:
                 selected = (weight > 0) & lanes
                 if not selected.any():
                     continue
-                value = self._filter(dtype, number, which, selected, u[selected], v[selected], z[selected], compare)
+                value = self._filter(
+                    dtype, number, which, selected, u[selected], v[selected], z[selected], compare
+                )
                 if result is None:
                     result = np.zeros((*lod.shape, value.shape[-1]), value.dtype)
                 whole = weight[selected][:, None] == 1
@@ -391,7 +419,8 @@ def _wrap(dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
 
 
 def _face_of(at: Array) -> Array:
-    """Return the face that a direction hits; among equal components z precedes y, and y precedes x, as on llvmpipe."""
+    """Return the face that a direction hits; among equal components z precedes y, and y precedes x, as on
+    llvmpipe."""
     size = np.abs(at)
     axis = np.where(
         (size[..., 2] >= size[..., 0]) & (size[..., 2] >= size[..., 1]),
@@ -404,12 +433,15 @@ def _face_of(at: Array) -> Array:
 
 def _project(face: Array, at: Array) -> tuple[Array, Array, Array]:
     """Return (s, t, m) of directions on a face; m is the length along the face's axis."""
-    projected = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(at.dtype)
+    projected = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(
+        at.dtype
+    )
     return projected[..., 0], projected[..., 1], projected[..., 2]
 
 
 def _cross_edges(size: int, face: Array, j: Array, i: Array) -> tuple[Array, Array, Array]:
-    """Return (face, row, column) of texels; beyond an edge, of the texel that the direction of their center hits."""
+    """Return (face, row, column) of texels; beyond an edge, of the texel that the direction of their center
+    hits."""
     s, t = (2 * i + 1 - size) / size, (2 * j + 1 - size) / size
     at = np.empty((*s.shape, 3))
     projected = np.stack([s, t, np.ones(s.shape)], -1) * _SIGNS[face]

@@ -1,8 +1,9 @@
 """Compute stages as Python modules that run on NumPy, and their launch over work-groups.
 
-- `ProgramDescriptor.emit("numpy", Stage.COMPUTE)` returns the text of the module, so that a backend gets it in the
-  same way as GLSL.
-- `NumpyKernel` runs it on many work-groups at a time: enough to hide Python's overhead, few enough to stay in cache.
+- `ProgramDescriptor.emit("numpy", Stage.COMPUTE)` returns the text of the module, so that a backend gets it
+  in the same way as GLSL.
+- `NumpyKernel` runs it on many work-groups at a time: enough to hide Python's overhead, few enough to stay in
+  cache.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _NUMBERS: Final = itertools.count()
 
 
 def write_numpy_kernel(code: Code) -> str:
-    """Return the text of a compute stage's module: `run`, `WORK_GROUP` and `SHARED`, the lengths of shared arrays."""
+    """Return the text of a compute stage's module: `run`, `WORK_GROUP` and `SHARED`, the lengths of shared
+    arrays."""
     shared = {memory.name: memory.length for memory in code.memories if memory.space is AddressSpace.SHARED}
     head = [
         "import numpy as np",
@@ -71,8 +73,8 @@ class NumpyKernel:
 
         Args:
             groups: the number of work-groups along each axis.
-            memory: by the names of the bindings a uint32 array of words for uniforms and storage, which is written in
-                place and whose size gives the number of elements, or a `HostTexture`.
+            memory: by the names of the bindings a uint32 array of words for uniforms and storage, which is
+                written in place and whose size gives the number of elements, or a `HostTexture`.
             dtype: the type of floats in variables and shared memory.
         """
         total, size = math.prod(groups), self._invocations

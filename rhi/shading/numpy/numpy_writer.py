@@ -1,8 +1,8 @@
 """Writes lane code as Python that computes on NumPy arrays, one array element per invocation.
 
-- Values broadcast. A value that is uniform over the dispatch is one number, a value that is uniform over a work-group
-  has the shape (groups, 1), and a varying one (groups, invocations). A function evaluated on arrays takes any shapes
-  that broadcast.
+- Values broadcast. A value that is uniform over the dispatch is one number, a value that is uniform over a
+  work-group has the shape (groups, 1), and a varying one (groups, invocations). A function evaluated on
+  arrays takes any shapes that broadcast.
 - In the text, `R` is `rhi.shading.numpy.runtime` and `F` the dtype of floats.
 """
 
@@ -33,8 +33,8 @@ _DTYPES: Final = {
 def write_numpy_function(code: Code) -> str:
     """Return the text of a function `run(F, M, P, arguments)`.
 
-    `M` maps names to memory, `P` is the `WorkGroups` of a dispatch or the `Invocations` of another stage. The function
-    returns the tuple of results.
+    `M` maps names to memory, `P` is the `WorkGroups` of a dispatch or the `Invocations` of another stage. The
+    function returns the tuple of results.
     """
     return _NumpyWriter(code).write()
 
@@ -55,7 +55,9 @@ class _NumpyWriter:
             head.append(f"    {names}= arguments")
         for memory in self.code.memories:
             if memory.space is AddressSpace.CONSTANT:
-                numbers = ", ".join(map(repr, memory.values)).replace("inf", "np.inf").replace("nan", "np.nan")
+                numbers = (
+                    ", ".join(map(repr, memory.values)).replace("inf", "np.inf").replace("nan", "np.nan")
+                )
                 head.append(f"    {self.name(memory)} = R.constants([{numbers}], {_DTYPES[memory.kind]})")
             else:
                 head.append(f"    {self.name(memory)} = M[{memory.name!r}]")
@@ -63,7 +65,8 @@ class _NumpyWriter:
         return "\n".join([*head, *self.lines, f"    return ({results})"]) + "\n"
 
     def name(self, memory: MemoryRegion) -> str:
-        """Return the name of a memory region; a name from the shader's class gets a "_", so that it can't clash."""
+        """Return the name of a memory region; a name from the shader's class gets a "_", so that it can't
+        clash."""
         is_local = memory.space in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
         return memory.name if is_local else f"{memory.name}_"
 
@@ -193,7 +196,10 @@ class _NumpyWriter:
     def store(self, node: lanes.Store, depth: int) -> None:
         mask = self.mask(node.mask)
         names = {AddressSpace.PRIVATE: "store_private", AddressSpace.SHARED: "store_shared"}
-        function, groups = names.get(node.memory.space, "store"), ", P" * (node.memory.space is AddressSpace.SHARED)
+        function, groups = (
+            names.get(node.memory.space, "store"),
+            ", P" * (node.memory.space is AddressSpace.SHARED),
+        )
         for i, value in enumerate(node.values):
             target = self.target(node.memory, node.index, node.scale, node.offset + i)
             self.add(depth, f"R.{function}({target}, {self.value(value)}, {mask}{groups})")

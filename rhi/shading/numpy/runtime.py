@@ -1,7 +1,7 @@
 """The runtime of lane code on NumPy: memory, atomics and conversions.
 
-- Buffers are 32-bit words whatever the dtype of floats, as on a device. Floats in shared and private memory keep their
-  dtype.
+- Buffers are 32-bit words whatever the dtype of floats, as on a device. Floats in shared and private memory
+  keep their dtype.
 - All invocations of the groups that run together execute the same statement, so a barrier needs no code.
 """
 
@@ -19,7 +19,8 @@ Array = NDArray[Any]
 
 
 class Invocations:
-    """The invocations of a stage of a draw, an array of any shape; the last axes of fragments are rows and columns."""
+    """The invocations of a stage of a draw, an array of any shape; the last axes of fragments are rows and
+    columns."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.shape = shape
@@ -161,7 +162,8 @@ def check(wrong: Any, value: Any, limit: Any, mask: Any, line: tuple[str, int]) 
 
 
 def clamp(index: Any, size: int) -> Any:
-    """Return the nearest index of an array of `size` elements, 0 if it is empty; in a third of `np.clip`'s time."""
+    """Return the nearest index of an array of `size` elements, 0 if it is empty; in a third of `np.clip`'s
+    time."""
     return np.minimum(np.maximum(index, 0), max(size - 1, 0))
 
 

@@ -7,20 +7,21 @@
                        int front, int primitive, float16 across, float16 down, int16 mask, uint16 *outputs,
                        float16 *depth);
 
-- BINDINGS are the program's bindings in order, as for a compute kernel, but uniforms are `global const uint *`. A
-  texture or image is passed as its texels and the words that describe it. A checked program has a last parameter
-  `global int *` (`rhi.shading.ir.faults`).
-- A vertex stage gets the components of its attributes as words, one attribute after the other. It returns the clip
-  position in words 0 to 3 and the fragment stage's varyings from word 4 on. Vertices may have any
+- BINDINGS are the program's bindings in order, as for a compute kernel, but uniforms are `global const uint
+  *`. A texture or image is passed as its texels and the words that describe it. A checked program has a last
+  parameter `global int *` (`rhi.shading.ir.faults`).
+- A vertex stage gets the components of its attributes as words, one attribute after the other. It returns the
+  clip position in words 0 to 3 and the fragment stage's varyings from word 4 on. Vertices may have any
   indices; if these are consecutive, buffers indexed by the vertex are read with vector loads.
-- Where the clip position is an affine function of attributes, `RHI_BOXED(WORD)` expands to WORD(i) for each word of
-  `inputs` that it depends on, and `rhi_bounds` is a vertex stage that returns only the position and, in words 4 to 7,
-  its slacks (`rhi.shading.lowering.bounds`). `reaches` are floats, the largest magnitudes of the inputs.
-- The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It gets smooth and linear varyings for all lanes,
-  including those outside the mask, since differences need them; flat varyings of the first vertex; and the pixels'
-  centres, window depth and 1 / clip w, and the position inside a point. `front` is 1 or 0. It writes
-  component c of location l to word 4 l + c and the depth if the stage has one, and returns the lanes that
-  remain.
+- Where the clip position is an affine function of attributes, `RHI_BOXED(WORD)` expands to WORD(i) for each
+  word of `inputs` that it depends on, and `rhi_bounds` is a vertex stage that returns only the position and,
+  in words 4 to 7, its slacks (`rhi.shading.lowering.bounds`). `reaches` are floats, the largest magnitudes of
+  the inputs.
+- The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It gets smooth and linear varyings for all
+  lanes, including those outside the mask, since differences need them; flat varyings of the first vertex; and
+  the pixels' centres, window depth and 1 / clip w, and the position inside a point. `front` is 1 or 0. It
+  writes component c of location l to word 4 l + c and the depth if the stage has one, and returns the lanes
+  that remain.
 - Arrays are indexed by constants, so that they live in registers once a function is inlined.
 - Contraction is off in a vertex stage, so that two programs compute the same position to the bit.
 """
@@ -41,15 +42,19 @@ _VERTEX: Final = "int16 vertex, int instance, int draw, int16 mask, private uint
 _INPUTS: Final = "private const uint16 *inputs"
 _REACHES: Final = "private const uint *reaches"
 _FRAGMENT: Final = (
-    "private const uint16 *inputs, private const uint *flat, float16 x, float16 y, float16 z, float16 w, int front, "
+    "private const uint16 *inputs, private const uint *flat, float16 x, float16 y, float16 z, float16 w, int "
+    "front, "
     "int primitive, float16 across, float16 down, int16 mask, private uint16 *outputs, private float16 *depth"
 )
 
 
 def write_opencl_stage(
-    stage: tree.StageTree, code: StageCode, bounds: PositionBounds | None, bindings: tuple[Binding, ...],
+    stage: tree.StageTree,
+    code: StageCode,
+    bounds: PositionBounds | None,
+    bindings: tuple[Binding, ...],
     precision: Precision,
-) -> StageText:  # fmt: skip
+) -> StageText:
     """Return the text of a stage's function and of all functions that it calls.
 
     Args:

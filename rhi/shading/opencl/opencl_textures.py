@@ -1,11 +1,12 @@
 """Textures and images in OpenCL lane code: the functions of `textures.cl`, written for the width of a kernel.
 
-- A texture is described by words in memory (sizes, format, filters, wraps; `rhi.shading.ir.texture_words`). They are
-  uniform over the lanes: branches on them are real, and the text of a kernel doesn't depend on the bound textures.
+- A texture is described by words in memory (sizes, format, filters, wraps; `rhi.shading.ir.texture_words`).
+  They are uniform over the lanes: branches on them are real, and the text of a kernel doesn't depend on the
+  bound textures.
 - Functions aren't inlined, so that a kernel contains each of them once however often it samples; except loads
   of texels of one float, such as depth, which take less time than a call.
-- Two adjacent texels are one load, and so is a row of single floats; those of a whole block of pixels are a few
-  (`blocks.cl`). Lanes that need different mip levels are served level by level.
+- Two adjacent texels are one load, and so is a row of single floats; those of a whole block of pixels are a
+  few (`blocks.cl`). Lanes that need different mip levels are served level by level.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ static RHI_INLINE int rhi_size(rhi_description w, int number, int axis) {
     return w[RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, w[RHI_LEVEL_COUNT] - 1) + RHI_WIDTH + axis];
 }"""
 
-# Minimax polynomials: the sRGB curve at the 256 stored values above its straight part, within 1.8e-6 and 1 at 1; the
-# curve of llvmpipe, within a third of a stored step; and log2 of 1…2, within 1.2e-4 and exact at both ends.
+# Minimax polynomials: the sRGB curve at the 256 stored values above its straight part, within 1.8e-6 and 1 at
+# 1; the curve of llvmpipe, within a third of a stored step; and log2 of 1…2, within 1.2e-4 and exact at both
+# ends.
 _SRGB: Final[tuple[float, ...]] = (
     0.000873782, 0.034559786319732666, 0.4953084886074066, 0.7994788289070129, -0.6501849293708801,
     0.5261836647987366, -0.264753520488739, 0.058533925563097,
@@ -101,7 +103,8 @@ def _memory_text(width: int) -> str:
         texts.append(
             f"static RHI_INLINE UINT rhi_gather{bits}(rhi_texture p, INT i) {{\n"
             f"#ifdef RHI_GATHER{bits}\n    return RHI_GATHER{bits}(p, i);\n#else\n"
-            f"    global const {type} *q = (global const {type} *)p;\n    return (UINT)({parts});\n#endif\n}}\n"
+            f"    global const {type} *q = (global const {type} *)p;\n    return "
+            f"(UINT)({parts});\n#endif\n}}\n"
             f"static RHI_INLINE void rhi_scatter{bits}(rhi_image p, INT i, INT mask, UINT v) {{\n"
             f"    global {type} *q = (global {type} *)p;\n    {stores}\n}}"
         )
@@ -112,8 +115,8 @@ def _memory_text(width: int) -> str:
 def _machine_text(width: int) -> str:
     """Write operations that some machines do in one instruction and OpenCL C can't express.
 
-    Without them, the compiler gathers only a part of the loads and inserts the others; and `vload_half` goes through
-    memory.
+    Without them, the compiler gathers only a part of the loads and inserts the others; and `vload_half` goes
+    through memory.
     """
     texts = []
     if width == 16:

@@ -1,8 +1,8 @@
 """Writes lane code as OpenCL C: scalars for uniform values, vectors for varying ones.
 
-- A kernel's parameters are the shader's bindings in order: `constant uint *` for a uniform block, `global uint *` and
-  the number of elements for a buffer. It has a work-item for every `width` invocations of a work-group, in one
-  dimension; the groups may have three.
+- A kernel's parameters are the shader's bindings in order: `constant uint *` for a uniform block, `global
+  uint *` and the number of elements for a buffer. It has a work-item for every `width` invocations of a
+  work-group, in one dimension; the groups may have three.
 - Memory consists of words, which `as_float` and `as_int` cast. A mask is an int vector of 0 and -1.
 - With a width of 1 there are no masks: loops, branches and returns are those of C.
 """
@@ -61,11 +61,13 @@ def write_opencl_kernel(
 
 
 class OpenCLWriter:
-    """A writer of compute kernels; `rhi.shading.opencl.opencl_stages` derives the writer of a draw's stages from it."""
+    """A writer of compute kernels; `rhi.shading.opencl.opencl_stages` derives the writer of a draw's stages
+    from it."""
 
     uniform_space = "constant"
     steps = ""
-    """The variable with each lane's distance from the first, in a stage whose lanes may not be consecutive."""
+    """The variable with each lane's distance from the first, in a stage whose lanes may not be
+    consecutive."""
 
     def __init__(self, code: Code, precision: Precision, native: tree.Function | None = None) -> None:
         self.code = code
@@ -115,7 +117,9 @@ class OpenCLWriter:
         texts = [f"// {self.code.name}, {self.width} lanes", prelude.SCALAR_SELECT]
         if self.width > 1:
             texts += [prelude.any_text(self.width), prelude.lanes_text(self.width)]
-            texts += [prelude.gather_text(space, self.width) for space in ("global", "local", "constant", "private")]
+            texts += [
+                prelude.gather_text(space, self.width) for space in ("global", "local", "constant", "private")
+            ]
             texts.append(prelude.last_text(self.width))
             texts += [prelude.QUADS] if any(name in body for name in prelude.QUAD_NAMES) else []
         textures = textures_text(self.width, self.textures, self.precision) if self.textures else ""
@@ -180,7 +184,9 @@ class OpenCLWriter:
             case lanes.Input(index=lanes.DispatchIndex.ITEM):
                 return "rhi_item"
             case lanes.Input(index=dispatch_index, axis=axis):
-                function = "get_group_id" if dispatch_index is lanes.DispatchIndex.GROUP_ID else "get_num_groups"
+                function = (
+                    "get_group_id" if dispatch_index is lanes.DispatchIndex.GROUP_ID else "get_num_groups"
+                )
                 return f"((int){function}({axis}))"
             case lanes.Apply():
                 return self.apply(node)
@@ -199,7 +205,13 @@ class OpenCLWriter:
         if node.kind is UINT:
             return f"{int(value) & 0xFFFFFFFF}u"
         if node.kind is INT:
-            return "((int)0x80000000)" if value == -(2**31) else f"({int(value)})" if value < 0 else str(int(value))
+            return (
+                "((int)0x80000000)"
+                if value == -(2**31)
+                else f"({int(value)})"
+                if value < 0
+                else str(int(value))
+            )
         number = float(value)
         if math.isnan(number):
             return "NAN"
@@ -220,7 +232,8 @@ class OpenCLWriter:
             words = [self.bits(argument, self.is_vector(argument)) for argument in node.arguments]
             return self.cast(INT, vector, template.format(*words))
         texts = [
-            self.wide(argument, vector and (not row.infix or argument.kind is BOOL)) for argument in node.arguments
+            self.wide(argument, vector and (not row.infix or argument.kind is BOOL))
+            for argument in node.arguments
         ]
         return template.format(*texts, type=self.type(node.kind, vector))
 
@@ -235,7 +248,8 @@ class OpenCLWriter:
     # -- memory
 
     def name(self, memory: MemoryRegion) -> str:
-        """Return the name of memory; a name from the shader's class gets a "_", since C has names like `signed`."""
+        """Return the name of memory; a name from the shader's class gets a "_", since C has names like
+        `signed`."""
         named = memory.space not in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
         return f"{memory.name}_" if named else memory.name
 
@@ -246,7 +260,11 @@ class OpenCLWriter:
 
     def words(self, memory: MemoryRegion) -> str:
         if memory.space is AddressSpace.STORAGE:
-            return f"{self.name(memory)}_count * {memory.stride}" if memory.stride > 1 else f"{self.name(memory)}_count"
+            return (
+                f"{self.name(memory)}_count * {memory.stride}"
+                if memory.stride > 1
+                else f"{self.name(memory)}_count"
+            )
         return str(memory.length)
 
     def address(self, index: Value, scale: int, offset: int) -> Value:
@@ -263,7 +281,9 @@ class OpenCLWriter:
             return self.load_private(node)
         if not self.is_vector(index):
             return self.cast(
-                node.kind, False, f"{self.name(memory)}[{self.value(self.address(index, node.scale, node.offset))}]"
+                node.kind,
+                False,
+                f"{self.name(memory)}[{self.value(self.address(index, node.scale, node.offset))}]",
             )
         space = _SPACES[memory.space]
         if isinstance(index, Affine) and memory.space in (AddressSpace.STORAGE, AddressSpace.SHARED):
@@ -277,7 +297,9 @@ class OpenCLWriter:
                     if offset >= stride:
                         first, offset = first + number(offset), 0
                 name = f"rhi_load_{space}_{stride}_{offset}" + (f"_of_{scale}" if scale > 1 else "")
-                self.helper(name, prelude.load_text(name, space, self.width, stride, offset, scale, bool(self.steps)))
+                self.helper(
+                    name, prelude.load_text(name, space, self.width, stride, offset, scale, bool(self.steps))
+                )
                 steps = f", {self.steps}" if self.steps else ""
                 text = f"{name}({self.name(memory)}, {self.value(first)}, {count}{steps})"
                 return self.cast(node.kind, True, text)
@@ -454,7 +476,9 @@ class OpenCLWriter:
         memory, space, kind = node.memory, _SPACES[node.memory.space], _NAMES[node.kind]
         operation = _ATOMICS.get(node.operation, node.operation)
         address = self.address(node.index, node.scale, node.offset)
-        result = f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
+        result = (
+            f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
+        )
         if self.width == 1:
             values = ", ".join(self.value(value) for value in node.values)
             pointer = f"(volatile {space} {kind} *){self.name(memory)} + {self.value(address)}"
@@ -505,6 +529,8 @@ class OpenCLWriter:
         else:
             kind, whole = self.type(UINT, each), f"{results[0].name}_words"
             self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
-            words = [self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)]
+            words = [
+                self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)
+            ]
         for result, word in zip(results, words, strict=True):
             self.add(node, f"{self.type(result.kind, varies)} {result.name} = {word};")

@@ -17,9 +17,23 @@ _HEAD: Final = "inline __attribute__((overloadable, always_inline)) "
 _CALLED: Final = "static __attribute__((overloadable, noinline)) "
 
 _LONG: Final = (
-    "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "pow",
-    "exp", "log", "exp2", "log2",
-)  # fmt: skip
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "atan2",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "pow",
+    "exp",
+    "log",
+    "exp2",
+    "log2",
+)
 """Functions of OpenCL that drivers inline, hundreds of instructions each.
 
 A kernel that needs one of them more than once calls a function of its own instead. It then builds several
@@ -36,7 +50,13 @@ def per_lane(width: int, template: str) -> list[str]:
 
 _TYPES: Final = re.compile(r"(?<![A-Z])(UINT|INT|FLOAT|DOUBLE)(?![A-Z])")
 _OPERATIONS: Final = re.compile(r"\b(SELECT|ANY|NOT|BOTH|EITHER)\(")
-_SCALAR: Final = {"SELECT": "rhi_select(", "ANY": "(", "NOT": "!(", "BOTH": "rhi_both(", "EITHER": "rhi_either("}
+_SCALAR: Final = {
+    "SELECT": "rhi_select(",
+    "ANY": "(",
+    "NOT": "!(",
+    "BOTH": "rhi_both(",
+    "EITHER": "rhi_either(",
+}
 _VECTOR: Final = {**_SCALAR, "SELECT": "select(", "ANY": "rhi_any(", "NOT": "~("}
 
 
@@ -50,7 +70,8 @@ def specialise(text: str, width: int) -> str:
 
 
 def _estimate_text(width: int) -> str:
-    """Write 1 / sqrt(x) to at least 11 bits: the machine's instruction where there is one, else OpenCL's function."""
+    """Write 1 / sqrt(x) to at least 11 bits: the machine's instruction where there is one, else OpenCL's
+    function."""
     suffix = str(width) if width > 1 else ""
     head = f"{_HEAD}float{suffix} rhi_inversesqrt_estimate(float{suffix} x)"
     native = {
@@ -68,8 +89,8 @@ HEAD { return (float16)(__builtin_ia32_rsqrtps256(x.lo), __builtin_ia32_rsqrtps2
 
 
 def _tangent_text(width: int) -> str:
-    """Write tan. PoCL's vector form (3.1) is wrong by .008 in all lanes if one lane is above 1e7, so lanes far from 0
-    are computed one by one."""
+    """Write tan. PoCL's vector form (3.1) is wrong by .008 in all lanes if one lane is above 1e7, so lanes
+    far from 0 are computed one by one."""
     if width == 1:
         return "HEADfloat rhi_tan(float x) { return tan(x); }"
     one_by_one = " ".join(per_lane(width, "if (far.s@) r.s@ = tan(x.s@);"))
@@ -82,7 +103,8 @@ def _tangent_text(width: int) -> str:
 
 
 def _turn_text(function: str, quarters: int) -> Callable[[int], str]:
-    """Return a writer of sin, or of cos, which is `quarters` of a turn ahead; vectors: see `_range_reduction_text`."""
+    """Return a writer of sin, or of cos, which is `quarters` of a turn ahead; vectors: see
+    `_range_reduction_text`."""
 
     def text(width: int) -> str:
         value = f"{function}(x)" if width == 1 else f"rhi_turn(x, {quarters})"
@@ -96,9 +118,9 @@ def _range_reduction_text(width: int) -> str:
 
     The remainder of whole quarter turns is computed in float64, for all lanes.
 
-    Results are within 1.6 ulp up to 2^50. Beyond, where a float's neighbours are millions of turns away, they are
-    numbers from -1 to 1. There is no branch, since a branch costs more than the computation. The result of
-    `clamp` for NaN is unspecified: with AVX-512 it is a number.
+    Results are within 1.6 ulp up to 2^50. Beyond, where a float's neighbours are millions of turns away, they
+    are numbers from -1 to 1. There is no branch, since a branch costs more than the computation. The result
+    of `clamp` for NaN is unspecified: with AVX-512 it is a number.
     """
     if width == 1:
         return ""
@@ -114,9 +136,9 @@ def _range_reduction_text(width: int) -> str:
 def _pow_text(width: int) -> str:
     """Write pow: for vectors 2 to the power y log2 x in float64, a sixth of the time of PoCL's own.
 
-    The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m and 2^f, for f in -½…½, are minimax polynomials with relative
-    errors of 2^-33 and 2^-29. The product y log2 x is at most 150 where the result is a number, so the result is
-    within .66 ulp. All other cases than a positive number to a finite power follow C's rules.
+    The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m and 2^f, for f in -½…½, are minimax polynomials with
+    relative errors of 2^-33 and 2^-29. The product y log2 x is at most 150 where the result is a number, so
+    the result is within .66 ulp. All other cases than a positive number to a finite power follow C's rules.
     """
     if width == 1:
         return "HEADfloat rhi_pow(float x, float y) { return pow(x, y); }"
@@ -153,12 +175,21 @@ _LOG2: Final = (
     -0.180796177415, 0.154326256677, -0.137549949948, 0.176079375241, -0.165814848208,
 )  # fmt: skip
 """Coefficients of log2(1 + m) / m for m in -1/3…1/3."""
-_EXP2: Final = (1.000000001, 0.6931472057, 0.2402264689, 0.05550328777, 0.009618488958, 0.001339993122, 0.0001534581189)
+_EXP2: Final = (
+    1.000000001,
+    0.6931472057,
+    0.2402264689,
+    0.05550328777,
+    0.009618488958,
+    0.001339993122,
+    0.0001534581189,
+)
 """Coefficients of 2^f for f in -½…½."""
 
 
 def _polynomial(coefficients: Sequence[float]) -> str:
-    """Write the even and the odd half of a polynomial, two chains of operations that a CPU computes side by side."""
+    """Write the even and the odd half of a polynomial, two chains of operations that a CPU computes side by
+    side."""
     lines = []
     for name, half in (("even", coefficients[0::2]), ("odd", coefficients[1::2])):
         text = f"(DOUBLE){half[-1]!r}"
@@ -184,7 +215,8 @@ def _uniform_text(width: int) -> str:
 
 
 def _check_text(width: int) -> str:
-    """Write the check that records the first fault of a launch: its line in the text, the given value and the limit."""
+    """Write the check that records the first fault of a launch: its line in the text, the given value and the
+    limit."""
     if width == 1:
         kind, condition, first = "int", "wrong", "given"
     else:
@@ -287,8 +319,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         (),
     ),
-    # The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m is a minimax polynomial in relative error. Zero, infinity and
-    # NaN are not handled.
+    # The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m is a minimax polynomial in relative error. Zero,
+    # infinity and NaN are not handled.
     "rhi_fast_log2_finite": (
         """FLOAT rhi_fast_log2_finite(FLOAT x) {
     INT whole = (as_INT(x) - 0x3f2aaaab) & (int)0xff800000;
@@ -307,7 +339,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         ("rhi_fast_log2_finite",),
     ),
-    # The low bits of t are the nearest integer + 127, which shifted up are a power of two: 0 and infinity at the ends.
+    # The low bits of t are the nearest integer + 127, which shifted up are a power of two: 0 and infinity at
+    # the ends.
     "rhi_fast_exp2": (
         """FLOAT rhi_fast_exp2(FLOAT x) {
     x = rhi_min(rhi_max(x, (FLOAT)-127.0f), (FLOAT)128.0f);
@@ -340,8 +373,9 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         ("rhi_fast_log2_finite", "rhi_fast_exp2"),
     ),
-    # The machine's estimate y, times the series of (1 - rest) to the power -1/2, unless x is 0 or infinity. With the
-    # linear term only, 4 and 8 lanes, whose estimate has 12 bits on Intel's CPUs, were up to 3 units off there.
+    # The machine's estimate y, times the series of (1 - rest) to the power -1/2, unless x is 0 or infinity.
+    # With the linear term only, 4 and 8 lanes, whose estimate has 12 bits on Intel's CPUs, were up to 3 units
+    # off there.
     "rhi_fast_inversesqrt": (
         """FLOAT rhi_fast_inversesqrt(FLOAT x) {
     FLOAT y = rhi_inversesqrt_estimate(x), rest = fma(-x * y, y, (FLOAT)1.0f);
@@ -377,8 +411,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         (),
     ),
-    # Range reduction by quarter turns in three steps: for |x| up to some thousands. The reduced argument is clamped, so
-    # that results for larger ones don't exceed 1.
+    # Range reduction by quarter turns in three steps: for |x| up to some thousands. The reduced argument is
+    # clamped, so that results for larger ones don't exceed 1.
     "rhi_fast_turn": (
         """FLOAT rhi_fast_turn(FLOAT x, int more) {
     FLOAT whole = fma(x, (FLOAT)0.636619772f, (FLOAT)12582912.0f) - 12582912.0f;
@@ -395,7 +429,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 
 
 def functions_in(text: str) -> list[str]:
-    """Return the names of the prelude's functions that a kernel needs, each after the functions that it calls."""
+    """Return the names of the prelude's functions that a kernel needs, each after the functions that it
+    calls."""
     names: dict[str, None] = {}
 
     def add(name: str) -> None:
@@ -410,7 +445,8 @@ def functions_in(text: str) -> list[str]:
 
 
 def function_text(name: str, width: int, calls: int = 1) -> str:
-    """Return the text of a function, for scalars and for vectors of `width`; `calls`: how often it is called."""
+    """Return the text of a function, for scalars and for vectors of `width`; `calls`: how often it is
+    called."""
     texts = []
     head = _CALLED if calls > 1 and name.removeprefix("rhi_") in _LONG else _HEAD
     for lanes in sorted({1, width}):
@@ -434,7 +470,8 @@ SCALAR_SELECT: Final = """#pragma clang diagnostic ignored "-Wparentheses-equali
 
 QUAD_NAMES: Final = ("rhi_ddx(", "rhi_ddy(", "rhi_quads(")
 
-# 16 lanes are 4 by 4 pixels, lane = x + 4 y; a quad is 2 by 2 pixels. Each row and column has its own difference.
+# 16 lanes are 4 by 4 pixels, lane = x + 4 y; a quad is 2 by 2 pixels. Each row and column has its own
+# difference.
 QUADS: Final = f"""{_HEAD}float16 rhi_ddx(float16 v) {{ return v.s1133557799bbddff - v.s0022446688aaccee; }}
 {_HEAD}float16 rhi_ddy(float16 v) {{ return v.s45674567cdefcdef - v.s0123012389ab89ab; }}
 {_HEAD}int16 rhi_quads(int16 mask) {{
@@ -444,7 +481,8 @@ QUADS: Final = f"""{_HEAD}float16 rhi_ddx(float16 v) {{ return v.s1133557799bbdd
 
 
 def any_text(width: int) -> str:
-    """Write the tests for any and all lanes of a mask; the reduction is one instruction where the compiler has it."""
+    """Write the tests for any and all lanes of a mask; the reduction is one instruction where the compiler
+    has it."""
     return f"""{_HEAD}int rhi_any(int{width} mask) {{
 #if __has_builtin(__builtin_reduce_min)
     return __builtin_reduce_min(mask) != 0;
@@ -473,11 +511,12 @@ def load_text(
 ) -> str:
     """Write the load of the words `first * scale + lane * stride + offset`; the elements have `scale` words.
 
-    It uses vector loads and a transpose, and loads word by word near the ends of the buffer. A lane outside gets the
-    word of the nearest element.
+    It uses vector loads and a transpose, and loads word by word near the ends of the buffer. A lane outside
+    gets the word of the nearest element.
 
     Args:
-        has_steps: whether the function gets each lane's distance from the first, since lanes may not be consecutive.
+        has_steps: whether the function gets each lane's distance from the first, since lanes may not be
+            consecutive.
     """
     start = f"first * {scale}" if scale > 1 else "first"
     registers = [f"*({space} const rhi_words *)(p + {start} + {width * k})" for k in range(stride)]
@@ -490,7 +529,9 @@ def load_text(
     steps = "steps" if has_steps else "RHI_LANES"
     inner, outer = ("", f" * {scale} + {offset}") if scale > 1 else (f" + {offset}", "")
     slow = f"clamp(first + {steps} * {stride // scale}{inner}, (int{width})0, (int{width})(count - 1)){outer}"
-    extra_parameter, together = (f", int{width} steps", " && rhi_all(steps == RHI_LANES)") if has_steps else ("", "")
+    extra_parameter, together = (
+        (f", int{width} steps", " && rhi_all(steps == RHI_LANES)") if has_steps else ("", "")
+    )
     return f"""{_HEAD}uint{width} {name}({space} const uint *p, int first, int count{extra_parameter}) {{
     if (first >= 0 && first <= count - {width * stride // scale}{together}) {{ {fast} }}
     return rhi_gather(p, {slow});
@@ -498,7 +539,8 @@ def load_text(
 
 
 def store_text(name: str, space: str, width: int, count: int) -> str:
-    """Write the store of `count` consecutive words per lane: transposed vector stores if all lanes are active."""
+    """Write the store of `count` consecutive words per lane: transposed vector stores if all lanes are
+    active."""
     values = ", ".join(f"uint{width} v{k}" for k in range(count))
     fast = []
     for k in range(count):
@@ -528,7 +570,9 @@ def scatter_text(name: str, space: str, width: int, count: int) -> str:
 def last_text(width: int) -> str:
     """Write the selection of the last active lane's value."""
     lines = reversed(per_lane(width, "    if (mask.s@) return v.s@;"))
-    return f"{_HEAD}uint rhi_last(uint{width} v, int{width} mask) {{\n" + "\n".join(lines) + "\n    return 0;\n}"
+    return (
+        f"{_HEAD}uint rhi_last(uint{width} v, int{width} mask) {{\n" + "\n".join(lines) + "\n    return 0;\n}"
+    )
 
 
 def atomic_text(name: str, space: str, width: int, operation: str, kind: str) -> str:

@@ -1,7 +1,7 @@
 """Blocks under construction, in which declarations of variables are placed at the end of the function.
 
-Python's variables belong to the function; in the tree each is declared in the innermost block that contains all its
-uses.
+Python's variables belong to the function; in the tree each is declared in the innermost block that contains
+all its uses.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The parser of calls of functions, built-ins, methods and constructors, with Python's rules for arguments."""
+"""The parser of calls of functions, built-ins, methods and constructors, with Python's rules for
+arguments."""
 
 from __future__ import annotations
 
@@ -56,7 +57,9 @@ def _call_method(parser: FunctionParser, node: ast.Call, name: str, after: type 
         shader = parser.stage.shader
         if name in shader._declared:
             parser.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
-        parser.refuse(rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader)))
+        parser.refuse(
+            rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader))
+        )
     return _call_python(parser, node, method)
 
 
@@ -79,7 +82,8 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
                 suggest(name, names),
             )
         nodes_by_name[name] = keyword.value
-    # Python evaluates arguments in the order in which they are written, which is the order of `nodes_by_name`.
+    # Python evaluates arguments in the order in which they are written, which is the order of
+    # `nodes_by_name`.
     values = {name: _argument(parser, signature, name, at) for name, at in nodes_by_name.items()}
     if [name for name in names if name in nodes_by_name] != list(nodes_by_name) and any(
         map(tree.has_effect, values.values())
@@ -157,7 +161,9 @@ def _call_object(parser: FunctionParser, node: ast.Call, called: Any) -> Express
     parser.refuse(rules.NOT_SHADING, node.func, name, tip=tip)
 
 
-def _call_builtin(parser: FunctionParser, node: ast.Call, row: Builtin, first: list[Expression]) -> Expression:
+def _call_builtin(
+    parser: FunctionParser, node: ast.Call, row: Builtin, first: list[Expression]
+) -> Expression:
     arguments = [*first, *(parser.expression(argument) for argument in node.args)]
     if node.keywords:
         names = {p.name: i for o in row.overloads for i, p in enumerate(o.parameters) if p.name and i}
@@ -185,7 +191,9 @@ def _call_builtin(parser: FunctionParser, node: ast.Call, row: Builtin, first: l
     if row.name == "gather" and len(converted) == 3:
         component = converted[2]
         if not isinstance(component, Constant) or not 0 <= component.value < 4:
-            parser.refuse(rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant")
+            parser.refuse(
+                rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant"
+            )
     if row.effect is SideEffect.BARRIER or row.effect is SideEffect.WRITE:
         parser.mark_effect()
     return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
@@ -240,7 +248,9 @@ def _construct_struct(parser: FunctionParser, node: ast.Call, cls: type[Struct])
         field = type.field(name or "")
         assert field is not None
         parts[name] = parser.converted(keyword.value, field.type, f"{type}.{name}")
-    if list(keywords) != [name for name in names if name in keywords] and any(map(tree.has_effect, parts.values())):
+    if list(keywords) != [name for name in names if name in keywords] and any(
+        map(tree.has_effect, parts.values())
+    ):
         # Python evaluates arguments in the order written, a constructor in the order of the fields.
         parser.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
     for field in type.fields:
@@ -303,5 +313,7 @@ def _constructor_tip(type: Type) -> str:
     if isinstance(type, VectorType):
         return f"{type.size} components in total, one scalar for all, or another vector of {type.size}"
     if isinstance(type, MatrixType):
-        return f"{type.size} rows, {type.size**2} numbers row by row, one number for the diagonal, or a matrix"
+        return (
+            f"{type.size} rows, {type.size**2} numbers row by row, one number for the diagonal, or a matrix"
+        )
     return "one scalar"

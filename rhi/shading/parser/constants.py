@@ -1,4 +1,5 @@
-"""Python values as constants of the typed tree: numbers, vectors, structs, and tuples and NumPy arrays of them.
+"""Python values as constants of the typed tree: numbers, vectors, structs, and tuples and NumPy arrays of
+them.
 
 A NumPy array is a constant array of numbers, or of vectors if its rows have 2 to 4 numbers. An array that
 might as well be a vector or a matrix is refused, and `tip_for` says what to write instead.
@@ -72,7 +73,9 @@ def _constant_array(value: tuple[Any, ...], span: SourceSpan, name: str, source:
     return tree.ConstantArray(layout.ArrayType(element_type, len(parts)), span, name, parts)
 
 
-def _numpy_constant(value: np.ndarray[Any, Any], span: SourceSpan, name: str, source: Source) -> Expression | None:
+def _numpy_constant(
+    value: np.ndarray[Any, Any], span: SourceSpan, name: str, source: Source
+) -> Expression | None:
     if value.dtype.kind not in _KINDS or _alternatives(value):
         return None
     if value.ndim == 0:
@@ -94,7 +97,9 @@ def _numpy_constant(value: np.ndarray[Any, Any], span: SourceSpan, name: str, so
 def _check_size(scalars: int, span: SourceSpan, name: str, source: Source) -> None:
     if scalars > MAX_CONSTANTS:
         actual, allowed = f"{name}, {scalars} numbers", f"up to {MAX_CONSTANTS} numbers"
-        source.refuse(rules.TOO_LARGE, span, actual, allowed, "pass it in a buffer: Storage[…], or in a texture")
+        source.refuse(
+            rules.TOO_LARGE, span, actual, allowed, "pass it in a buffer: Storage[…], or in a texture"
+        )
 
 
 def _typed(type: layout.HostType, value: Any, span: SourceSpan) -> Expression:
@@ -118,7 +123,10 @@ def tip_for(value: Any, name: str) -> str:
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in _KINDS or not value.size or value.ndim > 2:
             return "pass it in a buffer: Storage[…], or in a texture"
-        return " or ".join(_alternatives(value)).format(name) or "pass it in a buffer: Storage[…], or in a texture"
+        return (
+            " or ".join(_alternatives(value)).format(name)
+            or "pass it in a buffer: Storage[…], or in a texture"
+        )
     if isinstance(value, list):
         return f"a constant array is a tuple: tuple({name})"
     if isinstance(value, complex | np.complexfloating):

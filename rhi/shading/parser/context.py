@@ -3,8 +3,8 @@
 - Each of them has functions of a `FunctionParser` and a node of Python's syntax tree.
   `rhi.shading.parser.dispatch` has the table that selects one by the node's type.
 - A variable has the type of its first value.
-- Definite assignment is tracked while parsing: a read that some path reaches without an assignment is refused.
-  Otherwise Python's UnboundLocalError would go unnoticed on a device.
+- Definite assignment is tracked while parsing: a read that some path reaches without an assignment is
+  refused. Otherwise Python's UnboundLocalError would go unnoticed on a device.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ StatementParser: TypeAlias = Callable[["FunctionParser", Any], None]
 
 
 class Parsers(NamedTuple):
-    """The functions that parse expressions and statements, by the type of the node in Python's syntax tree."""
+    """The functions that parse expressions and statements, by the type of the node in Python's syntax
+    tree."""
 
     expressions: Mapping[type[ast.expr], ExpressionParser]
     statements: Mapping[type[ast.stmt], StatementParser]
@@ -90,7 +91,9 @@ class StageParser:
         self.errors.check()
         return function
 
-    def instance(self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source) -> tree.Function:
+    def instance(
+        self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source
+    ) -> tree.Function:
         """Return the function compiled for arguments of these types."""
         function = self.instances.get((callee.source.function, types))
         if function is None:
@@ -106,7 +109,9 @@ class StageParser:
             tree.Local(parameter.name, type, is_parameter=True)
             for parameter, type in zip(described.parameters, types, strict=True)
         )
-        function = tree.Function(source.node.name, source.file, span_of(source.node), parameters, described.result)
+        function = tree.Function(
+            source.node.name, source.file, span_of(source.node), parameters, described.result
+        )
         self.instances[source.function, types] = function
         try:
             FunctionParser(self, callee, function).parse()
@@ -172,7 +177,8 @@ class FunctionParser:
     # -- expressions
 
     def expression(self, node: ast.expr, expected_type: Type | None = None) -> Expression:
-        """Return the typed expression. `expected_type` gives a tuple its type; it isn't enforced otherwise."""
+        """Return the typed expression. `expected_type` gives a tuple its type; it isn't enforced
+        otherwise."""
         if isinstance(node, ast.Tuple) and isinstance(expected_type, VectorType):
             parts = tuple(self.converted(part, expected_type.scalar) for part in node.elts)
             if len(parts) != expected_type.size:
@@ -204,7 +210,9 @@ class FunctionParser:
         result = convert(value, target_type)
         if result is None:
             actual = f"{what}: {value.type}" if what else str(value.type)
-            self.refuse(rules.WRONG_TYPE, at, actual, str(target_type), _conversion_tip(value.type, target_type))
+            self.refuse(
+                rules.WRONG_TYPE, at, actual, str(target_type), _conversion_tip(value.type, target_type)
+            )
         return result
 
     def condition(self, node: ast.expr) -> Expression:
@@ -222,7 +230,9 @@ class FunctionParser:
         result = constant(value, span_of(at), name, self.source)
         if result is None:
             allowed = "numbers, vectors, and tuples of them"
-            self.refuse(rules.NOT_SHADING, at, f"{name}, a {type(value).__name__}", allowed, tip_for(value, name))
+            self.refuse(
+                rules.NOT_SHADING, at, f"{name}, a {type(value).__name__}", allowed, tip_for(value, name)
+            )
         return result
 
     def refuse(

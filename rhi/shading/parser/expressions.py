@@ -69,7 +69,9 @@ def parse_binary(parser: FunctionParser, node: ast.BinOp) -> Expression:
     return result
 
 
-def combine(parser: FunctionParser, op: Operator, left: Expression, right: Expression, at: ast.AST) -> Expression:
+def combine(
+    parser: FunctionParser, op: Operator, left: Expression, right: Expression, at: ast.AST
+) -> Expression:
     """Return a typed binary operation, or refuse its operands."""
     try:
         result = binary(op, left, right, span_of(at))
@@ -174,7 +176,9 @@ def parse_attribute(parser: FunctionParser, node: ast.Attribute) -> Expression:
     parser.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=tip)
 
 
-def _swizzle(parser: FunctionParser, base: Expression, type: layout.VectorType, node: ast.Attribute) -> Expression:
+def _swizzle(
+    parser: FunctionParser, base: Expression, type: layout.VectorType, node: ast.Attribute
+) -> Expression:
     for axes in _AXES:
         components = tuple(axes[: type.size].find(letter) for letter in node.attr)
         if len(components) <= 4 and min(components) >= 0:
@@ -219,7 +223,9 @@ def parse_subscript(parser: FunctionParser, node: ast.Subscript) -> Expression:
     return tree.Index(element, span, base, index)
 
 
-def _constant_index(parser: FunctionParser, index: Constant, type: types.Type, node: ast.Subscript) -> Constant:
+def _constant_index(
+    parser: FunctionParser, index: Constant, type: types.Type, node: ast.Subscript
+) -> Constant:
     value = int(index.value)
     if isinstance(type, types.StorageType):
         if value < 0 and not parser.untaken:

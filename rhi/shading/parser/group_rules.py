@@ -1,10 +1,10 @@
 """A quick check of barriers and stores on the typed tree, which spares most compute stages a lowering.
 
 Two rules depend on which values differ within a work-group: all invocations must reach a barrier together
-(`shading-barrier`), and they must not store different values to one element (`shading-race`). Lane code knows the
-uniformity of every value, but lowering takes longer than parsing. Most stages obviously keep both rules, so
-only the doubtful ones are lowered to be checked. The check errs on one side: lowering accepts each stage that
-isn't doubtful.
+(`shading-barrier`), and they must not store different values to one element (`shading-race`). Lane code knows
+the uniformity of every value, but lowering takes longer than parsing. Most stages obviously keep both rules,
+so only the doubtful ones are lowered to be checked. The check errs on one side: lowering accepts each stage
+that isn't doubtful.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ _COMPARISONS: Final = frozenset(
 class LaneClass(enum.Enum):
     """How a value differs among the lanes of a work-item.
 
-    A work-group shares GROUP values, and the lanes of a work-item share LANES values. RISING values differ: they grow
-    with the lane, or follow no pattern. NOT_FALLING values are one or the other. UNKNOWN values may also fall.
+    A work-group shares GROUP values, and the lanes of a work-item share LANES values. RISING values differ:
+    they grow with the lane, or follow no pattern. NOT_FALLING values are one or the other. UNKNOWN values may
+    also fall.
     """
 
     GROUP = "group"
@@ -52,7 +53,8 @@ _ADDABLE: Final = (*_SHARED, LaneClass.RISING, LaneClass.NOT_FALLING)
 
 
 def may_break_group_rules(stage: tree.StageTree, work_group: tuple[int, int, int]) -> bool:
-    """Return whether the tree leaves a doubt that a compute stage keeps the rules about barriers and stores."""
+    """Return whether the tree leaves a doubt that a compute stage keeps the rules about barriers and
+    stores."""
     screening = _Screening(stage, work_group)
     return screening.has_doubtful_barrier() or screening.has_doubtful_store()
 
@@ -63,7 +65,8 @@ class _Screening:
         self.work_group = work_group
         self.with_barrier: set[tree.Function] = set()
         self.local_classes: dict[tree.Local, LaneClass] = {}
-        """The class of each local that only its declaration assigns, and of the counters of loops that count up."""
+        """The class of each local that only its declaration assigns, and of the counters of loops that count
+        up."""
         assigned = self._collect()
         for function in stage.functions:
             for node in tree.walk(function.body):  # a local is declared before it is read
@@ -104,10 +107,16 @@ class _Screening:
             match statement:
                 case tree.If(condition=condition, then=then, otherwise=otherwise):
                     is_shared = self.lane_class(condition) is LaneClass.GROUP
-                    if not is_shared or self._has_doubtful_barrier(then) or self._has_doubtful_barrier(otherwise):
+                    if (
+                        not is_shared
+                        or self._has_doubtful_barrier(then)
+                        or self._has_doubtful_barrier(otherwise)
+                    ):
                         return True
                 case tree.For(start=start, stop=stop, step=step, body=body):
-                    is_shared = all(self.lane_class(bound) is LaneClass.GROUP for bound in (start, stop, step))
+                    is_shared = all(
+                        self.lane_class(bound) is LaneClass.GROUP for bound in (start, stop, step)
+                    )
                     leaves = any(isinstance(node, tree.Break | tree.Continue) for node in tree.walk(body))
                     if not is_shared or leaves or self._has_doubtful_barrier(body):
                         return True
@@ -198,7 +207,8 @@ class _Screening:
         return LaneClass.UNKNOWN
 
     def _axis_class(self, axis: int) -> LaneClass:
-        """Return how a component of an invocation's index differs: 16 lanes lie in one row if rows are that long."""
+        """Return how a component of an invocation's index differs: 16 lanes lie in one row if rows are that
+        long."""
         size, row = self.work_group[axis], self.work_group[0]
         if axis and row % WIDTH == 0:
             return LaneClass.LANES
@@ -221,7 +231,11 @@ class _Screening:
                 indices.append(self.lane_class(root.index))
             root = root.base
         if isinstance(root, tree.BindingRead):
-            if root.declaration.storage_class not in (StorageClass.UNIFORM, StorageClass.STORAGE, StorageClass.SHARED):
+            if root.declaration.storage_class not in (
+                StorageClass.UNIFORM,
+                StorageClass.STORAGE,
+                StorageClass.SHARED,
+            ):
                 return LaneClass.UNKNOWN
             return LaneClass.RISING if indices == [LaneClass.RISING] else _joined([LaneClass.GROUP, *indices])
         if root is node:

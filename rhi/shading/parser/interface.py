@@ -2,8 +2,8 @@
 
 - The vertex stage takes structs of attributes and returns a `vec4`, the clip position, or a struct whose
   first field is the clip position; the other fields are varyings, among them at most one `PointSize`.
-- The fragment stage takes nothing, or a struct whose fields match varyings of the vertex stage by name and type; it
-  returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
+- The fragment stage takes nothing, or a struct whose fields match varyings of the vertex stage by name and
+  type; it returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
     source = vertex.source
     for parameter in vertex.signature.parameters:
         if not isinstance(parameter.type, layout.StructType):
-            source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes")
+            source.refuse(
+                rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes"
+            )
         for field in parameter.type.fields:
             if (
                 not isinstance(field.type, layout.ScalarType | layout.VectorType)
@@ -48,7 +50,8 @@ def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
 
 
 def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
-    """Return the name of the position field and all varyings of the vertex stage, with the position as the last."""
+    """Return the name of the position field and all varyings of the vertex stage, with the position as the
+    last."""
     described, source = vertex.signature, vertex.source
     if described.result == VEC4:
         return "", ()
@@ -67,7 +70,10 @@ def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
     varyings, location = [], 0
     for field in (*fields[1:], fields[0]):
         role = cls._roles.get(field.name)
-        if isinstance(field.type, layout.StructType | layout.ArrayType) or scalar_of(field.type) is layout.BOOL:
+        if (
+            isinstance(field.type, layout.StructType | layout.ArrayType)
+            or scalar_of(field.type) is layout.BOOL
+        ):
             actual = f"varying {field.name}: {field.type}"
             source.refuse(rules.INTERFACE, source.node, actual, "numbers, vectors, matrices")
         if scalar_of(field.type) not in (layout.FLOAT, None) or role is Role.POINT_SIZE:
@@ -91,7 +97,9 @@ def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> Non
     """Refuse a fragment stage with an input that the vertex stage doesn't write."""
     described, source = fragment.signature, fragment.source
     if len(described.parameters) > 1:
-        source.refuse(rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct")
+        source.refuse(
+            rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct"
+        )
     for parameter in described.parameters:
         if not isinstance(parameter.type, layout.StructType):
             source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "a struct")
@@ -167,7 +175,9 @@ def _fields_read(entry: tree.Function) -> set[str]:
                     whole += 1
         if whole:
             types = [parameter.type for parameter in entry.parameters]
-            return {field.name for type in types if isinstance(type, layout.StructType) for field in type.fields}
+            return {
+                field.name for type in types if isinstance(type, layout.StructType) for field in type.fields
+            }
     return names
 
 

@@ -1,9 +1,10 @@
-"""The typing rules of operators: from operands to a typed node with converted operands, or None if there is none.
+"""The typing rules of operators: from operands to a typed node with converted operands, or None if there is
+none.
 
-- Python's semantics apply: `/` gives floats, Python computes constant expressions, and an int is converted to float
-  where it meets a float.
-- Operands of different scalar types can be combined only if they are int and float, or an int literal and uint. Two
-  vectors must have the same type.
+- Python's semantics apply: `/` gives floats, Python computes constant expressions, and an int is converted to
+  float where it meets a float.
+- Operands of different scalar types can be combined only if they are int and float, or an int literal and
+  uint. Two vectors must have the same type.
 """
 
 from __future__ import annotations
@@ -66,7 +67,11 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
     if op in _DIVISIONS and 0 in _constants_of(node.right):
         integers = scalar_of(node.type) in (INT, UINT)
         raise ZeroDivisionError(f"{'integer ' * integers}division by zero")
-    if op is Operator.POWER and 0 in _constants_of(node.left) and any(n < 0 for n in _constants_of(node.right)):
+    if (
+        op is Operator.POWER
+        and 0 in _constants_of(node.left)
+        and any(n < 0 for n in _constants_of(node.right))
+    ):
         raise ZeroDivisionError("0.0 to a negative power")
     for count in _constants_of(node.right) if op in SHIFTS else ():
         if not 0 <= count < 32:
@@ -141,7 +146,11 @@ def typed(op: Operator, left: Expression, right: Expression, span: SourceSpan) -
 
 
 def _is_integer_power(exponent: Expression) -> bool:
-    return isinstance(exponent, Constant) and exponent.type in (INT, UINT) and abs(int(exponent.value)) <= MAX_POWER
+    return (
+        isinstance(exponent, Constant)
+        and exponent.type in (INT, UINT)
+        and abs(int(exponent.value)) <= MAX_POWER
+    )
 
 
 def _to_float(value: Expression) -> Expression:

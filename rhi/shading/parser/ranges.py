@@ -81,7 +81,10 @@ class _Prover:
 
     def statement(self, node: tree.Statement) -> None:
         match node:
-            case tree.Declare(local=local, value=value) | tree.Assign(target=tree.Read(local=local), value=value):
+            case (
+                tree.Declare(local=local, value=value)
+                | tree.Assign(target=tree.Read(local=local), value=value)
+            ):
                 if value is not None:
                     values = self.range(value)
                     if local.writes == 1 and not local.is_parameter:
@@ -187,13 +190,18 @@ class _Prover:
                 return self.shorter(value)
             case tree.BuiltinCall(builtin=builtin, arguments=arguments) if builtin.name in ("min", "clamp"):
                 return buffers.union(
-                    *(self.shorter(argument) for argument in (arguments[0], arguments[-1])[builtin.name == "clamp" :])
+                    *(
+                        self.shorter(argument)
+                        for argument in (arguments[0], arguments[-1])[builtin.name == "clamp" :]
+                    )
                 )
-            case tree.Convert(type=type, value=value) if {type, value.type} == {INT, UINT} and self.range(value)[
-                0
-            ] >= 0:
+            case tree.Convert(type=type, value=value) if {type, value.type} == {INT, UINT} and self.range(
+                value
+            )[0] >= 0:
                 return self.shorter(value)
-            case tree.Read(local=local) if local in self.values and isinstance(self.values[local], tree.BuiltinCall):
+            case tree.Read(local=local) if local in self.values and isinstance(
+                self.values[local], tree.BuiltinCall
+            ):
                 return buffers | self.shorter(self.values[local])
         return buffers
 
@@ -270,7 +278,11 @@ class _Prover:
             base = self.values[base.local]
         if isinstance(base, tree.BuiltinCall) and base.builtin.name == "local_id":
             return 0, self.work_group[which] - 1
-        return (0, _MAX_INT) if isinstance(base, tree.BuiltinCall) and base.builtin.name in _INDEX_BUILTINS else None
+        return (
+            (0, _MAX_INT)
+            if isinstance(base, tree.BuiltinCall) and base.builtin.name in _INDEX_BUILTINS
+            else None
+        )
 
     def builtin(self, name: str, arguments: list[Range]) -> Range | None:
         if name in _INDEX_BUILTINS:

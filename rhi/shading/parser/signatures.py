@@ -140,7 +140,8 @@ def struct_class(host: Any) -> type[Struct] | None:
 
 @dataclass(frozen=True, slots=True)
 class Callee:
-    """A Python function that is called. `owner` is the class that defines it, None for a module-level function."""
+    """A Python function that is called. `owner` is the class that defines it, None for a module-level
+    function."""
 
     source: Source
     owner: type | None
@@ -151,7 +152,10 @@ class Callee:
         """The function's signature. Its annotations are read once, unless a struct changes."""
         source = self.source
         if source.signature is None or source.signature[1] != source.generation:
-            source.signature = signature_of(source, self.owner is not None and self.has_self), source.generation
+            source.signature = (
+                signature_of(source, self.owner is not None and self.has_self),
+                source.generation,
+            )
         cached: Signature = source.signature[0]
         return cached
 

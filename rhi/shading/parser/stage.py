@@ -1,8 +1,8 @@
 """The parser of one stage of a shader, from the class to a `tree.StageTree`.
 
 - Methods are looked up along the MRO of the shader, so a stage in a base calls the override in a subclass.
-- The resources that a stage uses are collected from the finished tree, so code that a constant condition removes
-  doesn't count.
+- The resources that a stage uses are collected from the finished tree, so code that a constant condition
+  removes doesn't count.
 """
 
 from __future__ import annotations
@@ -57,10 +57,12 @@ def parse_function(function: FunctionType) -> tree.Function:
     return parsed
 
 
-# -- the resources of a stage ---------------------------------------------------------------------------------------
+# -- the resources of a stage --------------------------------------------------------------------------------
 
 
-def _collect(stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]) -> tree.StageTree:
+def _collect(
+    stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]
+) -> tree.StageTree:
     """Collect what a stage and the functions that it calls use."""
     uses = _Uses(shader)
     uses.add_function(entry)
@@ -88,7 +90,8 @@ class _Uses:
 
     Attributes:
         functions: those that the entry point calls, and itself.
-        structs, constants, builtins: that they mention. declared: the names of the bindings that they mention.
+        structs, constants, builtins: that they mention. declared: the names of the bindings that they
+            mention.
         stored, loaded: the names of the bindings that they write and read.
         discards: whether a fragment may be discarded.
     """
@@ -161,7 +164,9 @@ class _Uses:
         if isinstance(source, tree.BindingRead):
             if node.builtin.effect is SideEffect.WRITE:
                 self.stored.add(source.declaration.name)
-            elif node.builtin.name == "load":  # naming an image isn't loading from it: `store` and `size` name it, too
+            elif (
+                node.builtin.name == "load"
+            ):  # naming an image isn't loading from it: `store` and `size` name it, too
                 self.loaded.add(source.declaration.name)
 
 
@@ -172,7 +177,9 @@ def _check_constant(node: tree.Constant, function: tree.Function) -> None:
         refuse_at(rules.OUT_OF_RANGE, function.name, function.file, node.span, str(node.value), allowed, tip)
 
 
-def _check_locals(stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]) -> None:
+def _check_locals(
+    stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]
+) -> None:
     """Refuse a stage whose local arrays, including those of calls, exceed the stack of a CPU's work-group."""
     words: dict[tree.Function, int] = {}
     for function in finished:  # callees come first
@@ -183,14 +190,20 @@ def _check_locals(stage: Stage, entry: tree.Function, finished: list[tree.Functi
                 types.append(node.local.type)
             elif isinstance(node, tree.Call):
                 total += words[node.function]
-        total += sum(count_scalars(t) for t in types if isinstance(t, ArrayType | StructType) and has_array(t))
+        total += sum(
+            count_scalars(t) for t in types if isinstance(t, ArrayType | StructType) and has_array(t)
+        )
         words[function] = total
     invocations = math.prod(work_group_size(shader)) if stage is Stage.COMPUTE else PIXELS
     if words[entry] * invocations > MAX_STACK:
         actual = (
-            f"arrays of {words[entry]} numbers, those of every call included, for each of {invocations} invocations"
+            f"arrays of {words[entry]} numbers, those of every call included, "
+            f"for each of {invocations} invocations"
         )
-        allowed, tip = f"up to {MAX_STACK} numbers together", "use smaller work-groups, or a buffer: StorageRW[…]"
+        allowed, tip = (
+            f"up to {MAX_STACK} numbers together",
+            "use smaller work-groups, or a buffer: StorageRW[…]",
+        )
         refuse_at(rules.TOO_LARGE, entry.name, entry.file, entry.span, actual, allowed, tip)
 
 

@@ -1,12 +1,13 @@
-"""The parser of functions: from Python's statements to the typed tree, with variables, their types and scopes.
+"""The parser of functions: from Python's statements to the typed tree, with variables, their types and
+scopes.
 
 - A variable has the type of its first value. Python's variables belong to the function; in the tree each is
   declared in the innermost block that contains all its uses, which is known at the end of the function.
-- Definite assignment is tracked while parsing: a read that some path reaches without an assignment is refused.
-  Otherwise Python's UnboundLocalError would go unnoticed on a device.
-- If a condition is known at compile time (`if self.has_fog:` with a class constant), only the taken branch is kept. The
-  other is checked all the same, but not in a lean shader: its branches are the features of many variants, and each is
-  checked in a variant that has it.
+- Definite assignment is tracked while parsing: a read that some path reaches without an assignment is
+  refused. Otherwise Python's UnboundLocalError would go unnoticed on a device.
+- If a condition is known at compile time (`if self.has_fog:` with a class constant), only the taken branch is
+  kept. The other is checked all the same, but not in a lean shader: its branches are the features of many
+  variants, and each is checked in a variant that has it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ def parse_pass(parser: FunctionParser, node: ast.Pass) -> None:
 
 
 def parse_expr(parser: FunctionParser, node: ast.Expr) -> None:
-    if isinstance(node.value, ast.Constant) and (node.value.value is ... or isinstance(node.value.value, str)):
+    if isinstance(node.value, ast.Constant) and (
+        node.value.value is ... or isinstance(node.value.value, str)
+    ):
         return
     if not isinstance(node.value, ast.Call):
         parser.refuse(rules.SYNTAX, node, "an unused value", "a call, an assignment")
@@ -69,7 +72,9 @@ def parse_assignment(parser: FunctionParser, node: ast.Assign) -> None:
 def _assign_tuple(parser: FunctionParser, target: ast.Tuple | ast.List, node: ast.Assign) -> None:
     """Parse `a, b = b, a`: as in Python, all values are evaluated before the first target is assigned."""
     values = node.value.elts if isinstance(node.value, ast.Tuple | ast.List) else []
-    if len(values) != len(target.elts) or any(isinstance(part, ast.Starred) for part in (*values, *target.elts)):
+    if len(values) != len(target.elts) or any(
+        isinstance(part, ast.Starred) for part in (*values, *target.elts)
+    ):
         allowed = f"{len(target.elts)} values, as in `a, b = b, a`"
         parser.refuse(rules.SYNTAX, node, ast.unparse(node.value), allowed, "write one assignment for each")
     parts: list[Expression] = []
@@ -154,7 +159,9 @@ def _assignment_target(parser: FunctionParser, node: ast.expr) -> Expression:
     target = parser.expression(node)
     check_target(parser, target, node)
     if isinstance(target, tree.Index) and isinstance(target.base.type, MatrixType):
-        parser.refuse(rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix")
+        parser.refuse(
+            rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix"
+        )
     if isinstance(target, tree.Swizzle) and len(set(target.components)) < len(target.components):
         parser.refuse(rules.NOT_WRITABLE, node, "the same component twice")
     return target
@@ -257,7 +264,9 @@ def parse_for(parser: FunctionParser, node: ast.For) -> None:
         tip = "for i in range(len(values)): value = values[i]"
         parser.refuse(rules.SYNTAX, call, "a loop over values", "for name in range(…)", tip)
     if call.keywords or not 1 <= len(call.args) <= 3:
-        parser.refuse(rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])")
+        parser.refuse(
+            rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])"
+        )
     bounds = [_bound(parser, argument) for argument in call.args]
     span = span_of(node)
     if len(bounds) == 1:
@@ -272,7 +281,8 @@ def parse_for(parser: FunctionParser, node: ast.For) -> None:
         name = node.target.id
         variable = parser.variables.get(name)
         if variable is None or (variable.local not in before and variable.local.type is INT):
-            # It wasn't assigned before the loop and can't be read after it: each loop gets a variable of its own.
+            # It wasn't assigned before the loop and can't be read after it: each loop gets a variable of its
+            # own.
             variable = parser.new_variable(name, INT)
         elif variable.local.type is not INT:
             parser.refuse(rules.TYPE_CHANGED, node.target, f"{name}: int", str(variable.local.type))

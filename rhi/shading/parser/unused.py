@@ -1,11 +1,11 @@
 """The check for unused bindings, which every draw would have to bind and which occupy slots of the device.
 
-It warns, since a line that is commented out for a moment must not stop a program whose shaders are reloaded; a test
-requests a refusal (`compile_shader(…, strict=True)`).
+It warns, since a line that is commented out for a moment must not stop a program whose shaders are reloaded;
+a test requests a refusal (`compile_shader(…, strict=True)`).
 
-A binding counts as used if any method of the shader or of its bases names it, even in a branch that a constant
-condition removes: a variant of a shader keeps the bindings of the whole. Only bindings that the class itself declares
-are checked, so that a base may declare bindings for its subclasses.
+A binding counts as used if any method of the shader or of its bases names it, even in a branch that a
+constant condition removes: a variant of a shader keeps the bindings of the whole. Only bindings that the
+class itself declares are checked, so that a base may declare bindings for its subclasses.
 """
 
 from __future__ import annotations
@@ -32,14 +32,21 @@ def collect_unused_bindings(shader: type[Shader], used: frozenset[str]) -> tuple
     method names.
 
     `used` are the bindings that the shader's stages read or write."""
-    own = [name for name in shader._declared if name in vars(shader).get("__annotations__", {}) or name in vars(shader)]
+    own = [
+        name
+        for name in shader._declared
+        if name in vars(shader).get("__annotations__", {}) or name in vars(shader)
+    ]
     unused = [name for name in own if name not in used]
     if not unused:
         return ()
     methods = [
-        value for base in shader.__mro__ if issubclass(base, Shader) and base is not Shader
-        for value in vars(base).values() if isinstance(value, FunctionType)
-    ]  # fmt: skip
+        value
+        for base in shader.__mro__
+        if issubclass(base, Shader) and base is not Shader
+        for value in vars(base).values()
+        if isinstance(value, FunctionType)
+    ]
     if any(hasattr(method, NATIVE) for method in methods):
         return ()  # the bindings that a native text uses aren't known
     named = {name for method in methods for name in _named(method)}
@@ -72,13 +79,16 @@ def _named(method: FunctionType) -> set[str]:
 
 
 def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple[str, SourceSpan]:
-    """Return the file of a class's methods and the span of a binding's declaration in it (`name: …`, `name = …`)."""
+    """Return the file of a class's methods and the span of a binding's declaration in it (`name: …`, `name =
+    …`)."""
     file = source_of(method).file
     for node in ast.walk(ast.parse("".join(file.lines))):
         if isinstance(node, ast.ClassDef) and node.name == shader.__name__:
             for statement in node.body:
                 targets = (
-                    statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+                    statement.targets
+                    if isinstance(statement, ast.Assign)
+                    else [getattr(statement, "target", None)]
                 )
                 if any(isinstance(target, ast.Name) and target.id == name for target in targets):
                     return file, span_of(statement)

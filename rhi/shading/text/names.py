@@ -17,7 +17,8 @@ class Names:
         self._parent = parent
 
     def get(self, key: Hashable, preferred: str) -> str:
-        """Return the name of `key`. If it has none yet, derive one from `preferred`, made legal and unique."""
+        """Return the name of `key`. If it has none yet, derive one from `preferred`, made legal and
+        unique."""
         name = self.find(key)
         if name is None:
             base = self.legal(preferred)

@@ -1,9 +1,9 @@
 """The typed tree as text of a language like C: expressions, statements, functions.
 
-- The text keeps the shader's names and structure, so that messages of the driver are readable. Each line records the
-  Python line that it comes from.
-- Where Python and the language differ, Python's meaning wins: `//` and `%` round down (with helper functions, or with
-  shift and mask for powers of two), bounds of loops are evaluated once, matrices are indexed by row.
+- The text keeps the shader's names and structure, so that messages of the driver are readable. Each line
+  records the Python line that it comes from.
+- Where Python and the language differ, Python's meaning wins: `//` and `%` round down (with helper functions,
+  or with shift and mask for powers of two), bounds of loops are evaluated once, matrices are indexed by row.
 - A language derives its writer: it says how types, literals, declarations and built-ins are written.
 """
 
@@ -18,7 +18,15 @@ from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
 from rhi.shading.language.source import SourceSpan, refuse_at
-from rhi.shading.language.types import VECTORS, StorageType, TextureType, Type, VoidType, count_elements, scalar_of
+from rhi.shading.language.types import (
+    VECTORS,
+    StorageType,
+    TextureType,
+    Type,
+    VoidType,
+    count_elements,
+    scalar_of,
+)
 from rhi.shading.text.names import Names
 
 _MAX_RETURNS: Final = 16
@@ -35,7 +43,8 @@ _RUNS: Final = {
 
 
 class TextWriter:
-    """Writer of the functions of one stage. The helper functions that they need are collected in `helpers`."""
+    """Writer of the functions of one stage. The helper functions that they need are collected in
+    `helpers`."""
 
     language: ClassVar[str]
 
@@ -103,10 +112,13 @@ class TextWriter:
         self.file = ""
         self.break_result = ""  # the name of the result, in a function that a `break` leaves
         self.tails: set[tree.Return] = set()  # the returns of that function that no statement follows
-        self.hoisted: dict[tree.Index, str] = {}  # the texts of a write's indices, which are inside where they are used
+        self.hoisted: dict[
+            tree.Index, str
+        ] = {}  # the texts of a write's indices, which are inside where they are used
 
     def field(self, name: str) -> str:
-        """Return a struct field's name. Each struct is its own namespace, so the name only needs to be legal."""
+        """Return a struct field's name. Each struct is its own namespace, so the name only needs to be
+        legal."""
         return self.globals.legal(name)
 
     def expression(self, node: Expression) -> str:
@@ -244,7 +256,8 @@ class TextWriter:
             right = right if is_constant(divisor) else f"max({right}, {self.type(divisor.type)}(1))"
             return f"({left} {'/' if divide else '%'} {right})"
         if isinstance(divisor, tree.Constant) and divisor.value > 0 and int(divisor.value).bit_count() == 1:
-            # A shift of a negative int is arithmetic, and a mask of two's complement is the floored remainder.
+            # A shift of a negative int is arithmetic, and a mask of two's complement is the floored
+            # remainder.
             shift = int(divisor.value).bit_length() - 1
             return f"({left} >> {shift})" if divide else f"({left} & {int(divisor.value) - 1})"
         left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
@@ -361,7 +374,9 @@ class TextWriter:
     def loop(self, node: tree.For) -> None:
         """Write a `for` loop. Bounds that might change are evaluated before it."""
         start, step = node.start, node.step
-        start_text = self.hoist_bound(node, start, "start") if tree.has_effect(start) else self.expression(start)
+        start_text = (
+            self.hoist_bound(node, start, "start") if tree.has_effect(start) else self.expression(start)
+        )
         stop, by = self.hoist_bound(node, node.stop, "stop"), self.hoist_bound(node, step, "step")
         name = self.names.get(node.local, node.local.name)
         change = int(step.value) if isinstance(step, tree.Constant) else 0
@@ -383,13 +398,18 @@ class TextWriter:
         self.block(body)
         self.break_result = break_result
 
-    def guard(self, node: tree.For, start: str, stop: str, by: str, change: int, advance: str) -> tuple[str, str, str]:
-        """Return the three parts of the header of a loop whose counter may wrap when it advances for the last time.
+    def guard(
+        self, node: tree.For, start: str, stop: str, by: str, change: int, advance: str
+    ) -> tuple[str, str, str]:
+        """Return the three parts of the header of a loop whose counter may wrap when it advances for the last
+        time.
 
         The loop ends before the counter advances. `change` is the step, 0 for a variable one.
         """
         name = self.names.get(node.local, node.local.name)
-        first, last, more = (self.names.get((node, what), f"{name}_{what}") for what in ("first", "last", "more"))
+        first, last, more = (
+            self.names.get((node, what), f"{name}_{what}") for what in ("first", "last", "more")
+        )
         least = int_text(max(change, 0) - 2**31) if change else f"{int_text(-(2**31))} + {by}"
         most = int_text(min(change, 0) + 2**31 - 1) if change else f"{int_text(2**31 - 1)} + {by}"
         above, below = f"max({stop}, {least}) - {by}", f"min({stop}, {most}) - {by}"
@@ -526,7 +546,9 @@ def tails_of(body: tree.Block) -> set[tree.Return]:
 def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:
     """Return a key that is equal for constant arrays of the same name, type and values."""
     values = tuple(
-        part.value if isinstance(part, tree.Constant) else tuple(getattr(p, "value", 0) for p in tree.parts_of(part))
+        part.value
+        if isinstance(part, tree.Constant)
+        else tuple(getattr(p, "value", 0) for p in tree.parts_of(part))
         for part in node.elements
     )
     return (node.name, node.type, values)

@@ -1,6 +1,8 @@
-"""Writer of the reference of built-ins in a page: `python -m rhi.shading.tools.reference docs/shading-builtins.md`.
+"""Writer of the reference of built-ins in a page: `python -m rhi.shading.tools.reference
+docs/shading-builtins.md`.
 
-The text between the two markers is generated from the table of built-ins. A test checks that the page is current.
+The text between the two markers is generated from the table of built-ins. A test checks that the page is
+current.
 """
 
 from __future__ import annotations
@@ -63,7 +65,11 @@ def _form(builtin: Builtin) -> str:
 
 
 def _errors(builtin: Builtin) -> list[str]:
-    no_error = not builtin.overloads[0].parameters or builtin.effect is not SideEffect.NONE or len(builtin.stages) == 1
+    no_error = (
+        not builtin.overloads[0].parameters
+        or builtin.effect is not SideEffect.NONE
+        or len(builtin.stages) == 1
+    )
     return ["", "", "", ""] if no_error else _numbers(builtin.error)
 
 

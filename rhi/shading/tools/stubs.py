@@ -1,8 +1,8 @@
 """Writer of the language's type stubs: `python -m rhi.shading.tools.stubs`.
 
-Type checkers need every overload and every swizzle spelled out, people don't. So `vectors.pyi`, `functions.pyi` and
-`textures.pyi` are generated from the tables in `rhi.shading.language`: `types`, `builtins` and `textures`. A test
-checks that the files are current.
+Type checkers need every overload and every swizzle spelled out, people don't. So `vectors.pyi`,
+`functions.pyi` and `textures.pyi` are generated from the tables in `rhi.shading.language`: `types`,
+`builtins` and `textures`. A test checks that the files are current.
 """
 
 from __future__ import annotations
@@ -118,10 +118,11 @@ def _uint() -> Iterator[str]:
 
 
 def _swizzles() -> Iterator[str]:
-    """Yield a generic base class per vector size. Each adds the swizzles of its last component to the smaller one's.
+    """Yield a generic base class per vector size. Each adds the swizzles of its last component to the smaller
+    one's.
 
-    The type parameters are the types of a swizzle of 1, 2, 3 and 4 components. Swizzles are plain attributes: a type
-    checker lets all of them be assigned to, and the parser refuses assignments to repeated components.
+    The type parameters are the types of a swizzle of 1, 2, 3 and 4 components. Swizzles are plain attributes:
+    a type checker lets all of them be assigned to, and the parser refuses assignments to repeated components.
     """
     for size in (2, 3, 4):
         base = "Generic" if size == 2 else f"_Swizzles{size - 1}"
@@ -252,7 +253,8 @@ def _used_types() -> list[str]:
 
 
 def _parameters(overload: Overload, skip: int) -> str:
-    """Return a parameter list. A uint may be an int literal once an earlier uint has selected the overload."""
+    """Return a parameter list. A uint may be an int literal once an earlier uint has selected the
+    overload."""
     parameters, seen = [], False
     for index, parameter in enumerate(overload.parameters[skip:]):
         text = str(parameter.type)
@@ -287,7 +289,9 @@ def _textures() -> Iterator[str]:
     for name in sorted(textures.__all__):
         cls = getattr(textures, name)
         if isinstance(cls, type) and issubclass(cls, textures.SampledTexture):
-            yield from _texture(name, "SampledTexture", "TextureBinding", textures.methods_of(cls.shading_type))
+            yield from _texture(
+                name, "SampledTexture", "TextureBinding", textures.methods_of(cls.shading_type)
+            )
         elif isinstance(cls, type):
             yield from _texture(name, "StorageImage", "ImageBinding", textures.methods_of(_image_type(cls)))
 

@@ -31,10 +31,12 @@ INVERSES: Final = {
     " let i = 1.0 / (dot(s, v) + dot(t, u)); s *= i; t *= i; u *= i; v *= i;"
     " let p = cross(b, v) + t * y; let q = cross(v, a) - t * x; let r = cross(d, u) + s * w;"
     " let o = cross(u, c) - s * z;"
-    " return mat4x4<f32>(vec4<f32>(p.x, q.x, r.x, o.x), vec4<f32>(p.y, q.y, r.y, o.y), vec4<f32>(p.z, q.z, r.z, o.z),"
+    " return mat4x4<f32>(vec4<f32>(p.x, q.x, r.x, o.x), vec4<f32>(p.y, q.y, r.y, o.y), vec4<f32>(p.z, q.z, "
+    "r.z, o.z),"
     " vec4<f32>(-dot(b, t), dot(a, t), -dot(d, s), dot(c, s)));",
 }
-"""Bodies of the inverses of matrices `m` by size; the inverse of a transpose is the transpose of the inverse."""
+"""Bodies of the inverses of matrices `m` by size; the inverse of a transpose is the transpose of the
+inverse."""
 
 TEXTURE_CALLS: Final = {
     "sample": "textureSample({texture_and_sampler}, {at})",
@@ -46,7 +48,8 @@ TEXTURE_CALLS: Final = {
     "gather_compare": "textureGatherCompare({texture_and_sampler}, {at}, {2})",
     "levels": "i32(textureNumLevels({texture}))",
 }
-"""Calls with a texture: `{texture_and_sampler}` stands for both names, `{at}` for the coordinates, a layer included."""
+"""Calls with a texture: `{texture_and_sampler}` stands for both names, `{at}` for the coordinates, a layer
+included."""
 
 OUTSIDE_FRAGMENTS: Final = {
     "sample": "textureSampleLevel({texture_and_sampler}, {at}, 0.0)",

@@ -1,9 +1,9 @@
 """Types of memory that differ from the types of values, and conversions between the two.
 
-- WGSL lays values out as std430 does. In uniform memory, arrays of scalars and of two components have elements of 16
-  bytes, and structs other offsets: these get types of their own (`UNIFORM`).
-- Words that atomics work on are atomic in all of their memory, so structs that contain them get types of their own, one
-  for each binding.
+- WGSL lays values out as std430 does. In uniform memory, arrays of scalars and of two components have
+  elements of 16 bytes, and structs other offsets: these get types of their own (`UNIFORM`).
+- Words that atomics work on are atomic in all of their memory, so structs that contain them get types of
+  their own, one for each binding.
 - A path through memory has the types of memory; the value at its end is converted when it is read or written.
 """
 
@@ -24,7 +24,8 @@ from rhi.contract.layout import (
 )
 
 UNIFORM: Final = ""
-"""The space of uniform memory; storage and shared memory have spaces of their own, by the name of the binding."""
+"""The space of uniform memory; storage and shared memory have spaces of their own, by the name of the
+binding."""
 
 AtomicWords = frozenset[tuple[str, StructType | None, str]]
 """Words that atomics modify: (binding, struct, field), or (binding, None, "") for words that aren't
@@ -35,9 +36,12 @@ class MemoryTypes:
     """The types of memory of a stage. `structs` are the declarations that they need."""
 
     def __init__(
-        self, type: Callable[[HostType], str], field: Callable[[str], str], name: Callable[[object, str], str],
+        self,
+        type: Callable[[HostType], str],
+        field: Callable[[str], str],
+        name: Callable[[object, str], str],
         atomics: AtomicWords,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create the types. `type`, `field` and `name` return the names of a type, of a struct's field, and
         of a key."""
         self._value_type = type
@@ -94,7 +98,9 @@ class MemoryTypes:
             for field, start, end in zip(type.fields, placed.offsets, ends, strict=True):
                 marks = ""
                 if space == UNIFORM:
-                    marks = f"@align({memory_layout(field.type, Layout.STD140).alignment}) @size({end - start}) "
+                    marks = (
+                        f"@align({memory_layout(field.type, Layout.STD140).alignment}) @size({end - start}) "
+                    )
                 inner = self.type(field.type, space, self.is_atomic(space, type, field.name))
                 lines.append(f"{marks}{self._field(field.name)}: {inner},")
             self.structs[name] = lines  # after the structs that it contains
@@ -118,7 +124,10 @@ class MemoryTypes:
                 return f"atomicLoad(&{path})"
             case MatrixType():
                 return f"mat2x2<f32>({path}[0].xy, {path}[1].xy)"
-        parts = [self.load(inner, space, where, each) for inner, where, each in self._parts(type, space, path, atomic)]
+        parts = [
+            self.load(inner, space, where, each)
+            for inner, where, each in self._parts(type, space, path, atomic)
+        ]
         return f"{self._value_type(type)}({', '.join(parts)})"
 
     def store(self, type: HostType, space: str, path: str, value: str, atomic: bool = False) -> Iterator[str]:
@@ -133,7 +142,9 @@ class MemoryTypes:
             for (inner, where, each), (_, part, _) in zip(parts, values, strict=True):
                 yield from self.store(inner, space, where, part, each)
 
-    def _parts(self, type: HostType, space: str, path: str, atomic: bool) -> Iterator[tuple[HostType, str, bool]]:
+    def _parts(
+        self, type: HostType, space: str, path: str, atomic: bool
+    ) -> Iterator[tuple[HostType, str, bool]]:
         """Yield the type and the path of each element or field, and whether it is atomic."""
         if isinstance(type, ArrayType):
             for number in range(type.length):

@@ -37,7 +37,12 @@ RESERVED: Final = frozenset(
         *_FUNCTIONS.split(),
         *BUILTINS,
         *(row.wgsl.partition("(")[0] for row in BUILTINS.values() if isinstance(row.wgsl, str)),
-        *(f"mat{columns}x{rows}{suffix}" for columns in (2, 3, 4) for rows in (2, 3, 4) for suffix in ("", "f", "h")),
+        *(
+            f"mat{columns}x{rows}{suffix}"
+            for columns in (2, 3, 4)
+            for rows in (2, 3, 4)
+            for suffix in ("", "f", "h")
+        ),
     ]
 )
 """Words that can't be identifiers, and the names of functions, which an identifier would hide."""

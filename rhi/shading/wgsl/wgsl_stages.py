@@ -1,10 +1,10 @@
 """A complete stage in WGSL: declarations, functions, and the entry point `main`.
 
-- Bindings have a group for each kind, as in `rhi.shading.glsl.vulkan`: slot n of a texture is the texture at binding 2n
-  and its sampler at 2n + 1. `read_declarations` finds them in a text.
-- WebGPU lacks viewports whose near depth is beyond the far one, and the alpha test. Both are constants that a pipeline
-  overrides: `rhi_reversed` in vertex stages; `rhi_alpha_test`, a number of `ALPHA_TESTS`, and `rhi_alpha_reference` in
-  fragment stages that write alpha.
+- Bindings have a group for each kind, as in `rhi.shading.glsl.vulkan`: slot n of a texture is the texture at
+  binding 2n and its sampler at 2n + 1. `read_declarations` finds them in a text.
+- WebGPU lacks viewports whose near depth is beyond the far one, and the alpha test. Both are constants that a
+  pipeline overrides: `rhi_reversed` in vertex stages; `rhi_alpha_test`, a number of `ALPHA_TESTS`, and
+  `rhi_alpha_reference` in fragment stages that write alpha.
 """
 
 from __future__ import annotations
@@ -50,13 +50,18 @@ _ALPHA_TEST: Final = "\n".join(
         "override rhi_alpha_reference: f32 = 0.5;",
         "fn rhi_passes_alpha(a: f32) -> bool {",
         "    let b = rhi_alpha_reference;",
-        *(f"    if (rhi_alpha_test == {number}u) {{ return {test}; }}" for test, number in ALPHA_TESTS.values()),
+        *(
+            f"    if (rhi_alpha_test == {number}u) {{ return {test}; }}"
+            for test, number in ALPHA_TESTS.values()
+        ),
         "    return true;",
         "}",
     ]
 )
 _ROLES: Final = {Role.FLAT: " @interpolate(flat)", Role.NO_PERSPECTIVE: " @interpolate(linear)"}
-_DECLARATION: Final = re.compile(r"^@group\((\d)\) @binding\((\d+)\) var(?:<storage, (\w+)>)?([^;]*);", re.MULTILINE)
+_DECLARATION: Final = re.compile(
+    r"^@group\((\d)\) @binding\((\d+)\) var(?:<storage, (\w+)>)?([^;]*);", re.MULTILINE
+)
 
 
 def write_wgsl_stage(stage: tree.StageTree, interface: Interface) -> StageText:
@@ -145,7 +150,10 @@ class _WgslStageWriter:
         match type:
             case StorageType(element=element, writable=writable):
                 access = "read_write" if writable else "read"
-                return [f"{group} {slot} var<storage, {access}> {name}: array<{memory.type(element, space, words)}>;"]
+                return [
+                    f"{group} {slot} var<storage, {access}> {name}: "
+                    f"array<{memory.type(element, space, words)}>;"
+                ]
             case TextureType():
                 texture, sampler = writer.texture_and_sampler_names(
                     declaration.name, ("binding", declaration.name), self.names
@@ -181,7 +189,9 @@ class _WgslStageWriter:
                     lines.add(f"{marks} o{number}: {form},")
         early = "@early_depth_test(force) " if self.interface.early_depth and stage is Stage.FRAGMENT else ""
         x, y, z = self.interface.work_group
-        head = f"@compute @workgroup_size({x}, {y}, {z})" if stage is Stage.COMPUTE else f"{early}@{stage.value}"
+        head = (
+            f"@compute @workgroup_size({x}, {y}, {z})" if stage is Stage.COMPUTE else f"{early}@{stage.value}"
+        )
         with lines.braces(f"{head} fn main({', '.join(parameters)}){' -> RhiOutputs' if outputs else ''}"):
             for start in starts:
                 lines.add(start)
@@ -224,14 +234,17 @@ class _WgslStageWriter:
         return arguments
 
     def _varying_locations(self, varying: Varying, name: str) -> list[tuple[str, str, str]]:
-        """Return the attributes, the name and the type of each location of a varying; a matrix has one for each row."""
+        """Return the attributes, the name and the type of each location of a varying; a matrix has one for
+        each row."""
         type: HostType = varying.type
         marks = _ROLES.get(varying.role, "") if varying.role else ""
         if not marks and scalar_of(type) in (INT, UINT):
             marks = _ROLES[Role.FLAT]
         if isinstance(type, MatrixType):
             form = f"vec{type.size}<f32>"
-            return [(f"@location({varying.location + i}){marks}", f"{name}_{i}", form) for i in range(type.size)]
+            return [
+                (f"@location({varying.location + i}){marks}", f"{name}_{i}", form) for i in range(type.size)
+            ]
         return [(f"@location({varying.location}){marks}", name, self.writer.type(type))]
 
     def _outputs(self) -> list[tuple[str, str, str]]:
@@ -245,7 +258,8 @@ class _WgslStageWriter:
                 rows, value = self._varying_locations(varying, ""), self._result(varying.name)
                 many = isinstance(varying.type, MatrixType)
                 outputs += [
-                    (marks, form, f"{value}[{i}]" if many else value) for i, (marks, _, form) in enumerate(rows)
+                    (marks, form, f"{value}[{i}]" if many else value)
+                    for i, (marks, _, form) in enumerate(rows)
                 ]
         elif self.stage.stage is Stage.FRAGMENT:
             for output in interface.outputs:

@@ -1,11 +1,10 @@
 """WGSL from the typed tree: types, literals, declarations, built-ins.
 
-- Every matrix is written as its transpose, whose columns are our rows. So rows are indexed as they are, memory is laid
-  out as elsewhere, and only the operands of `@` are swapped.
-- `select` evaluates both sides, and takes no structs, arrays and matrices. Where that matters, a choice is a statement
-  before the one that contains it, and operands evaluated earlier are stored in variables. A compare-exchange
-  is such a
-  statement, too: a loop around WGSL's, which may fail spuriously.
+- Every matrix is written as its transpose, whose columns are our rows. So rows are indexed as they are,
+  memory is laid out as elsewhere, and only the operands of `@` are swapped.
+- `select` evaluates both sides, and takes no structs, arrays and matrices. Where that matters, a choice is a
+  statement before the one that contains it, and operands evaluated earlier are stored in variables. A
+  compare-exchange is such a statement, too: a loop around WGSL's, which may fail spuriously.
 """
 
 from __future__ import annotations
@@ -69,7 +68,9 @@ class WgslWriter(TextWriter):
 
     def refuse(self, node: Expression, construct: str, tip: str = "") -> NoReturn:
         """Refuse an expression that WGSL can't express."""
-        refuse_at(rules.NATIVE, self.entry.name, self.file, node.span, f"{construct}, which WGSL lacks", tip=tip)
+        refuse_at(
+            rules.NATIVE, self.entry.name, self.file, node.span, f"{construct}, which WGSL lacks", tip=tip
+        )
 
     # -- types and literals
 
@@ -106,7 +107,9 @@ class WgslWriter(TextWriter):
             return text if math.copysign(1.0, number) > 0 else f"({text})"
         # Constants that aren't numbers are errors in WGSL, so the bits come from a variable.
         bits = "0x7FC00000u" if math.isnan(number) else "0x7F800000u" if number > 0 else "0xFF800000u"
-        self.helpers["rhi_from_bits"] = "fn rhi_from_bits(x: u32) -> f32 { var y = x; return bitcast<f32>(y); }"
+        self.helpers["rhi_from_bits"] = (
+            "fn rhi_from_bits(x: u32) -> f32 { var y = x; return bitcast<f32>(y); }"
+        )
         return f"rhi_from_bits({bits})"
 
     def zero(self, type: layout.HostType) -> str:
@@ -125,7 +128,9 @@ class WgslWriter(TextWriter):
                     return True
             case tree.Binary():
                 chain = tree.left_chain(node)
-                return self.needs_statements(chain[0].left) or any(self.needs_statements(link.right) for link in chain)
+                return self.needs_statements(chain[0].left) or any(
+                    self.needs_statements(link.right) for link in chain
+                )
         return any(map(self.needs_statements, tree.parts_of(node)))
 
     def hoist(self, node: Expression, text: str, what: str = "hoisted") -> str:
@@ -164,8 +169,11 @@ class WgslWriter(TextWriter):
                     if isinstance(node.type, StorageType):
                         return self.path(node)
                     return self.memory.load(
-                        node.type, _space_of(declaration), self.path(node), self.is_atomic(node)  # type: ignore[arg-type]
-                    )  # fmt: skip
+                        node.type,  # type: ignore[arg-type]
+                        _space_of(declaration),
+                        self.path(node),
+                        self.is_atomic(node),
+                    )
             case tree.Select() if self.needs_statements(node):
                 return self.write_select(node)
             case tree.Call(function=function, arguments=arguments):
@@ -190,7 +198,10 @@ class WgslWriter(TextWriter):
 
     def is_atomic(self, node: Expression) -> bool:
         """Return whether an access in memory is to atomic words."""
-        return isinstance(node.type, layout.ScalarType | layout.ArrayType) and _word_of(node) in self.memory.atomics
+        return (
+            isinstance(node.type, layout.ScalarType | layout.ArrayType)
+            and _word_of(node) in self.memory.atomics
+        )
 
     def argument(self, node: Expression) -> str:
         if isinstance(node.type, TextureType):
@@ -212,8 +223,9 @@ class WgslWriter(TextWriter):
                 source_size = source.size
                 cells = [
                     f"{parts[0]}[{i}][{j}]" if max(i, j) < source_size else "1.0" if i == j else "0.0"
-                    for i in range(size) for j in range(size)
-                ]  # fmt: skip
+                    for i in range(size)
+                    for j in range(size)
+                ]
             return f"{self.type(type)}({', '.join(cells)})"
         return f"{self.type(type)}({', '.join(parts)})"
 
@@ -262,9 +274,17 @@ class WgslWriter(TextWriter):
 
     def power(self, node: tree.Binary, base: str) -> str:
         exponent = node.right
-        if isinstance(exponent, tree.Constant) and exponent.type in (layout.INT, layout.UINT) and not exponent.value:
+        if (
+            isinstance(exponent, tree.Constant)
+            and exponent.type in (layout.INT, layout.UINT)
+            and not exponent.value
+        ):
             return f"{self.type(node.type)}({'1.0' if scalar_of(node.type) is layout.FLOAT else '1'})"
-        if isinstance(exponent, tree.Constant) and exponent.type in (layout.INT, layout.UINT) and exponent.value < 0:
+        if (
+            isinstance(exponent, tree.Constant)
+            and exponent.type in (layout.INT, layout.UINT)
+            and exponent.value < 0
+        ):
             # WGSL divides no scalar by an integer vector, so one is of the result's type.
             inverse = tree.Constant(exponent.type, exponent.span, -exponent.value)
             positive = tree.Binary(node.type, node.span, node.operator, node.left, inverse)
@@ -272,7 +292,8 @@ class WgslWriter(TextWriter):
         return super().power(node, base)
 
     def floored(self, node: tree.Binary, left: str, right: str) -> str:
-        """Return `//` or `%`. WGSL shifts no vectors by scalars, so powers of two are divided by as others are."""
+        """Return `//` or `%`. WGSL shifts no vectors by scalars, so powers of two are divided by as others
+        are."""
         if isinstance(node.type, layout.VectorType) and scalar_of(node.type) is layout.INT:
             left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
             return f"{self.integer_helper(node, node.operator is Operator.FLOOR_DIVIDE)}({left}, {right})"
@@ -294,7 +315,8 @@ class WgslWriter(TextWriter):
         # A division by 0 is one by 1, and so is that of the least int by -1.
         least = f"(b == {type}(-1)) & (a == {type}(-2147483647 - 1))"
         body = (
-            f"let d = select(b, {unit}, (b == {zero}) | ({least})); let q = a / d; let r = a - q * d; return {result};"
+            f"let d = select(b, {unit}, (b == {zero}) | ({least})); "
+            f"let q = a / d; let r = a - q * d; return {result};"
         )
         return self.helper("rhi_floor_divide" if divide else "rhi_modulo", type, "a b", body)
 
@@ -329,7 +351,9 @@ class WgslWriter(TextWriter):
         types = [argument.type for argument in arguments]
         widest = next((type for type in types if isinstance(type, layout.VectorType)), None)
         wide_texts = {
-            f"v{i}": text if widest is None or isinstance(type, layout.VectorType) else f"{self.type(widest)}({text})"
+            f"v{i}": text
+            if widest is None or isinstance(type, layout.VectorType)
+            else f"{self.type(widest)}({text})"
             for i, (text, type) in enumerate(zip(texts, types, strict=True))
         }
         bits = f"vec{widest.size}<u32>" if widest is not None else "u32"
@@ -357,11 +381,15 @@ class WgslWriter(TextWriter):
         unknown = unknown_indices(location)
         if name != "atomic_compare_exchange" and not unknown:
             return self.atomic_call(node, f"&{self.path(location)}", texts)
-        texts = [self.hoist(expression, text, "argument") for expression, text in zip(values, texts, strict=True)]
+        texts = [
+            self.hoist(expression, text, "argument") for expression, text in zip(values, texts, strict=True)
+        ]
         old = self.names.get((node, "old"), "old")
         self.line(f"{self.variable(self.type(node.type), old)};", node.span)
         conditions = " && ".join(self.hoist_index(expression, node.span) for expression in unknown)
-        guard = self.lines.braces(f"if ({conditions})", self.file, node.span.line) if unknown else nullcontext()
+        guard = (
+            self.lines.braces(f"if ({conditions})", self.file, node.span.line) if unknown else nullcontext()
+        )
         with guard:
             pointer = f"&{self.path(location)}"
             if name == "atomic_compare_exchange":
@@ -377,7 +405,9 @@ class WgslWriter(TextWriter):
         assert isinstance(spelling, str)
         return spelling.format(pointer, *texts)
 
-    def compare_exchange(self, node: tree.BuiltinCall, old: str, pointer: str, expected: str, value: str) -> None:
+    def compare_exchange(
+        self, node: tree.BuiltinCall, old: str, pointer: str, expected: str, value: str
+    ) -> None:
         """Write a loop around WGSL's compare-exchange, which may fail spuriously."""
         with self.lines.braces("loop", self.file, node.span.line):
             tried = self.names.get((node, "tried"), "tried")
@@ -421,7 +451,9 @@ class WgslWriter(TextWriter):
         at = texts[1] if rest else ""
         if layered and rest:
             if tree.has_effect(rest[0]):
-                self.refuse(rest[0], "a position in an array with a side effect", "assign it to a variable first")
+                self.refuse(
+                    rest[0], "a position in an array with a side effect", "assign it to a variable first"
+                )
             whole = isinstance(rest[0].type, layout.VectorType) and rest[0].type.scalar is layout.INT
             at = f"{at}.xy, {f'{at}.z' if whole else f'i32(floor({at}.z + 0.5))'}"
         if name == "load":
@@ -432,7 +464,9 @@ class WgslWriter(TextWriter):
             if tree.has_effect(rest[1]):
                 self.refuse(rest[1], "a level with a side effect", "assign it to a variable first")
             # WebGPU lets a load from a level that doesn't exist return a texel of another one.
-            return f"select({self.type(node.type)}(), {loaded}, u32({texts[2]}) < textureNumLevels({texture}))"
+            return (
+                f"select({self.type(node.type)}(), {loaded}, u32({texts[2]}) < textureNumLevels({texture}))"
+            )
         if name == "store":
             return f"textureStore({texture}, {at}, {texts[2]})"
         assert isinstance(type, TextureType)
@@ -457,7 +491,9 @@ class WgslWriter(TextWriter):
 
     def statement(self, node: tree.Statement) -> None:
         match node:
-            case tree.Evaluate(value=tree.BuiltinCall(builtin=builtin) as call) if builtin.effect in _STATEMENTS:
+            case tree.Evaluate(value=tree.BuiltinCall(builtin=builtin) as call) if (
+                builtin.effect in _STATEMENTS
+            ):
                 self.line(f"{self.expression(call)};", node.span)
             case tree.Evaluate(value=value):
                 text = self.expression(value)
@@ -527,7 +563,11 @@ class WgslWriter(TextWriter):
 
     def end(self, node: tree.Function) -> None:
         """Write a return after an endless loop, which WGSL requires although it is never reached."""
-        if not isinstance(node.result, VoidType) and node.body and isinstance(node.body[-1], tree.While | tree.For):
+        if (
+            not isinstance(node.result, VoidType)
+            and node.body
+            and isinstance(node.body[-1], tree.While | tree.For)
+        ):
             self.line(f"return {self.type(node.result)}();", node.span)
 
     def helper(self, name: str, type: str, parameters: str, body: str) -> str:

@@ -1,9 +1,11 @@
-"""Probes: single built-ins and operators, as functions on arrays and as compute shaders, with their arguments.
+"""Probes: single built-ins and operators, as functions on arrays and as compute shaders, with their
+arguments.
 
-- A probe's shaders read the words of its arguments from a buffer and write the words of its result to another, so that
-  all languages compute from the same bits. `sample` and `hard_inputs` generate the arguments.
-- Float64 is the reference. It has 29 bits more than float32, so its own error of one or two units in the last place is
-  1e-8 of a float32's unit.
+- A probe's shaders read the words of its arguments from a buffer and write the words of its result to
+  another, so that all languages compute from the same bits. `sample` and `hard_inputs` generate the
+  arguments.
+- Float64 is the reference. It has 29 bits more than float32, so its own error of one or two units in the last
+  place is 1e-8 of a float32's unit.
 """
 
 from __future__ import annotations
@@ -46,8 +48,8 @@ _LARGEST: Final = float(np.finfo(np.float32).max)
 _SMALLEST_NORMAL: Final = 2.0**-126
 
 SMALLEST: Final = 1e-12
-"""Smallest magnitude of arguments for built-ins that are made from others: products of three smaller numbers, as in a
-determinant, underflow."""
+"""Smallest magnitude of arguments for built-ins that are made from others: products of three smaller numbers,
+as in a determinant, underflow."""
 
 _ANCHORS: Final = np.array([0.5, 1, 2, np.e, 10, 100])
 _HARD_FLOATS: Final = np.array(
@@ -152,8 +154,9 @@ class Probe:
         """Return one of the probe's compute shaders.
 
         Args:
-            variant: `Single` computes a result for each row of `inputs`. `Repeated` sums many results and `Baseline`
-                only their arguments, so that the difference of their times is the time of the calls.
+            variant: `Single` computes a result for each row of `inputs`. `Repeated` sums many results and
+                `Baseline` only their arguments, so that the difference of their times is the time of the
+                calls.
             precision: the precision of the shader.
         """
         shader: type[Shader] = self._namespace[variant]
@@ -162,7 +165,9 @@ class Probe:
     def evaluate(self, inputs: Array, dtype: Any) -> Array:
         """Evaluate words (n, words) on NumPy; returns numbers (n, components)."""
         columns = self.columns(inputs).values()
-        values = [part.reshape(-1, *shape_of(type)) for part, type in zip(columns, self.parameters, strict=True)]
+        values = [
+            part.reshape(-1, *shape_of(type)) for part, type in zip(columns, self.parameters, strict=True)
+        ]
         return np.asarray(evaluate(self._namespace["probe"], *values, dtype=dtype)).reshape(len(inputs), -1)
 
     def numbers(self, words: Array) -> Array:
@@ -210,7 +215,8 @@ class Probe:
     def sample(self, count: int, seed: int = 0) -> Array:
         """Generate words (count, words) with a defined result, in the domain of the stated error.
 
-        A third of the floats each is uniform, uniform in the logarithm, and close to numbers where functions change.
+        A third of the floats each is uniform, uniform in the logarithm, and close to numbers where functions
+        change.
         """
         batches: list[Array] = []
         while sum(map(len, batches)) < count:
@@ -228,7 +234,8 @@ class Probe:
         return np.stack(columns, axis=1)
 
     def hard_inputs(self) -> Array:
-        """Generate words (n, words) of hard numbers: all combinations for up to two words, random ones for more."""
+        """Generate words (n, words) of hard numbers: all combinations for up to two words, random ones for
+        more."""
         hard_inputs = [_hard(kind) for kind in self.kinds]
         if len(hard_inputs) <= 2:
             rows = list(itertools.product(*hard_inputs))
@@ -273,9 +280,9 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
     if kind is BOOL:
         return rng.integers(0, 2, count).astype(np.uint32)
     if kind is not FLOAT:
-        return rng.integers(0, 1 << 32, count, np.uint64).astype(np.uint32) >> rng.integers(0, 32, count).astype(
-            np.uint32
-        )
+        return rng.integers(0, 1 << 32, count, np.uint64).astype(np.uint32) >> rng.integers(
+            0, 32, count
+        ).astype(np.uint32)
     even = rng.uniform(low, high, count)
     largest = max(abs(low), abs(high))
     magnitude = np.exp(rng.uniform(np.log(low if low > 0 else largest * 1e-6), np.log(largest), count))
@@ -293,11 +300,12 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
 def count_units(probe: Probe, inputs: Array, results: Array) -> Array:
     """Return the errors of results, (n, components), in the units of the error bound.
 
-    - A unit is one unit in the last place (ulp) of the exact float32. For a built-in that is made from others it is the
-      change of the result by one ulp in each argument, if that is more: a sum of products can't do better.
+    - A unit is one unit in the last place (ulp) of the exact float32. For a built-in that is made from others
+      it is the change of the result by one ulp in each argument, if that is more: a sum of products can't do
+      better.
     - Results and arguments below 2^-126 may count as zero, since devices may flush them.
-    - The error is infinite if only one of the two is NaN or infinite, and for different whole numbers or bools. These
-      may also equal the result of float32: a pack rounds a product.
+    - The error is infinite if only one of the two is NaN or infinite, and for different whole numbers or
+      bools. These may also equal the result of float32: a pack rounds a product.
     """
     if scalar_kind(probe.result) is not FLOAT:
         same = [results == probe.evaluate(inputs, dtype) for dtype in (np.float64, np.float32)]
@@ -310,7 +318,9 @@ def count_units(probe: Probe, inputs: Array, results: Array) -> Array:
 def _distance(probe: Probe, inputs: Array, results: Array) -> Array:
     with np.errstate(all="ignore"):
         exact, got = probe.evaluate(inputs, np.float64), results.astype(np.float64)
-        unit = np.spacing(np.clip(np.abs(exact), _SMALLEST_NORMAL, _LARGEST).astype(np.float32)).astype(np.float64)
+        unit = np.spacing(np.clip(np.abs(exact), _SMALLEST_NORMAL, _LARGEST).astype(np.float32)).astype(
+            np.float64
+        )
         if probe.error.of_arguments:
             unit = np.maximum(unit, _spread(probe, inputs, exact))
         off = np.abs(got - exact)
@@ -325,7 +335,8 @@ def _distance(probe: Probe, inputs: Array, results: Array) -> Array:
 
 
 def _spread(probe: Probe, inputs: Array, exact: Array) -> Array:
-    """Return the change of the result by a unit in the last place of each argument, summed over the arguments."""
+    """Return the change of the result by a unit in the last place of each argument, summed over the
+    arguments."""
     total = np.zeros_like(exact)
     for column, kind in enumerate(probe.kinds):
         if kind is FLOAT:
@@ -346,7 +357,8 @@ def _flush(probe: Probe, inputs: Array) -> Array | None:
 
 
 def worst_units(probe: Probe, inputs: Array, results: Array, bound: BoundName) -> Array:
-    """Return the largest error of each row's components, (n,), for comparison with `getattr(probe.error, bound)`.
+    """Return the largest error of each row's components, (n,), for comparison with `getattr(probe.error,
+    bound)`.
 
     It is 0 for rows that the bound doesn't cover: without a defined result, or outside the domain.
     """
@@ -367,7 +379,8 @@ def worst_units(probe: Probe, inputs: Array, results: Array, bound: BoundName) -
 
 
 def all_probes() -> list[Probe]:
-    """Return probes of all operators and of all built-ins that depend on their arguments alone, in one size each."""
+    """Return probes of all operators and of all built-ins that depend on their arguments alone, in one size
+    each."""
     return [*operator_probes(), *itertools.chain.from_iterable(map(builtin_probes, BUILTINS.values()))]
 
 
@@ -376,7 +389,11 @@ def builtin_probes(row: Builtin) -> Iterator[Probe]:
 
     Arguments are scalars, or where there is no such overload vectors or matrices of three.
     """
-    if row.effect is not SideEffect.NONE or len(row.stages) == 1 or row.name in ("uniform", "broadcast_first"):
+    if (
+        row.effect is not SideEffect.NONE
+        or len(row.stages) == 1
+        or row.name in ("uniform", "broadcast_first")
+    ):
         return  # they return their argument only where all lanes have the same
     signatures: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
     for overload in row.overloads:

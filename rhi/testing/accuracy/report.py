@@ -1,11 +1,11 @@
 """`python -m rhi shading accuracy`: the error and the time of each built-in on each backend of this machine.
 
-- Each built-in is called on the same sample (`rhi.testing.accuracy.probes`, and `sample_probes` for textures) and
-  compared with float64.
-- Its time is the difference between a kernel that calls it many times and a kernel that only reads the same arguments.
-  The two alternate and the shortest run of each counts, since other load on the machine would exceed a difference this
-  small. The result is the time of a call with all cores busy; it is close to 0 for functions whose cost is hidden by
-  reading the arguments.
+- Each built-in is called on the same sample (`rhi.testing.accuracy.probes`, and `sample_probes` for textures)
+  and compared with float64.
+- Its time is the difference between a kernel that calls it many times and a kernel that only reads the same
+  arguments. The two alternate and the shortest run of each counts, since other load on the machine would
+  exceed a difference this small. The result is the time of a call with all cores busy; it is close to 0 for
+  functions whose cost is hidden by reading the arguments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,15 @@ from rhi.device.resources.programs import Program
 from rhi.errors import RhiError
 from rhi.shading import Precision
 from rhi.shading.language.builtins import BUILTINS
-from rhi.testing.accuracy.probes import PASSES, WORK_GROUP, BoundName, Probe, all_probes, count_units, worst_units
+from rhi.testing.accuracy.probes import (
+    PASSES,
+    WORK_GROUP,
+    BoundName,
+    Probe,
+    all_probes,
+    count_units,
+    worst_units,
+)
 from rhi.testing.accuracy.sample_probes import ITERATIONS, SAMPLE_PROBES, SHADERS, SampleProbe
 
 Array = NDArray[Any]
@@ -52,8 +60,8 @@ class BuiltinAccuracy:
 
     Attributes:
         precision: "exact" or "fast" where a shader can choose, else "".
-        median_ulp, max_ulp: errors over the sample in units of `rhi.testing.accuracy.probes.count_units`; of 2^-23 for
-            samples of textures.
+        median_ulp, max_ulp: errors over the sample in units of `rhi.testing.accuracy.probes.count_units`; of
+            2^-23 for samples of textures.
         bound_ulp: the error bound that the table of built-ins states.
         keeps: whether the whole sample is within the bound, including OpenGL's absolute bounds.
         worst_input: the arguments whose error is `max_ulp`.
@@ -71,7 +79,9 @@ class BuiltinAccuracy:
     nanoseconds: float
 
 
-def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[BuiltinAccuracy]:
+def measure(
+    names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")
+) -> Iterator[BuiltinAccuracy]:
     """Measure the named built-ins and operators, by default all that aren't exact everywhere.
 
     Backends that don't work on this machine are left out, with a message.
@@ -103,8 +113,13 @@ def _is_inexact(probe: Probe) -> bool:
 
 
 def _accuracy_of(
-    probe: Probe | SampleProbe, backend: str, precision: Precision, inputs: Array, results: Array, seconds: float
-) -> BuiltinAccuracy:  # fmt: skip
+    probe: Probe | SampleProbe,
+    backend: str,
+    precision: Precision,
+    inputs: Array,
+    results: Array,
+    seconds: float,
+) -> BuiltinAccuracy:
     name = _BOUNDS[backend, precision]
     bound = getattr(probe.error, name)
     if isinstance(probe, SampleProbe):
@@ -139,7 +154,9 @@ def _on_numpy(probe: Probe | SampleProbe) -> tuple[Array, Array, float]:
     return inputs, probe.evaluate(inputs, np.float32), seconds
 
 
-def _on_device(device: Device, probe: Probe | SampleProbe, precision: Precision) -> tuple[Array, Array, float]:
+def _on_device(
+    device: Device, probe: Probe | SampleProbe, precision: Precision
+) -> tuple[Array, Array, float]:
     if isinstance(probe, SampleProbe):
         return _sample_on_device(device, probe, precision)
     inputs = probe.sample(SAMPLES)
@@ -188,7 +205,8 @@ def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) 
 
 
 def _shortest_times(runs: Sequence[Callable[[], object]]) -> list[float]:
-    """Return the shortest time of each function in seconds; they alternate, and the first run, a build, is dropped."""
+    """Return the shortest time of each function in seconds; they alternate, and the first run, a build, is
+    dropped."""
     times: list[list[float]] = [[] for _ in runs]
     for _ in range(REPEATS + 1):
         for run, seconds in zip(runs, times, strict=True):
@@ -211,14 +229,16 @@ def write_table(rows: Sequence[BuiltinAccuracy]) -> str:
         backend = f"{row.backend} {row.precision}".strip()
         mark = "" if row.is_within_bound else " **broken**"
         lines.append(
-            f"| `{row.builtin}` | {backend} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | {row.bound_ulp:g}{mark} "
+            f"| `{row.builtin}` | {backend} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | "
+            f"{row.bound_ulp:g}{mark} "
             f"| {worst} | {row.nanoseconds:.2f} |"
         )
     return "\n".join(lines)
 
 
 def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
-    """Plot error against time of the built-ins that have a FAST form, a point per measurement; needs matplotlib.
+    """Plot error against time of the built-ins that have a FAST form, a point per measurement; needs
+    matplotlib.
 
     An arrow leads from the EXACT to the FAST form of a built-in on OpenCL.
     """
@@ -274,7 +294,11 @@ def main(arguments: Sequence[str]) -> int:
         "--builtin", action="append", default=[], metavar="NAME", help="only this built-in; repeatable"
     )
     accuracy.add_argument(
-        "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this backend; repeatable"
+        "--backend",
+        action="append",
+        default=[],
+        choices=("gl", "cl", "numpy"),
+        help="only this backend; repeatable",
     )
     options = parser.parse_args(arguments)
     rows = []

@@ -1,7 +1,7 @@
 """Probes of texture sampling: coordinates, reference results in float64, and shaders that sample.
 
-Samples lie anywhere in and around a small texture of random texels, at its mip levels and between them. Values are from
-0 to 1; errors are counted in units of 2^-23, the spacing of float32 at 1.
+Samples lie anywhere in and around a small texture of random texels, at its mip levels and between them.
+Values are from 0 to 1; errors are counted in units of 2^-23, the spacing of float32 at 1.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class Repeated(Single):
 
 
 class Baseline(Single):
-    """A shader that sums the coordinates of `ITERATIONS` samples instead, to measure the time of reading them."""
+    """A shader that sums the coordinates of `ITERATIONS` samples instead, to measure the time of reading
+    them."""
 
     def compute(self) -> None:
         row = global_id().x
@@ -96,7 +97,8 @@ class SampleProbe:
         return HostTexture(levels, self.format)
 
     def sample(self, count: int) -> Array:
-        """Generate coordinates (count, 4) float32: u, v, level, and an unused one; every other level is whole."""
+        """Generate coordinates (count, 4) float32: u, v, level, and an unused one; every other level is
+        whole."""
         rng = np.random.default_rng(1)
         inputs = np.zeros((count, 4), np.float32)
         inputs[:, :2] = rng.uniform(-1, 2, (count, 2))
@@ -115,7 +117,9 @@ class SampleProbe:
         return worst / UNIT
 
 
-_FILTER_BOUND: Final = ErrorBound(glsl=32, exact=32, fast=32, numpy=32)  # mostly the rounding of the coordinates
+_FILTER_BOUND: Final = ErrorBound(
+    glsl=32, exact=32, fast=32, numpy=32
+)  # mostly the rounding of the coordinates
 _SRGB_CURVE: Final = 11_000  # within 1.3e-3, a third of a stored step
 
 SAMPLE_PROBES: Final = (

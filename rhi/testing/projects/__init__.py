@@ -1,7 +1,7 @@
 """`python -m rhi new KIND NAME`: writes a small project to start from, with its tests.
 
-Each kind is a folder of texts beside this module: a program and its tests, which run on the null device, so without a
-GPU, a driver or a display. Both pass ruff and `mypy --strict` as they are.
+Each kind is a folder of texts beside this module: a program and its tests, which run on the null device, so
+without a GPU, a driver or a display. Both pass ruff and `mypy --strict` as they are.
 """
 
 from __future__ import annotations
@@ -72,7 +72,8 @@ def write_project(kind: str, name: str, folder: Path) -> Path:
     """Write a project of a kind of `KINDS` to a new folder of its name in `folder`, and return that.
 
     Raises:
-        ValidationError: `device-argument` for another kind, or a name that is no module's or that a module has.
+        ValidationError: `device-argument` for another kind, or a name that is no module's or that a module
+            has.
         FileExistsError: if there is such a folder.
     """
     call = f"rhi new {kind} {name}"

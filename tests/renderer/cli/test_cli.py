@@ -24,11 +24,25 @@ from renderer.cli import main
 from renderer.cli.compare_light_culling import plot_tests
 
 KEYS = [
-    "backend", "device", "scene", "size", "frames", "technique", "reason", "milliseconds", "triangles",
-    "draws", "queries",
-    "software_state_changes", "hardware_state_changes", "simulation_steps", "skipped_simulations",
-    "uploads_bytes", "image_bytes", "image",
-]  # fmt: skip
+    "backend",
+    "device",
+    "scene",
+    "size",
+    "frames",
+    "technique",
+    "reason",
+    "milliseconds",
+    "triangles",
+    "draws",
+    "queries",
+    "software_state_changes",
+    "hardware_state_changes",
+    "simulation_steps",
+    "skipped_simulations",
+    "uploads_bytes",
+    "image_bytes",
+    "image",
+]
 CITY = "city:blocks=4"
 
 
@@ -53,7 +67,9 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_terminal_shows_how_far_a_first_run_is_with_building_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_shows_how_far_a_first_run_is_with_building_kernels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     logger = logging.getLogger("rhi.kernels")
     monkeypatch.setattr(logger, "handlers", [])
     monkeypatch.setattr(logger, "level", logging.NOTSET)
@@ -86,7 +102,9 @@ def test_render_writes_an_image_and_reports_it(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.usefixtures("gl")
-def test_without_an_output_the_image_has_the_scenes_name(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_without_an_output_the_image_has_the_scenes_name(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
     report = run_json(capsys, CITY, "--size", "16x16")
     assert report["image"] == "city.png"
     assert (here / "city.png").exists()
@@ -104,7 +122,9 @@ def test_the_null_device_makes_no_image_and_says_so(capsys: pytest.CaptureFixtur
 
 
 def test_frames_of_a_path_are_summed_up(capsys: pytest.CaptureFixture[str]) -> None:
-    report = run_json(capsys, CITY, "--backend", "null", "--camera", "ground", "--frame", "10", "--frames", "4")
+    report = run_json(
+        capsys, CITY, "--backend", "null", "--camera", "ground", "--frame", "10", "--frames", "4"
+    )
     assert report["frames"] == 4
     times = report["milliseconds"]
     assert times["min"] <= times["median"] <= times["max"]
@@ -130,7 +150,9 @@ def test_without_json_the_same_is_said_in_lines(capsys: pytest.CaptureFixture[st
     assert names == [printed_names.get(key, key) for key in KEYS]
 
 
-def test_the_environment_names_the_backend(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_names_the_backend(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("RHI_BACKEND", "null")
     assert run_json(capsys, CITY)["backend"] == "null"
 
@@ -163,13 +185,19 @@ def write_dusty(path: Path) -> dict[str, object]:
     return {"what": "vertex attribute _DUST", "count": 1, "where": "meshes[0].primitives[0].attributes"}
 
 
-@pytest.mark.parametrize("command", [
-    "render dusty.gltf --backend null --size 64x36",
-    "capture dusty.gltf --backend null --size 64x36 --frames 1 --output dusty.csv",
-    "compare visibility dusty.gltf --backend null --size 64x36 --camera-path sky --frames 1 --algorithms none",
-    "compare techniques dusty.gltf --backend null --size 64x36 --rounds 1 --techniques forward",
-    "compare stereo dusty.gltf --backend null --sizes 64x36 --camera-path sky --frame 0 --frames 1 --shadows off,on",
-], ids=lambda command: command.partition(" dusty")[0])  # fmt: skip
+@pytest.mark.parametrize(
+    "command",
+    [
+        "render dusty.gltf --backend null --size 64x36",
+        "capture dusty.gltf --backend null --size 64x36 --frames 1 --output dusty.csv",
+        "compare visibility dusty.gltf --backend null --size 64x36 --camera-path sky --frames 1 --algorithms "
+        "none",
+        "compare techniques dusty.gltf --backend null --size 64x36 --rounds 1 --techniques forward",
+        "compare stereo dusty.gltf --backend null --sizes 64x36 --camera-path sky --frame 0 --frames 1 "
+        "--shadows off,on",
+    ],
+    ids=lambda command: command.partition(" dusty")[0],
+)
 def test_what_a_file_has_and_the_scene_has_not_is_listed_once(
     capsys: pytest.CaptureFixture[str], here: Path, command: str
 ) -> None:
@@ -197,11 +225,16 @@ def test_pairs_and_times_of_lights_are_charted_with_a_line_for_each_test() -> No
     rows = [dict(zip(keys, (*way, n, 10 * n, 2.0 * n, 3.0), strict=True)) for n in (4, 8) for way in ways]
     plot_tests(figure, rows)
     for axes, times in zip(figure.axes, ([40, 80], [8.0, 16.0], [3.0, 3.0]), strict=True):
-        assert [line.get_label() for line in axes.lines] == ["exact, pre filter", "planes, pre filter, tight cones"]
+        assert [line.get_label() for line in axes.lines] == [
+            "exact, pre filter",
+            "planes, pre filter, tight cones",
+        ]
         assert [list(map(list, line.get_data())) for line in axes.lines] == [[[4, 8], times]] * 2
 
 
-def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
     write_dusty(here / "dusty.gltf")
     main(["plan", "dusty.gltf", "--json"])
     reason = {entry["name"]: entry["reason"] for entry in json.loads(capsys.readouterr().out)["left_out"]}
@@ -319,9 +352,13 @@ def test_python_m_renderer_is_the_command_line() -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_a_missing_driver_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_driver_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(name: str | None = None, **options: object) -> None:
-        raise rhi.DeviceError(rhi.RULES["device-driver"], "rhi.create_device()", "no EGL", "", "install libegl1")
+        raise rhi.DeviceError(
+            rhi.RULES["device-driver"], "rhi.create_device()", "no EGL", "", "install libegl1"
+        )
 
     monkeypatch.setattr(rhi, "create_device", fail)
     with pytest.raises(SystemExit) as exit:
@@ -335,7 +372,9 @@ def test_a_missing_driver_is_one_line(capsys: pytest.CaptureFixture[str], monkey
 def test_overlay_and_particles_are_drawn_over_the_image_and_change_no_counter(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    command = "hall:columns=6,rows=2,flags=0,fountains=4 --size 640x360 --frame 60 --technique forward --backend gl"
+    command = (
+        "hall:columns=6,rows=2,flags=0,fountains=4 --size 640x360 --frame 60 --technique forward --backend gl"
+    )
     images, reports = [], []
     for layers in ([], ["--particles"], ["--particles", "--overlay"]):
         report = run_json(capsys, *command.split(), "--visibility", "frustum", *layers)
@@ -356,15 +395,21 @@ def test_the_overlay_also_runs_where_nothing_is_drawn(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize("module", ["PIL", "tqdm"])
-def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_from_a_checkout(module: str) -> None:
+def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_from_a_checkout(
+    module: str,
+) -> None:
     program = (
-        f"import sys; sys.modules['{module}'] = None; sys.argv = ['renderer', 'render', 'city', '--overlay']; "
+        f"import sys; sys.modules['{module}'] = None; sys.argv = ['renderer', 'render', 'city', "
+        "'--overlay']; "
         "import runpy; runpy.run_module('renderer', run_name='__main__')"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     by_name, in_a_checkout = "pip install 'rhi[renderer]'", "pip install --editable '.[renderer]'"
-    assert done.stderr == f"error: {module} is missing; install it with: {by_name}, or in a checkout: {in_a_checkout}\n"
+    assert (
+        done.stderr
+        == f"error: {module} is missing; install it with: {by_name}, or in a checkout: {in_a_checkout}\n"
+    )
 
 
 @pytest.mark.parametrize(("command", "is_view"), [("view", True), ("scenes", False)])
@@ -388,34 +433,44 @@ def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.Ca
     assert stdout.startswith("technique: forward, a null device draws nothing that could be measured\n")
 
 
-@pytest.mark.parametrize(("technique", "way", "more"), [
-    ("clustered", "--depth-first", ["depth"]),
-    ("deferred_plus", "--multi-pass", ["material ids", "rectangles"]),
-    ("deferred_plus", "--binned", ["bins", "resolve"]),
-    ("forward", "--multi-pass", []),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("technique", "way", "more"),
+    [
+        ("clustered", "--depth-first", ["depth"]),
+        ("deferred_plus", "--multi-pass", ["material ids", "rectangles"]),
+        ("deferred_plus", "--binned", ["bins", "resolve"]),
+        ("forward", "--multi-pass", []),
+    ],
+)
 def test_techniques_draw_in_other_ways_on_demand(
     technique: str, way: str, more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def list_passes(*arguments: str) -> set[str]:
-        report = run_json(capsys, "grid:mesh=box,count=9,lights=4", "--backend", "null", *arguments, command="plan")
+        report = run_json(
+            capsys, "grid:mesh=box,count=9,lights=4", "--backend", "null", *arguments, command="plan"
+        )
         return {entry["name"] for entry in report["passes"]}
 
     usual = list_passes("--technique", technique)
     assert list_passes("--technique", technique, way) - usual == set(more)
     name = way.removeprefix("--").replace("-", "_")
-    (tmp_path / "s.json").write_text(f'{{"rendering": {{"technique": {{"name": "{technique}", "{name}": true}}}}}}')
+    (tmp_path / "s.json").write_text(
+        f'{{"rendering": {{"technique": {{"name": "{technique}", "{name}": true}}}}}}'
+    )
     render = ["render", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--frames", "1"]
     assert main([*render, "--settings", str(tmp_path / "s.json")]) == 0
 
 
-@pytest.mark.parametrize(("arguments", "technique", "reason"), [
-    ([], "forward", "a null device draws nothing that could be measured"),
-    (["--technique", "deferred"], "deferred", "was asked for"),
-    (["--technique", "forward"], "forward", "was asked for"),
-    (["--samples", "4"], "forward", "4 samples per pixel, which other candidates don't have"),
-    (["--fxaa"], "forward", "a null device draws nothing that could be measured"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "technique", "reason"),
+    [
+        ([], "forward", "a null device draws nothing that could be measured"),
+        (["--technique", "deferred"], "deferred", "was asked for"),
+        (["--technique", "forward"], "forward", "was asked for"),
+        (["--samples", "4"], "forward", "4 samples per pixel, which other candidates don't have"),
+        (["--fxaa"], "forward", "a null device draws nothing that could be measured"),
+    ],
+)
 def test_the_technique_in_use_is_named_with_its_reason(
     capsys: pytest.CaptureFixture[str], arguments: list[str], technique: str, reason: str
 ) -> None:
@@ -438,7 +493,9 @@ def test_a_device_chooses_the_technique_of_a_plan(capsys: pytest.CaptureFixture[
     assert report["passes"][0]["name"] == first
 
 
-@pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.jpg", 0), ("plan.txt", 2)])
+@pytest.mark.parametrize(
+    ("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.jpg", 0), ("plan.txt", 2)]
+)
 def test_a_plan_is_plotted_to_a_file_that_is_a_chart(
     capsys: pytest.CaptureFixture[str], here: Path, name: str, code: int
 ) -> None:

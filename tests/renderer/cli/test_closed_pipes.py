@@ -34,7 +34,10 @@ def write_much() -> None:
     ],
 )
 def test_commands_of_both_packages_end_quietly(
-    package: ModuleType, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    package: ModuleType,
+    arguments: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     much = Subcommand("much", "print much", (), lambda _: write_much(), "")
     monkeypatch.setattr(cli, "COMMANDS", (*cli.COMMANDS, much))

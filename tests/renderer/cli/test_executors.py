@@ -60,7 +60,10 @@ def test_each_process_has_cpus_and_threads_of_its_own(monkeypatch: pytest.Monkey
 
 
 def test_a_process_that_is_ended_is_an_error_of_one_line() -> None:
-    with pytest.raises(OutputError, match="a process of processes:1 was ended"), make_executor("processes:1") as pool:
+    with (
+        pytest.raises(OutputError, match="a process of processes:1 was ended"),
+        make_executor("processes:1") as pool,
+    ):
         assert pool.submit(abs, -1).result() == 1
         pool.submit(os._exit, 1).result()
 

@@ -43,7 +43,9 @@ REFUSED = {
     f"render {CITY} --depth sideways": "--depth",
     f"render {CITY} --output image.txt": "--output",
     f"render {CITY} --output file/image.png": "file",
-    **{f"render {CITY} --stereo grey --eye-distance={far}": "is not a length" for far in ("-1", "nan", "far")},
+    **{
+        f"render {CITY} --stereo grey --eye-distance={far}": "is not a length" for far in ("-1", "nan", "far")
+    },
     **{f"render {CITY} --visibility {name} --backend null": message for name, message in LACKS.items()},
     "render": "SCENE",
     "demo ctiy": "did you mean 'city'",
@@ -68,7 +70,10 @@ REFUSED = {
     f"{TUNE} --b 0:5": "--b",
     f"{TUNE} --b 9:5": "--b",
     f"{TUNE} --n x": "--n",
-    **{f"{TUNE} --executor {options}": "none of serial, processes" for options in ("magic", "processes:0", "dask:")},
+    **{
+        f"{TUNE} --executor {options}": "none of serial, processes"
+        for options in ("magic", "processes:0", "dask:")
+    },
     f"{TUNE} --camera-path grund": "did you mean 'ground'",
     f"{TUNE} --camera-path walk.json": "walk.json",
     f"{TUNE} --frame 1797": "camera-frame-range",
@@ -94,7 +99,10 @@ REFUSED = {
     "compare encodings --backend null": "measure-no-shaders",
     "effect-costs --rounds 0": "--rounds: '0' is not a whole number of 1 or more",
     "effect-costs --effect fire": "invalid choice: 'fire'",
-    **{f"accuracy city --budget-ms {ms}": "is not a number above 0" for ms in ("0", "-1", "nan", "inf", "much")},
+    **{
+        f"accuracy city --budget-ms {ms}": "is not a number above 0"
+        for ms in ("0", "-1", "nan", "inf", "much")
+    },
     "view nowhere": "scene",
     f"view {CITY} --camera nowhere": "camera-unknown-name",
     f"view {CITY} --script missing.txt": "No such file",

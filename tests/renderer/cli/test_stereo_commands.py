@@ -40,7 +40,8 @@ def test_two_eyes_draw_twice_as_much(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_eyes_are_comfortable_where_nothing_else_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    # The street enters the image 1.8 m below the eye and some 3 m ahead; its harmonic middle with infinity is at 6 m.
+    # The street enters the image 1.8 m below the eye and some 3 m ahead; its harmonic middle with infinity is
+    # at 6 m.
     report = run(capsys, "render", CITY, "--stereo", "grey", *WALK)
     assert report["eye_distance"] == 0.063
     assert 5.0 < report["convergence"] < 7.0
@@ -49,11 +50,31 @@ def test_eyes_are_comfortable_where_nothing_else_is_said(capsys: pytest.CaptureF
 
 
 @pytest.mark.usefixtures("gl")
-def test_the_image_shows_both_eyes_and_another_one_the_holes(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_the_image_shows_both_eyes_and_another_one_the_holes(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
     report = run(
-        capsys, "render", CITY, "--camera", "ground", "--frame", "600", "--backend", "gl", "--json", "--size",
-        "96x54", "--stereo", "side_by_side", "--holes", "holes.png", "--output", "both.png", "--eye-distance", "0.5",
-    )  # fmt: skip
+        capsys,
+        "render",
+        CITY,
+        "--camera",
+        "ground",
+        "--frame",
+        "600",
+        "--backend",
+        "gl",
+        "--json",
+        "--size",
+        "96x54",
+        "--stereo",
+        "side_by_side",
+        "--holes",
+        "holes.png",
+        "--output",
+        "both.png",
+        "--eye-distance",
+        "0.5",
+    )
     both = np.asarray(Image.open(here / "both.png")).astype(int)
     assert both.shape == (54, 96, 3)
     left, right = both[:, :48], both[:, 48:]
@@ -62,7 +83,9 @@ def test_the_image_shows_both_eyes_and_another_one_the_holes(capsys: pytest.Capt
     assert report["holes"] == holes.sum() > 0
 
 
-@pytest.mark.parametrize("arguments", [["--eye-distance", "0.1"], ["--swap-eyes"], ["--reproject"], ["--toe-in"]])
+@pytest.mark.parametrize(
+    "arguments", [["--eye-distance", "0.1"], ["--swap-eyes"], ["--reproject"], ["--toe-in"]]
+)
 def test_one_eye_has_no_distance(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["render", CITY, "--backend", "null", "--size", "64x36", *arguments])
@@ -71,11 +94,26 @@ def test_one_eye_has_no_distance(capsys: pytest.CaptureFixture[str], arguments: 
     assert main(["render", CITY, "--backend", "null", "--size", "64x36", "--stereo", "grey", *arguments]) == 0
 
 
-def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     report = run(
-        capsys, "compare", "stereo", CITY, "--backend", "null", "--sizes", "32x18,64x36", "--shadows", "off,on",
-        "--stereo", "dubois,side_by_side,color_reprojected", "--frames", "2", "--json",
-    )  # fmt: skip
+        capsys,
+        "compare",
+        "stereo",
+        CITY,
+        "--backend",
+        "null",
+        "--sizes",
+        "32x18,64x36",
+        "--shadows",
+        "off,on",
+        "--stereo",
+        "dubois,side_by_side,color_reprojected",
+        "--frames",
+        "2",
+        "--json",
+    )
     rows = report["rows"]
     names = ["mono", "dubois", "side_by_side", "color_reprojected"]
     assert [(row["stereo"], row["shadows"], tuple(row["size"])) for row in rows] == [
@@ -85,7 +123,9 @@ def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(capsys: pyte
     for mono, dubois, halves, moved in zip(*(rows[i::4] for i in range(4)), strict=True):
         assert mono["ratio"] == mono["processor_ratio"] == 1.0
         assert dubois["draws"] == halves["draws"] == 2 * moved["draws"] >= 2 * mono["draws"] > 0
-        assert dubois["maps_drawn"] == moved["maps_drawn"] >= halves["maps_drawn"], "smaller images, fewer maps"
+        assert dubois["maps_drawn"] == moved["maps_drawn"] >= halves["maps_drawn"], (
+            "smaller images, fewer maps"
+        )
         more = dubois["maps_drawn"] - mono["maps_drawn"]
         assert abs(more) <= 1, "once for both eyes, which see a little more than one"
         assert (mono["maps_drawn"] > 0) == mono["shadows"]

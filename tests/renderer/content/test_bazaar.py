@@ -42,7 +42,9 @@ def test_its_lights_are_as_large_as_their_bulbs_if_they_have_a_radius(small):
     assert spheres.name == f"{small.name},radius=0.25"
     assert not small.lights.point["source_radius"].any()
     assert (spheres.lights.point["source_radius"] == 0.25).all()
-    size = (spheres.objects.upper - spheres.objects.lower)[spheres.objects.mesh == spheres.meshes.names.index("bulb")]
+    size = (spheres.objects.upper - spheres.objects.lower)[
+        spheres.objects.mesh == spheres.meshes.names.index("bulb")
+    ]
     assert np.allclose(size[:, 1], 0.5, atol=0.01)
 
 

@@ -1,4 +1,5 @@
-"""Files that were moved are found by their content: in their folder, where they were seen, and nowhere else."""
+"""Files that were moved are found by their content: in their folder, where they were seen, and nowhere
+else."""
 
 from __future__ import annotations
 

@@ -143,7 +143,9 @@ def test_the_hall_has_moving_flags_on_a_deep_hierarchy_and_three_kinds_of_things
 
 
 def test_options_of_the_hall_reach_its_simulations_and_its_name():
-    hall = load_scene("hall:columns=6,flags=0,fountains=1,cloths=1,drops=30,cloth_detail=1,cloth_rate=30,sub_steps=2")
+    hall = load_scene(
+        "hall:columns=6,flags=0,fountains=1,cloths=1,drops=30,cloth_detail=1,cloth_rate=30,sub_steps=2"
+    )
     fountains, cloths = (load_scene(hall.name).simulated[number].simulation for number in (0, 1))
     assert fountains.position.shape == (1, 30, 3)
     grid = cloths.cloth_grid

@@ -1,4 +1,5 @@
-"""glTF files: what is read of meshes, materials, nodes, cameras and lights, and what is listed as left out."""
+"""glTF files: what is read of meshes, materials, nodes, cameras and lights, and what is listed as left
+out."""
 
 import base64
 import io
@@ -61,7 +62,7 @@ def test_extras_are_any_json(tmp_path, extras):
     assert scene.meshes.names == ("5" if isinstance(extras, dict) and "name" in extras else "stone",)
 
 
-# -- containers ----------------------------------------------------------------------------------------------------
+# -- containers ----------------------------------------------------------------------------------------------
 
 
 def test_both_containers_give_the_same_scene(tmp_path):
@@ -88,7 +89,7 @@ def test_a_file_name_may_be_escaped(tmp_path, uri):
     assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
 
 
-# -- accessors -----------------------------------------------------------------------------------------------------
+# -- accessors -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["u1", "u2", "u4"])
@@ -145,7 +146,7 @@ def test_sparse_elements_replace_those_of_their_accessor(tmp_path, has_base):
     assert position.tolist() == [[7.0 * has_base] * 3, *TRIANGLE[1:].tolist()]
 
 
-# -- meshes --------------------------------------------------------------------------------------------------------
+# -- meshes --------------------------------------------------------------------------------------------------
 
 
 def test_strips_and_fans_face_as_their_triangles_do(tmp_path):
@@ -177,7 +178,9 @@ def test_coordinates_that_are_no_numbers_are_0_and_listed(tmp_path):
 
 
 def test_second_uvs_tangents_and_colours_are_read(tmp_path):
-    document = with_image(normalTexture={"index": 0}, occlusionTexture={"index": 0, "texCoord": 1, "strength": 0.5})
+    document = with_image(
+        normalTexture={"index": 0}, occlusionTexture={"index": 0, "texCoord": 1, "strength": 0.5}
+    )
     attributes = document.values["meshes"][0]["primitives"][0]["attributes"]
     tangent = np.array([[0, 1, 0, -1]] * 3, np.float32)
     attributes["NORMAL"] = document.accessor(UP[:3])
@@ -193,13 +196,15 @@ def test_second_uvs_tangents_and_colours_are_read(tmp_path):
 
 def test_primitives_that_share_a_large_array_get_the_part_that_they_use(tmp_path):
     many = np.arange(300, dtype=np.float32).reshape(100, 3)
-    document = one_mesh(positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1)))
+    document = one_mesh(
+        positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1))
+    )
     meshes = load(document, tmp_path).meshes
     assert meshes.vertices["position"].tolist() == many[[90, 95, 99]].tolist()
     assert meshes.indices.tolist() == [0, 1, 2]
 
 
-# -- assets --------------------------------------------------------------------------------------------------------
+# -- assets --------------------------------------------------------------------------------------------------
 
 
 def test_primitives_with_the_same_accessors_are_one_mesh(tmp_path):
@@ -224,7 +229,7 @@ def test_the_same_content_is_loaded_once_across_files(tmp_path):
     assert again.images[0] is scene.images[0]
 
 
-# -- materials -----------------------------------------------------------------------------------------------------
+# -- materials -----------------------------------------------------------------------------------------------
 
 
 def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
@@ -254,7 +259,13 @@ def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
     assert read_material["emissive"].tolist() == [8, 4, 0]
     assert (read_material["alpha_mode"], read_material["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
     assert read_material["double_sided"] == 1
-    names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
+    names = (
+        "texture",
+        "metallic_roughness_texture",
+        "normal_texture",
+        "occlusion_texture",
+        "emissive_texture",
+    )
     rows = [int(read_material[name]) for name in names]
     assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
     assert scene.textures["image"][rows].tolist() == [0] * 5
@@ -300,7 +311,9 @@ def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
     assert texture["transform"] == pytest.approx(np.array(expected), abs=1e-6)
 
 
-@pytest.mark.parametrize("broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"])
+@pytest.mark.parametrize(
+    "broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"]
+)
 def test_an_image_that_cannot_be_read_is_listed_and_the_material_goes_without(tmp_path, broken):
     document = with_image(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
     if broken == "rubbish":
@@ -330,7 +343,7 @@ def test_what_materials_cannot_say_is_listed(tmp_path):
     assert left_out(load(document, tmp_path)) == {"KHR_materials_clearcoat": 1, "KHR_materials_sheen": 1}
 
 
-# -- nodes, cameras, lights ----------------------------------------------------------------------------------------
+# -- nodes, cameras, lights ----------------------------------------------------------------------------------
 
 
 def test_nodes_have_the_transforms_of_their_parts_or_their_matrix(tmp_path):
@@ -443,11 +456,13 @@ def test_a_file_without_lights_gets_a_sun(tmp_path):
     assert len(load(one_mesh(), tmp_path).lights.directional) == 1
 
 
-# -- scenes without objects ----------------------------------------------------------------------------------------
+# -- scenes without objects ----------------------------------------------------------------------------------
 
 LIGHT_NODE = {"extensions": {"KHR_lights_punctual": {"light": 0}}}
 EMPTY = {
-    "lights": GltfDocument(nodes=[LIGHT_NODE], extensions={"KHR_lights_punctual": {"lights": [{"type": "point"}]}}),
+    "lights": GltfDocument(
+        nodes=[LIGHT_NODE], extensions={"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
+    ),
     "cameras": GltfDocument(
         nodes=[{"camera": 0}], cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
     ),

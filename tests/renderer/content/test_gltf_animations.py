@@ -64,7 +64,9 @@ def test_a_rotation_takes_the_shorter_way_at_constant_speed(tmp_path):
 
 
 def test_a_scale_and_a_rotation_keep_the_translation_of_the_node(tmp_path):
-    document = animated("scale", [0, 1], [[1, 1, 1], [3, 1, 1]], nodes=[{"mesh": 0, "translation": [7, 0, 0]}])
+    document = animated(
+        "scale", [0, 1], [[1, 1, 1], [3, 1, 1]], nodes=[{"mesh": 0, "translation": [7, 0, 0]}]
+    )
     document.animate(0, "rotation", [0, 1], [rotation_quaternion(0), rotation_quaternion(90)])
     world = position(load_model(document.write(tmp_path / "a.glb")), 0.5)
     assert world[:3, 3].tolist() == [7, 0, 0]
@@ -102,7 +104,9 @@ def test_only_visible_objects_are_animated_and_their_bounds_never_change(tmp_pat
 
 def test_bounds_of_a_rotation_are_those_of_the_box_that_it_sweeps(tmp_path):
     scene = load_model(
-        animated("rotation", [0, 1], [rotation_quaternion(0), rotation_quaternion(90)]).write(tmp_path / "a.glb")
+        animated("rotation", [0, 1], [rotation_quaternion(0), rotation_quaternion(90)]).write(
+            tmp_path / "a.glb"
+        )
     )
     # The corner (1, 1) goes from 45° to 135°, and (1, 0) to (0, 1).
     assert scene.objects.lower[0] == pytest.approx([-1, 0, 0], abs=0.15)
@@ -116,7 +120,9 @@ def test_bounds_hold_below_several_animated_nodes(tmp_path):
         {"children": [3], "scale": [2, 1, 1], "translation": [0, 1, 0]},
         {"mesh": 0},
     ]
-    document = animated("rotation", [0, 0.7], [rotation_quaternion(0, 0), rotation_quaternion(170, 0)], nodes=nodes)
+    document = animated(
+        "rotation", [0, 0.7], [rotation_quaternion(0, 0), rotation_quaternion(170, 0)], nodes=nodes
+    )
     document.animate(
         1, "rotation", [0, 1, 2], [rotation_quaternion(0), rotation_quaternion(120), rotation_quaternion(200)]
     )
@@ -180,7 +186,9 @@ def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, ki
     motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST, clips)
     ends = np.sort(rng.normal(size=(2, 3)), axis=0)
     lower, upper = motion.reach(0, *ends)
-    corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2], 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    corners = np.array(
+        [[ends[i, 0], ends[j, 1], ends[k, 2], 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
     for seconds in np.concatenate([rng.uniform(0, 8, 40), *(track.times for track in tracks)]):
         for clip in range(len(tracks)):
             clips.change(clip, weight=max(rng.normal(), 0.0) if weighted else 1.0)
@@ -192,7 +200,9 @@ def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, ki
 
 def test_tracks_of_many_nodes_are_found_by_one_search():
     rng = np.random.default_rng(5)
-    tracks = [make_track(rng, TRANSLATION, LINEAR, int(keys), n) for n, keys in enumerate(rng.integers(1, 9, 50))]
+    tracks = [
+        make_track(rng, TRANSLATION, LINEAR, int(keys), n) for n, keys in enumerate(rng.integers(1, 9, 50))
+    ]
     rest = tuple(np.repeat(part, 50, axis=0) for part in REST)
     motion = NodeMotion(tracks, np.arange(50), rest, make_clips(tracks))
     motion.set_time(np.arange(50), 1.234)

@@ -1,5 +1,6 @@
-"""Files that other programs write: some of the glTF Asset Generator (`asset_generator/LICENSE`) and trimesh's, which it
-writes for the test. The others are written here in the manner of exporters; no file of theirs is here.
+"""Files that other programs write: some of the glTF Asset Generator (`asset_generator/LICENSE`) and
+trimesh's, which it writes for the test. The others are written here in the manner of exporters; no file of
+theirs is here.
 """
 
 import struct
@@ -80,7 +81,8 @@ def test_a_scene_of_trimesh_is_read_with_its_points_and_paths(tmp_path, kind):
 
 
 def test_one_view_is_interleaved_with_a_stride_and_gaps(tmp_path):
-    """As engines write what they draw: 12 bytes of position, 4 of padding, a normal in bytes, a colour in bytes."""
+    """As engines write what they draw: 12 bytes of position, 4 of padding, a normal in bytes, a colour in
+    bytes."""
     rows = np.zeros(3, [("p", "<f4", 3), ("gap", "<f4"), ("n", "i1", 4), ("c", "u1", 4), ("rest", "<u4", 2)])
     rows["p"], rows["n"][:, 2], rows["c"], rows["gap"] = TRIANGLE, 127, (255, 51, 0, 255), np.nan
     document = GltfDocument(nodes=[{"mesh": 0}])
@@ -89,7 +91,13 @@ def test_one_view_is_interleaved_with_a_stride_and_gaps(tmp_path):
     kinds = (("POSITION", "VEC3", 5126, 0), ("NORMAL", "VEC3", 5120, 16), ("COLOR_0", "VEC4", 5121, 20))
     attributes = {
         name: document.add(
-            "accessors", bufferView=view, byteOffset=at, componentType=code, count=3, type=kind, normalized=code < 5126
+            "accessors",
+            bufferView=view,
+            byteOffset=at,
+            componentType=code,
+            count=3,
+            type=kind,
+            normalized=code < 5126,
         )
         for name, kind, code, at in kinds
     }
@@ -103,11 +111,15 @@ def test_one_view_is_interleaved_with_a_stride_and_gaps(tmp_path):
 
 def test_chunks_are_padded_with_zeros_and_others_follow(tmp_path):
     document = make_triangle()
-    content = pack_glb({**document.values, "buffers": [{"byteLength": len(document.data)}]}, bytes(document.data))
+    content = pack_glb(
+        {**document.values, "buffers": [{"byteLength": len(document.data)}]}, bytes(document.data)
+    )
     (length,) = struct.unpack("<I", content[12:16])
     padded = content[20 : 20 + length].rstrip() + bytes(8 - len(content[20 : 20 + length].rstrip()) % 4)
     rest = content[20 + length :] + struct.pack("<II", 4, 0x12345678) + b"more"
     (tmp_path / "a.glb").write_bytes(
-        struct.pack("<4sIIII", b"glTF", 2, 20 + len(padded) + len(rest), len(padded), 0x4E4F534A) + padded + rest
+        struct.pack("<4sIIII", b"glTF", 2, 20 + len(padded) + len(rest), len(padded), 0x4E4F534A)
+        + padded
+        + rest
     )
     assert load_model(tmp_path / "a.glb").triangle_count == 1

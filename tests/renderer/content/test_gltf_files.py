@@ -38,7 +38,9 @@ def test_a_large_scene_is_read_and_read_back_the_same(tmp_path):
 
 def test_what_cannot_be_said_is_listed():
     coated = load("ClearCoat-glTF/ClearCoatTest.gltf")
-    assert [(omission.what, omission.count) for omission in coated.omissions] == [("KHR_materials_clearcoat", 6)]
+    assert [(omission.what, omission.count) for omission in coated.omissions] == [
+        ("KHR_materials_clearcoat", 6)
+    ]
 
 
 def test_texture_transforms_are_read():

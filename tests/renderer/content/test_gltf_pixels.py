@@ -54,8 +54,8 @@ def add_texture(document, seed, low, high):
 
 
 def make_file():
-    """A strip that its bones bend beside one that its target shifts, with all maps, on two sets of texture coordinates
-    and a transform, lit by a sun, a point light and a spot light, before a camera."""
+    """A strip that its bones bend beside one that its target shifts, with all maps, on two sets of texture
+    coordinates and a transform, lit by a sun, a point light and a spot light, before a camera."""
     document = make_skinned()
     nodes = document.values["nodes"]
     uv = np.stack([STRIP[:, 0], STRIP[:, 1] / 4], 1).astype(np.float32)
@@ -79,10 +79,16 @@ def make_file():
     )
     nearest = document.add("samplers", magFilter=9728, minFilter=9728)
     document.values["textures"][normal]["sampler"] = nearest  # normals filtered to 8 bits are up to 0.45° off
-    turned = {"extensions": {"KHR_texture_transform": {"scale": [2, 3], "rotation": 0.4, "offset": [0.25, 0]}}}
+    turned = {
+        "extensions": {"KHR_texture_transform": {"scale": [2, 3], "rotation": 0.4, "offset": [0.25, 0]}}
+    }
     first["material"] = document.add(
         "materials",
-        pbrMetallicRoughness={"baseColorTexture": {"index": base}, "metallicFactor": 0.2, "roughnessFactor": 0.6},
+        pbrMetallicRoughness={
+            "baseColorTexture": {"index": base},
+            "metallicFactor": 0.2,
+            "roughnessFactor": 0.6,
+        },
         normalTexture={"index": normal},
         emissiveTexture={"index": bright, "texCoord": 1},
         emissiveFactor=[0.5, 0.3, 0.1],
@@ -101,7 +107,13 @@ def make_file():
     lights = [
         {"type": "directional", "intensity": 2},
         {"type": "point", "color": [1, 0.6, 0.3], "intensity": 20, "range": 9},
-        {"type": "spot", "color": [0.3, 0.6, 1], "intensity": 60, "range": 12, "spot": {"outerConeAngle": 0.6}},
+        {
+            "type": "spot",
+            "color": [0.3, 0.6, 1],
+            "intensity": 60,
+            "range": 12,
+            "spot": {"outerConeAngle": 0.6},
+        },
     ]
     document.values["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
     nodes.append({"mesh": 1, "translation": [2, 0, 0]})
@@ -113,8 +125,8 @@ def make_file():
 
 
 def test_a_file_with_all_that_is_read_is_the_same_frame_on_both(devices, tmp_path):
-    """At two times, since bones and targets move. llvmpipe filters images of 8 bits to 8 bits, lanes in floats; of
-    6,144 pixels one is 2 off, and none more."""
+    """At two times, since bones and targets move. llvmpipe filters images of 8 bits to 8 bits, lanes in
+    floats; of 6,144 pixels one is 2 off, and none more."""
     scene = load_model(make_file().write(tmp_path / "all.glb"))
     assert scene.omissions == ()
     assert len(scene.lights) == 3

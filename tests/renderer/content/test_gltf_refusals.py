@@ -1,4 +1,5 @@
-"""Broken glTF files: each is refused in one line that names the file and the place, and none ends in a traceback."""
+"""Broken glTF files: each is refused in one line that names the file and the place, and none ends in a
+traceback."""
 
 import json
 from copy import deepcopy
@@ -65,7 +66,9 @@ def make_document():
         samplers=[{"wrapS": 10497}],
         images=[{"uri": "data:image/png;base64,AAAA"}],
     )
-    document.mesh(indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0)
+    document.mesh(
+        indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0
+    )
     rows, values = document.view(np.array([1], np.uint8).tobytes()), document.view(TRIANGLE[1:2].tobytes())
     sparse = {
         "count": 1,
@@ -116,16 +119,26 @@ def test_the_whole_document_is_read(tmp_path):
         (("nodes", 1, "rotation"), [0, 0, 0, 0], "nodes[1].rotation"),
         (("nodes", 3, "matrix", 3), 1, "nodes[3].matrix"),
         (("nodes", 2, "camera"), True, "nodes[2].camera"),
-        (("nodes", 2, "extensions", "KHR_lights_punctual"), {}, "nodes[2].extensions.KHR_lights_punctual.light"),
+        (
+            ("nodes", 2, "extensions", "KHR_lights_punctual"),
+            {},
+            "nodes[2].extensions.KHR_lights_punctual.light",
+        ),
         (("cameras", 0, "perspective", "yfov"), 4, "cameras[0].perspective.yfov"),
         (("cameras", 0, "type"), "fisheye", "cameras[0].type"),
-        (("extensions", "KHR_lights_punctual", "lights", 0, "type"), 3,
-         "extensions.KHR_lights_punctual.lights[0].type"),
+        (
+            ("extensions", "KHR_lights_punctual", "lights", 0, "type"),
+            3,
+            "extensions.KHR_lights_punctual.lights[0].type",
+        ),
         (("meshes", 0, "primitives", 0, "mode"), 7, "meshes[0].primitives[0].mode"),
         (("meshes", 0, "primitives", 0, "material"), 5, "meshes[0].primitives[0].material"),
         (("meshes", 0, "primitives", 0, "attributes", "NORMAL"), 2, "accessors[2].type"),
-        (("materials", 0, "pbrMetallicRoughness", "baseColorFactor", 0), -1,
-         "materials[0].pbrMetallicRoughness.baseColorFactor"),
+        (
+            ("materials", 0, "pbrMetallicRoughness", "baseColorFactor", 0),
+            -1,
+            "materials[0].pbrMetallicRoughness.baseColorFactor",
+        ),
         (("materials", 0, "alphaMode"), "SOFT", "materials[0].alphaMode"),
         (("textures", 0, "sampler"), 3, "textures[0].sampler"),
         (("samplers", 0, "wrapS"), 1, "samplers[0].wrapS"),
@@ -134,17 +147,25 @@ def test_the_whole_document_is_read(tmp_path):
         (("accessors", 0, "byteOffset"), 4, "accessors[0]"),
         (("accessors", 0, "componentType"), 5124, "accessors[0].componentType"),
         (("accessors", 0, "bufferView"), 77, "accessors[0].bufferView"),
-        (("accessors", 0, "sparse", "indices", "componentType"), 5126, "accessors[0].sparse.indices.componentType"),
+        (
+            ("accessors", 0, "sparse", "indices", "componentType"),
+            5126,
+            "accessors[0].sparse.indices.componentType",
+        ),
         (("accessors", 0, "sparse", "count"), 4, "accessors[0].sparse.count"),
         (("bufferViews", 0, "byteOffset"), 10_000, "bufferViews[0]"),
         (("bufferViews", 0, "byteStride"), 8, "bufferViews[0].byteStride"),
         (("bufferViews", 0, "byteLength"), 0, "bufferViews[0].byteLength"),
-        (("animations", 0, "samplers", 0, "interpolation"), "FAST", "animations[0].samplers[0].interpolation"),
+        (
+            ("animations", 0, "samplers", 0, "interpolation"),
+            "FAST",
+            "animations[0].samplers[0].interpolation",
+        ),
         (("animations", 0, "samplers", 0, "output"), 2, "accessors[2].type"),
         (("animations", 0, "channels", 0, "target", "node"), 5, "animations[0].channels[0].target.node"),
         (("extensionsRequired",), ["KHR_draco_mesh_compression"], "extensionsRequired"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_value_is_refused_with_its_path(tmp_path, path, value, where):
     document = make_document()
     container = document.values
@@ -174,7 +195,9 @@ def test_nodes_that_contain_each_other_are_refused(tmp_path):
     assert refusal(document, tmp_path)[1] == "scenes[0].nodes[0]: 0 is a child of nodes[1]"
 
 
-@pytest.mark.parametrize("uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"])
+@pytest.mark.parametrize(
+    "uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"]
+)
 def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     document = make_document()
     values = {**document.values, "buffers": [{"uri": uri, "byteLength": len(document.data)}]}
@@ -184,10 +207,14 @@ def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     assert error.value.rule.id == "scene-unreadable-model"
 
 
-@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"])
+@pytest.mark.parametrize(
+    "name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"]
+)
 def test_the_tip_for_a_required_extension_is_to_export_without_it(tmp_path, name):
     path = with_triangle(nodes=[{"mesh": 0}], extensionsRequired=[name]).write(tmp_path / "bad.glb")
-    with pytest.raises(ValidationError, match=rf"extensionsRequired: {name}[^$]*tip: +export it without compression"):
+    with pytest.raises(
+        ValidationError, match=rf"extensionsRequired: {name}[^$]*tip: +export it without compression"
+    ):
         load_model(path)
 
 
@@ -199,13 +226,20 @@ def test_vertices_that_are_there_only_compressed_are_refused_and_others_are_read
     assert [omission.what for omission in scene.omissions] == ["KHR_draco_mesh_compression"]
     document.values["accessors"][0].pop("bufferView")
     path = "meshes[0].primitives[0].extensions.KHR_draco_mesh_compression"
-    assert refusal(document, tmp_path)[1:] == (f"{path}: the vertices are there only compressed", "also as accessors")
+    assert refusal(document, tmp_path)[1:] == (
+        f"{path}: the vertices are there only compressed",
+        "also as accessors",
+    )
 
 
 @pytest.mark.parametrize(
     ("buffer", "problem", "allowed"),
     [
-        ({"extensions": {"EXT_meshopt_compression": {}}}, "uri: missing, with EXT_meshopt_compression", "the buffer's"),
+        (
+            {"extensions": {"EXT_meshopt_compression": {}}},
+            "uri: missing, with EXT_meshopt_compression",
+            "the buffer's",
+        ),
         ({}, "uri: missing", "the buffer's file, or data:"),
         ({"uri": "data:;base64,AAAAAAAA"}, "byteLength: 36", "6, the bytes that are there, or less"),
     ],
@@ -248,7 +282,9 @@ def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
             load_model(str(tmp_path / "cut.glb"))
 
 
-@pytest.mark.parametrize("text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000])
+@pytest.mark.parametrize(
+    "text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000]
+)
 def test_json_that_is_no_document_is_refused(tmp_path, text):
     (tmp_path / "bad.gltf").write_bytes(text)
     with pytest.raises(ValidationError, match=r"^\[scene-unreadable-model\]"):
@@ -260,7 +296,10 @@ def test_json_that_is_no_document_is_refused(tmp_path, text):
     [
         (GltfDocument(), "it has no meshes, and its scene has no nodes"),
         (GltfDocument(nodes=[{}], scenes=[{}]), "it has no meshes, and its scene has no nodes"),
-        (GltfDocument(nodes=[{}], meshes=[{"primitives": []}]), "none of its 1 meshes has a triangle, a line or a"),
+        (
+            GltfDocument(nodes=[{}], meshes=[{"primitives": []}]),
+            "none of its 1 meshes has a triangle, a line or a",
+        ),
         (with_triangle(nodes=[{}, {}]), "none of its 2 nodes has one of its 1 meshes"),
         (
             with_triangle(nodes=[{}, {"mesh": 0}], scenes=[{"nodes": [0]}]),
@@ -298,9 +337,17 @@ def test_a_strength_of_a_map_that_is_no_number_is_refused_with_and_without_a_tex
 
 
 JUNK = st.one_of(
-    st.none(), st.booleans(), st.integers(-2, 10), st.integers(), st.floats(), st.text(max_size=3),
-    st.just([]), st.just({}), st.lists(st.integers(-2, 5), max_size=4), st.just({"extensions": []}),
-)  # fmt: skip
+    st.none(),
+    st.booleans(),
+    st.integers(-2, 10),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=3),
+    st.just([]),
+    st.just({}),
+    st.lists(st.integers(-2, 5), max_size=4),
+    st.just({"extensions": []}),
+)
 
 
 def list_paths(value, above=()):
@@ -313,13 +360,22 @@ def list_paths(value, above=()):
 
 QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DOCUMENTS = [make_document(), make_skinned(), make_morphing()]
-DOCUMENTS[2].values["meshes"][0]["primitives"].append({**DOCUMENTS[2].values["meshes"][0]["primitives"][0], "mode": 2})
-PATHS = [(number, path) for number, document in enumerate(DOCUMENTS) for path in list_paths(document.values) if path]
+DOCUMENTS[2].values["meshes"][0]["primitives"].append(
+    {**DOCUMENTS[2].values["meshes"][0]["primitives"][0], "mode": 2}
+)
+PATHS = [
+    (number, path)
+    for number, document in enumerate(DOCUMENTS)
+    for path in list_paths(document.values)
+    if path
+]
 DAMAGES = st.sampled_from(range(len(DOCUMENTS))).flatmap(
     lambda number: st.tuples(
         st.just(DOCUMENTS[number]),
         st.lists(
-            st.tuples(st.sampled_from([path for document_number, path in PATHS if document_number == number]), JUNK),
+            st.tuples(
+                st.sampled_from([path for document_number, path in PATHS if document_number == number]), JUNK
+            ),
             min_size=1,
             max_size=4,
         ),
@@ -370,7 +426,9 @@ def load_with_damages(folder, case):
 def test_a_specular_material_without_its_exponent_is_refused_by_the_file(tmp_path, document):
     for row, material in enumerate(document.values["materials"]):
         if "shininess" in repr(material):
-            load_with_damages(tmp_path, (document, [(("materials", row, "extras", "rhi", "shininess"), None)]))
+            load_with_damages(
+                tmp_path, (document, [(("materials", row, "extras", "rhi", "shininess"), None)])
+            )
 
 
 @settings(QUICK, max_examples=200)
@@ -390,6 +448,8 @@ def test_thousands_of_damaged_documents_are_read_or_refused(tmp_path, case):
 @given(data=st.data(), document=st.sampled_from(DOCUMENTS))
 def test_a_file_with_damaged_bytes_is_read_or_refused(tmp_path, data, document):
     content = bytearray(pack(document.values, document))
-    for at, byte in data.draw(st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)):
+    for at, byte in data.draw(
+        st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)
+    ):
         content[at] = byte
     load_damaged(tmp_path, bytes(content))

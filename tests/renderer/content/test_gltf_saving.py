@@ -8,13 +8,32 @@ from gltf_documents import TRIANGLE, GltfDocument
 
 from renderer import scene as scenes
 from renderer.content import load_model, load_scene, save_scene
-from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, rotation, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Scene,
+    SceneBuilder,
+    TextureMap,
+    make_geometry,
+    rotation,
+    translation,
+)
 from rhi import Filter, SamplerDescriptor, Wrap
 from rhi.errors import ValidationError
 
 COLUMNS = {
     "nodes": ("parents", "local", "world", "dynamic"),
-    "objects": ("node", "mesh", "material", "lower", "upper", "dynamic", "is_shown", "casts_shadow", "simulated"),
+    "objects": (
+        "node",
+        "mesh",
+        "material",
+        "lower",
+        "upper",
+        "dynamic",
+        "is_shown",
+        "casts_shadow",
+        "simulated",
+    ),
     "meshes": ("vertices", "indices", "ranges", "lower", "upper"),
     "lights": ("directional", "point", "spot"),
 }
@@ -28,7 +47,9 @@ def list_differences(first: Scene, second: Scene):
         for name in names
     }
     pairs |= {name: (getattr(first, name), getattr(second, name)) for name in ("materials", "textures")}
-    different = [name for name, (a, b) in pairs.items() if a.dtype != b.dtype or a.shape != b.shape or (a != b).any()]
+    different = [
+        name for name, (a, b) in pairs.items() if a.dtype != b.dtype or a.shape != b.shape or (a != b).any()
+    ]
     same_images = len(first.images) == len(second.images) and all(
         np.array_equal(a, b) for a, b in zip(first.images, second.images, strict=True)
     )
@@ -58,7 +79,8 @@ def same_camera(first, second):
 
 def same_path(first, second):
     return first.projection == second.projection and all(
-        getattr(first, name).tolist() == getattr(second, name).tolist() for name in ("positions", "targets", "ups")
+        getattr(first, name).tolist() == getattr(second, name).tolist()
+        for name in ("positions", "targets", "ups")
     )
 
 
@@ -67,7 +89,9 @@ def save_and_load(scene, folder, name="saved.glb"):
     return load_model(str(folder / name)), left_out
 
 
-@pytest.mark.parametrize("text", ["city:blocks=2,shadows=1", "night:blocks=2,lights=64", "grid:count=9,lights=4"])
+@pytest.mark.parametrize(
+    "text", ["city:blocks=2,shadows=1", "night:blocks=2,lights=64", "grid:count=9,lights=4"]
+)
 @pytest.mark.parametrize("name", ["saved.glb", "saved.gltf"])
 def test_a_generated_scene_is_read_back_the_same(tmp_path, text, name):
     scene = load_scene(text)
@@ -114,18 +138,31 @@ def make_rich_scene():
     moved = TextureMap(images[1], 1, (0.25, 0.5), 0.0, (2.0, -3.0), sampler)
     materials = [
         builder.add_material(
-            base_color=(0.5, 0.25, 0.1, 0.75), metallic=0.3, roughness=0.7, texture=images[0], normal_texture=images[1],
-            normal_scale=0.3, occlusion_texture=moved, occlusion_strength=0.4, emissive=(9.0, 0.1, 0.0),
-            emissive_texture=images[0], metallic_roughness_texture=images[1], alpha_mode=AlphaMode.BLEND,
+            base_color=(0.5, 0.25, 0.1, 0.75),
+            metallic=0.3,
+            roughness=0.7,
+            texture=images[0],
+            normal_texture=images[1],
+            normal_scale=0.3,
+            occlusion_texture=moved,
+            occlusion_strength=0.4,
+            emissive=(9.0, 0.1, 0.0),
+            emissive_texture=images[0],
+            metallic_roughness_texture=images[1],
+            alpha_mode=AlphaMode.BLEND,
         ),
         builder.add_material(texture=moved, shininess=77.0, specular_color=(0.1, 0.2, 0.3), rim_strength=0.6),
         builder.add_material(base_color=(0.2, 0.4, 0.6), emission=2.5, texture=images[0]),
-        builder.add_material(emission=0.5, emissive=(0.3, 0.3, 0.3), emissive_texture=images[1], rim_power=2.0),
+        builder.add_material(
+            emission=0.5, emissive=(0.3, 0.3, 0.3), emissive_texture=images[1], rim_power=2.0
+        ),
         builder.add_material(metallic=0.0, alpha_mode=AlphaMode.MASK, alpha_cutoff=0.1, double_sided=True),
-    ]  # fmt: skip
+    ]
     uv = rng.normal(size=(3, 2))
     meshes = [
-        builder.add_mesh(make_geometry(points, [0, 1, 2], None, uv, uv2=uv * 2, color=rng.random((3, 4))), name)
+        builder.add_mesh(
+            make_geometry(points, [0, 1, 2], None, uv, uv2=uv * 2, color=rng.random((3, 4))), name
+        )
         for name, points in (("small", TRIANGLE), ("large", TRIANGLE * 2))
     ]
     root = builder.add_node(rotation((0.6, 0.8, 0.0), 0.3), name="root")
@@ -136,10 +173,14 @@ def make_rich_scene():
     builder.hide(below)
     builder.lights.add_directional((0.3, -0.7, 0.1), (0.1, 0.7, 0.3), 1.7, casts_shadow=True)
     builder.lights.add_points(rng.normal(size=(20, 3)) * 1e5, 7.3, rng.random((20, 3)), rng.random(20) * 90)
-    builder.lights.add_spots(rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5)
+    builder.lights.add_spots(
+        rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5
+    )
     builder.lights.point["source_radius"][::2] = builder.lights.spot["source_radius"][1::2] = 0.3
     builder.views["first"] = Camera.look_at(rng.normal(size=3), rng.normal(size=3))
-    builder.views["flat"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=scenes.Orthographic(4.0, 1.5, 0.5, 9.0))
+    builder.views["flat"] = Camera.look_at(
+        (1, 2, 3), (0, 0, 0), projection=scenes.Orthographic(4.0, 1.5, 0.5, 9.0)
+    )
     builder.background, builder.haze = (0.1, 0.2, 0.3), 0.01
     return builder.build()
 

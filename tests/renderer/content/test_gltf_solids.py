@@ -1,4 +1,5 @@
-"""Points and lines of glTF: the solids that they become, and their images beside distances computed in float64."""
+"""Points and lines of glTF: the solids that they become, and their images beside distances computed in
+float64."""
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from rhi import to_srgb
 from rhi.errors import ValidationError
 
 MODES = ("points", "lines", "line loops", "line strips")
-POSITIONS = np.array([[-50, 0.3, 0], [-1, 0.8, 0.3], [0.2, -0.9, -0.4], [1.1, 0.6, 0], [50, 0, 0]], np.float32)
+POSITIONS = np.array(
+    [[-50, 0.3, 0], [-1, 0.8, 0.3], [0.2, -0.9, -0.4], [1.1, 0.6, 0], [50, 0, 0]], np.float32
+)
 ENDS = (
     [[0], [1], [2], [3], [4]],
     [[0, 1], [2, 3]],
@@ -54,7 +57,8 @@ def draw(device, scene, technique=None, visibility="auto", camera=None):
 
 
 def line_distances(mode):
-    """Return how many pixels lie between each pixel's centre and the nearest projected point or segment, (h, w)."""
+    """Return how many pixels lie between each pixel's centre and the nearest projected point or segment, (h,
+    w)."""
     scale = SIZE[1] / 2 / np.tan(FOV / 2)
     at = POSITIONS.astype(np.float64)
     flat = np.array([SIZE[0], SIZE[1]]) / 2 + at[:, :2] * (1, -1) * scale / (EYE - at[:, 2:])
@@ -69,7 +73,8 @@ def line_distances(mode):
 
 
 def check_frame(image, mode):
-    """Near a point or a line each pixel has its colour, unlit; away from all there is the background alone."""
+    """Near a point or a line each pixel has its colour, unlit; away from all there is the background
+    alone."""
     distance, radius = line_distances(mode)
     x = 0.6 * COLOR * SHADE
     expected = 255 * to_srgb(np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1))
@@ -101,7 +106,9 @@ def test_every_visibility_algorithm_lets_lines_be_drawn(gl, tmp_path, name):
     check_frame(draw(gl, scene, visibility=make_visibility(name, scene, gl))[0], 3)
 
 
-@pytest.mark.parametrize(("mode", "triangles"), [(0, 5 * 8), (1, 2 * 16), (2, 5 * 16), (3, 4 * 16)], ids=MODES)
+@pytest.mark.parametrize(
+    ("mode", "triangles"), [(0, 5 * 8), (1, 2 * 16), (2, 5 * 16), (3, 4 * 16)], ids=MODES
+)
 def test_a_primitive_is_one_draw_of_its_solids(null, tmp_path, mode, triangles):
     scene = load_model(make_file(mode).write(tmp_path / "a.glb"))
     statistics = draw(null, scene)[1]
@@ -113,24 +120,37 @@ def test_a_primitive_is_one_draw_of_its_solids(null, tmp_path, mode, triangles):
 def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
     """A line along z at a height of 1, in a sun that shines down along +x: its shadow lies at x = 1."""
     grey = [0.2, 0.2, 0.2]
-    scene_extras = {"background": grey, "sky": grey, "ground": grey, "haze": 0, "shadowless": [] if casts else [1]}
+    scene_extras = {
+        "background": grey,
+        "sky": grey,
+        "ground": grey,
+        "haze": 0,
+        "shadowless": [] if casts else [1],
+    }
     document = GltfDocument(
         nodes=[
             {"mesh": 0},
             {"mesh": 1},
-            {"rotation": [-0.2706, -0.6533, -0.2706, 0.6533], "extensions": {"KHR_lights_punctual": {"light": 0}}},
+            {
+                "rotation": [-0.2706, -0.6533, -0.2706, 0.6533],
+                "extensions": {"KHR_lights_punctual": {"light": 0}},
+            },
         ],
         scenes=[{"nodes": [0, 1, 2], "extras": {"rhi": scene_extras}}],
     )
     sun = {"type": "directional", "intensity": 3, "extras": {"rhi": {"casts_shadow": True}}}
     document.values["extensions"] = {"KHR_lights_punctual": {"lights": [sun]}}
     floor = np.float32([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]])
-    document.mesh(floor, np.uint8([0, 1, 2, 0, 2, 3]), material=document.add("materials", pbrMetallicRoughness={}))
+    document.mesh(
+        floor, np.uint8([0, 1, 2, 0, 2, 3]), material=document.add("materials", pbrMetallicRoughness={})
+    )
     document.values["materials"][0]["pbrMetallicRoughness"] = {"metallicFactor": 0}
     document.mesh(np.float32([[0, 1, -50], [0, 1, 50]]), mode=1)
     scene = load_model(document.write(tmp_path / "a.glb"))
     assert scene.lights.directional["direction"][0] == pytest.approx([0.7071, -0.7071, 0], abs=1e-3)
-    camera = Camera.look_at([0, 6, 0.01], [0, 0, 0], projection=Perspective(FOV, SIZE[0] / SIZE[1], near=0.1, far=100))
+    camera = Camera.look_at(
+        [0, 6, 0.01], [0, 0, 0], projection=Perspective(FOV, SIZE[0] / SIZE[1], near=0.1, far=100)
+    )
     image, _ = draw(drawing_device, scene, camera=camera)
     scale = SIZE[1] / 2 / np.tan(FOV / 2) / 6
     left, shaded, right = (image[36, round(SIZE[0] / 2 + x * scale)] for x in (-1, 1, 2))
@@ -138,7 +158,7 @@ def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
     assert ((right - shaded).min() > 30) == casts
 
 
-# -- materials and normals -----------------------------------------------------------------------------------------
+# -- materials and normals -----------------------------------------------------------------------------------
 
 
 def test_lines_with_normals_are_lit_by_these_and_others_are_not(tmp_path):
@@ -187,7 +207,7 @@ def test_lines_follow_the_joints_of_a_skin(tmp_path):
     scene.check_bounds(np.linspace(0.0, 4.0, 21))
 
 
-# -- solids --------------------------------------------------------------------------------------------------------
+# -- solids --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", range(4), ids=MODES)
@@ -204,7 +224,8 @@ def test_ends_are_those_of_gl(mode, count):
 
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1e-3, 1.0, 1e6]))
 def test_solids_are_closed_and_face_outwards(seed, size):
-    """Of each triangle the normal leads away from the middle, and each edge is there once in both directions."""
+    """Of each triangle the normal leads away from the middle, and each edge is there once in both
+    directions."""
     positions = (size * np.random.default_rng(seed).uniform(-1, 1, (2, 3))).astype(np.float32)
     for solid, ends in ((POINT, [[0]]), (SEGMENT, [[0, 1]])):
         rows, corners, outward, radius = solid.make_vertices(positions, np.array(ends, np.uint32))
@@ -227,7 +248,9 @@ def test_solids_are_closed_and_face_outwards(seed, size):
         ([[0, 0, 0], [4, np.nan, 0]], 0.01),
     ],
 )
-def test_the_radius_is_a_fraction_of_the_extent_or_a_centimetre_and_never_less_than_float32_can_show(positions, radius):
+def test_the_radius_is_a_fraction_of_the_extent_or_a_centimetre_and_never_less_than_float32_can_show(
+    positions, radius
+):
     with np.errstate(all="raise"):
         assert SEGMENT.make_vertices(np.float32(positions), np.uint32([[0, 1]]))[3] == pytest.approx(radius)
 

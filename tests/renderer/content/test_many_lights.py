@@ -1,4 +1,5 @@
-"""Scenes with many lights: how many there are, where they stand, and what stays as it is when there are more."""
+"""Scenes with many lights: how many there are, where they stand, and what stays as it is when there are
+more."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ def overlap(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> np.n
 
 
 def distance_from_street(lower: Floats, upper: Floats) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and the greatest distance of boxes from the middle of the nearest street of ten blocks."""
+    """Return the least and the greatest distance of boxes from the middle of the nearest street of ten
+    blocks."""
     ends = np.stack([lower, upper])[..., [0, 2]]
     away = np.abs((ends + 0.5 * PITCH) % PITCH - 0.5 * PITCH)
     nearest = away.min(0).argmin(1)
@@ -76,7 +78,9 @@ def test_the_same_text_gives_the_same_lights_and_another_seed_others(spec: str) 
 
 @pytest.mark.parametrize("spec", [NIGHT, "grid:count=9,lights={}"])
 def test_more_lights_leave_the_first_ones_where_they_are(spec: str) -> None:
-    few, more = (set(map(tuple, light_positions(load_scene(spec.format(count))).tolist())) for count in (60, 600))
+    few, more = (
+        set(map(tuple, light_positions(load_scene(spec.format(count))).tolist())) for count in (60, 600)
+    )
     assert few < more
 
 
@@ -92,7 +96,10 @@ def test_more_lights_light_a_larger_part_of_the_city_as_densely() -> None:
 
 
 def test_a_city_without_room_for_all_lights_has_more_windows() -> None:
-    full, fuller = (load_scene("night:blocks=2,detail=2,lights=48"), load_scene("night:blocks=2,detail=2,lights=900"))
+    full, fuller = (
+        load_scene("night:blocks=2,detail=2,lights=48"),
+        load_scene("night:blocks=2,detail=2,lights=900"),
+    )
     assert len(light_positions(fuller)) == 900
     for name, ratio in (("post", 1), ("car", 1)):
         assert len(boxes(fuller, name)[0]) == ratio * len(boxes(full, name)[0])
@@ -188,9 +195,11 @@ def test_no_object_meets_most_of_the_lights(night: Scene) -> None:
     from renderer.lights.object_lists import list_lights
 
     ends, _ = list_lights(
-        night.objects.lower, night.objects.upper, light_positions(night),
+        night.objects.lower,
+        night.objects.upper,
+        light_positions(night),
         np.concatenate([night.lights.point["range"], night.lights.spot["range"]]).astype(float),
-    )  # fmt: skip
+    )
     assert np.diff(ends).max() < 0.4 * 600
 
 
@@ -206,12 +215,16 @@ def test_a_third_of_the_windows_of_a_night_facade_are_lit() -> None:
 @pytest.mark.parametrize(
     "mesh",
     [
-        furniture.make_post(5), furniture.make_street_light_cover(5),
-        furniture.make_lantern_post(5), furniture.make_lantern(5),
-        furniture.make_car_body(), furniture.make_car_trim(5), furniture.make_headlights(),
+        furniture.make_post(5),
+        furniture.make_street_light_cover(5),
+        furniture.make_lantern_post(5),
+        furniture.make_lantern(5),
+        furniture.make_car_body(),
+        furniture.make_car_trim(5),
+        furniture.make_headlights(),
         furniture.make_tail_lights(),
     ],
-)  # fmt: skip
+)
 def test_furniture_has_outward_normals_and_few_triangles(mesh: MeshGeometry) -> None:
     corners = mesh.vertices[mesh.indices].reshape(-1, 3)
     position = corners["position"].astype(np.float64)

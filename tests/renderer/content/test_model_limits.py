@@ -1,4 +1,5 @@
-"""What a model file may ask for: bytes, pixels, vertices and time are limited, and files elsewhere aren't read."""
+"""What a model file may ask for: bytes, pixels, vertices and time are limited, and files elsewhere aren't
+read."""
 
 from __future__ import annotations
 
@@ -21,7 +22,9 @@ from rhi import ValidationError
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 
 
-def write(folder: Path, *, buffer: str = "a.bin", image: str = "", accessors: Any = None, meshes: int = 1) -> Path:
+def write(
+    folder: Path, *, buffer: str = "a.bin", image: str = "", accessors: Any = None, meshes: int = 1
+) -> Path:
     """Write a file of one triangle, or of other accessors of positions, textured if there is an image."""
     views = [{"buffer": 0, "byteLength": TRIANGLE.nbytes}]
     first = {"type": "VEC3", "componentType": 5126, "count": 3, "bufferView": 0}
@@ -63,7 +66,9 @@ def test_a_few_characters_of_json_do_not_take_gigabytes(tmp_path: Path, count: i
 
 def test_neither_do_many_accessors_of_a_few_elements_each(tmp_path: Path) -> None:
     zeros = [{"type": "VEC3", "componentType": 5126, "count": 1 << 17} for _ in range(9)]
-    assert refused(lambda: load_model(write(tmp_path, accessors=zeros, meshes=9))).rule.id == "scene-model-limit"
+    assert (
+        refused(lambda: load_model(write(tmp_path, accessors=zeros, meshes=9))).rule.id == "scene-model-limit"
+    )
     budget = Budget("a.gltf", used={"bytes": 1 << 20})
     budget.spend_zeros((1 << 20) + 16 * (1 << 20))  # as many as a large file has bytes for
     assert refused(lambda: budget.spend_zeros(1)).rule.id == "scene-model-limit"
@@ -75,7 +80,11 @@ def test_bytes_vertices_and_seconds_are_counted(tmp_path: Path) -> None:
     path = write(tmp_path)
     size = path.stat().st_size + TRIANGLE.nbytes
     for limits, least in ((ModelLimits(bytes=size), size - 1), (ModelLimits(vertices=6), 5)):
-        (name,) = {field for field in ("bytes", "vertices") if getattr(limits, field) != getattr(ModelLimits(), field)}
+        (name,) = {
+            field
+            for field in ("bytes", "vertices")
+            if getattr(limits, field) != getattr(ModelLimits(), field)
+        }
         assert len(load_model(path, limits).objects) == 1
         error = refused(lambda name=name, least=least: load_model(path, ModelLimits(**{name: least})))  # type: ignore[misc]
         assert error.rule.id in ("scene-model-limit", "scene-unreadable-model")
@@ -94,7 +103,12 @@ def make_png(width: int, height: int) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(b"IDAT", zlib.compress(bytes(99)))
+        + chunk(b"IEND", b"")
+    )
 
 
 def test_the_pixels_of_an_image_are_counted_before_it_is_decoded(tmp_path: Path) -> None:

@@ -101,7 +101,9 @@ def test_a_grid_of_a_model_file(tmp_path):
 
 def test_a_model_far_from_its_origin_keeps_its_shape(tmp_path):
     far = "\n".join(f"{4e6 + x} {y} 0" for x, y in ((0, 0), (0.125, 0), (0, 0.125)))
-    (tmp_path / "far.ply").write_text(PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2"))
+    (tmp_path / "far.ply").write_text(
+        PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2")
+    )
     scene = load_model(str(tmp_path / "far.ply"))
     assert np.allclose(scene.objects.upper - scene.objects.lower, (0.125, 0.125, 0.0), atol=1e-6)
     assert scene.objects.lower[0, 0] == pytest.approx(4e6)
@@ -171,7 +173,10 @@ def test_a_face_that_names_a_missing_vertex_is_refused(tmp_path):
 
 def test_scenes_without_files_import_no_reader_of_files() -> None:
     program = "import sys, renderer.content; print(*{'renderer.content.gltf', 'trimesh'} & {*sys.modules})"
-    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "\n"
+    assert (
+        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+        == "\n"
+    )
 
 
 def test_a_model_is_loaded_from_a_path_or_a_text_and_saved_again(tmp_path: Path) -> None:

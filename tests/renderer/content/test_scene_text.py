@@ -25,7 +25,9 @@ def test_options_are_parsed_and_the_rest_keep_their_defaults():
     assert GENERATORS["city"].parse("") == {"blocks": 44, "detail": 7} | rest
 
 
-@pytest.mark.parametrize("name", ["city:blocks=1", "night:blocks=1,lights=12", "hall:columns=2,rows=2,flags=0"])
+@pytest.mark.parametrize(
+    "name", ["city:blocks=1", "night:blocks=1,lights=12", "hall:columns=2,rows=2,flags=0"]
+)
 def test_fog_and_bloom_are_as_the_text_says_and_their_scene_says_so(name):
     plain, foggy = load_scene(name), load_scene(f"{name},fog=0.25,bloom=0.125")
     assert plain.fog is plain.bloom is None

@@ -94,7 +94,8 @@ def test_the_reasons_count_the_lights() -> None:
     assert effects.in_view[Effect.POINT_LIGHTS].tolist() == [0, 1]
     assert effects.explain(Effect.POINT_LIGHTS) == "2 of 3 point lights reach what is in view"
     assert (
-        collect_frame_effects(scene, AWAY).explain(Effect.POINT_LIGHTS) == "1 of 3 point lights reaches what is in view"
+        collect_frame_effects(scene, AWAY).explain(Effect.POINT_LIGHTS)
+        == "1 of 3 point lights reaches what is in view"
     )
     away = Camera.look_at((0, 0, 10), (0, 40, 10))
     assert (
@@ -107,7 +108,9 @@ positions = st.tuples(*[st.floats(-50, 50)] * 3)
 
 
 @given(st.lists(st.tuples(positions, st.floats(0, 30)), min_size=1, max_size=20))
-def test_no_light_that_reaches_a_point_in_view_is_left_out(lights: list[tuple[tuple[float, ...], float]]) -> None:
+def test_no_light_that_reaches_a_point_in_view_is_left_out(
+    lights: list[tuple[tuple[float, ...], float]],
+) -> None:
     where, ranges = np.array([p for p, _ in lights]), np.array([r for _, r in lights])
     planes = EYE.frustum.planes
     selected = select_lights_in_view(planes, where, ranges)
@@ -126,4 +129,7 @@ def test_a_light_that_ends_at_a_plane_is_in_view_and_one_that_ends_before_is_not
     distance: float, expected: list[int]
 ) -> None:
     planes = Frustum(np.array([[1.0, 0.0, 0.0, 0.0]])).planes
-    assert select_lights_in_view(planes, np.array([[-3.0 - distance, 0, 0]]), np.array([3.0])).tolist() == expected
+    assert (
+        select_lights_in_view(planes, np.array([[-3.0 - distance, 0, 0]]), np.array([3.0])).tolist()
+        == expected
+    )

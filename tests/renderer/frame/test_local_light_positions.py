@@ -29,7 +29,13 @@ def make_lights(at: tuple[float, float, float] = (0.0, 0.0, 0.0), count: int = 7
         where = np.add(at, random.uniform(-50.0, 50.0, (count, 3)))
         more = () if add == lights.add_points else ((0.0, -1.0, 0.0),)
         angles = {} if add == lights.add_points else {"inner": 0.1, "outer": 0.3}
-        add(where, *more, range=random.uniform(1.0, 9.0, count), color=random.uniform(0, 1, (count, 3)), **angles)
+        add(
+            where,
+            *more,
+            range=random.uniform(1.0, 9.0, count),
+            color=random.uniform(0, 1, (count, 3)),
+            **angles,
+        )
     lights.refresh()
     return lights
 

@@ -31,9 +31,15 @@ def step(
     side: bool = False,
 ) -> FramePass[object]:
     return FramePass(
-        name, nothing, "the test needs it", reads=tuple(reads.split()), writes=tuple(writes),
-        changes=changes or {}, reads_previous=tuple(reads_previous.split()), has_side_effects=side,
-    )  # fmt: skip
+        name,
+        nothing,
+        "the test needs it",
+        reads=tuple(reads.split()),
+        writes=tuple(writes),
+        changes=changes or {},
+        reads_previous=tuple(reads_previous.split()),
+        has_side_effects=side,
+    )
 
 
 def names(plan: Plan[object]) -> list[str]:
@@ -80,8 +86,12 @@ def test_a_pass_with_side_effects_runs_and_keeps_its_inputs() -> None:
     blurred = step("blur", "normals", [Target("blurred", Format.R8)])
     count = step("count", "blurred", side=True)
     assert names(make_plan([GEOMETRY, LIGHTS, blurred, count, RESOLVE])) == [
-        "geometry", "lights", "blur", "count", "resolve",
-    ]  # fmt: skip
+        "geometry",
+        "lights",
+        "blur",
+        "count",
+        "resolve",
+    ]
 
 
 def test_an_output_is_what_the_last_pass_leaves_that_draws_over_it() -> None:
@@ -117,7 +127,11 @@ def test_a_circle_is_refused_by_the_names_of_its_passes() -> None:
     rule, value = refused(egg, hen, final)
     assert rule == "plan-cycle"
     assert value == "'egg' waits for 'hen' waits for 'egg'"
-    assert names(make_plan([step("egg", "", [Target("egg", Format.R8)]), hen, final])) == ["egg", "hen", "final"]
+    assert names(make_plan([step("egg", "", [Target("egg", Format.R8)]), hen, final])) == [
+        "egg",
+        "hen",
+        "final",
+    ]
 
 
 def test_a_pass_that_reads_its_own_result_waits_for_itself() -> None:
@@ -171,8 +185,11 @@ def test_contents_that_are_not_needed_at_the_same_time_share_a_texture() -> None
 def test_contents_of_another_kind_share_nothing(other: Target) -> None:
     a, b = (Target(name, Format.RGBA16F) for name in "ab")
     chain = [
-        step("a", "", [a]), step("b", "a", [b]), step("c", "b", [other]), step("end", "c", [IMAGE, DEPTH]),
-    ]  # fmt: skip
+        step("a", "", [a]),
+        step("b", "a", [b]),
+        step("c", "b", [other]),
+        step("end", "c", [IMAGE, DEPTH]),
+    ]
     assert group_names(make_plan(chain)) == [{"a"}, {"b"}, {"c"}, {"image"}, {"depth"}]
 
 
@@ -216,7 +233,9 @@ def declarations(draw: st.DrawFn) -> list[FramePass[object]]:
             )
         )
         intact = [name for name in intact if name not in over] + [new]
-    passes.append(step("last", " ".join(draw(st.lists(st.sampled_from(intact), unique=True))), [IMAGE, DEPTH]))
+    passes.append(
+        step("last", " ".join(draw(st.lists(st.sampled_from(intact), unique=True))), [IMAGE, DEPTH])
+    )
     return draw(st.permutations(passes))
 
 
@@ -229,4 +248,8 @@ def test_contents_are_intact_when_they_are_read(passes: list[FramePass[object]])
     assert len(plan.passes) + len(plan.dropped) == len(passes)
     for target in (target for frame_pass in plan.passes for target in frame_pass.writes):
         texture = plan.textures[where[target.name]]
-        assert (texture.format, texture.scale, texture.samples) == (target.format, target.scale, target.samples)
+        assert (texture.format, texture.scale, texture.samples) == (
+            target.format,
+            target.scale,
+            target.samples,
+        )

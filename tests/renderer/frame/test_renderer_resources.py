@@ -65,7 +65,8 @@ def test_the_buffer_holds_what_was_written_last(history: list[list[int]]) -> Non
 
 
 def lit_boxes() -> Scene:
-    """Make 6 fixed and 6 moving boxes a metre apart in two lines, along which 5 lights of a range of 2 m stand."""
+    """Make 6 fixed and 6 moving boxes a metre apart in two lines, along which 5 lights of a range of 2 m
+    stand."""
     builder = make_boxes()
     object_positions = np.stack([np.tile(np.arange(6.0), 2), np.zeros(12), np.repeat([0.0, 3.0], 6)], axis=1)
     nodes = builder.add_nodes(translation(object_positions), dynamic=np.arange(12) % 2 == 0)
@@ -96,7 +97,9 @@ def test_lists_follow_objects_and_lights_that_move(null: rhi.Device) -> None:
     resources = SceneResources(null, scene)
 
     def move_objects() -> None:
-        scene.nodes.set_local(scene.objects.node[scene.objects.following_indices], translation((0.0, 0.0, 1.5)))
+        scene.nodes.set_local(
+            scene.objects.node[scene.objects.following_indices], translation((0.0, 0.0, 1.5))
+        )
         scene.refresh()
 
     def move_lights() -> None:
@@ -129,7 +132,9 @@ def test_objects_that_move_do_not_list_the_lights_of_others_again(
     resources = SceneResources(null, scene)
     resources.update(camera)
     assert counts == [6, 6]
-    scene.nodes.set_local(scene.objects.node[scene.objects.following_indices[:1]], translation((0.0, 5.0, 0.0))[None])
+    scene.nodes.set_local(
+        scene.objects.node[scene.objects.following_indices[:1]], translation((0.0, 5.0, 0.0))[None]
+    )
     scene.refresh()
     resources.update(camera)
     assert counts == [6, 6, 6]

@@ -73,7 +73,9 @@ def test_a_scene_of_many_sizes_joins_the_smallest_arrays() -> None:
     st.lists(st.tuples(st.integers(1, 2048), st.integers(1, 2048)), min_size=1, max_size=24),
     st.randoms(use_true_random=False),
 )
-def test_arrays_take_little_more_memory_than_their_images(sizes: list[tuple[int, int]], random: object) -> None:
+def test_arrays_take_little_more_memory_than_their_images(
+    sizes: list[tuple[int, int]], random: object
+) -> None:
     uses = [(image, bool(image % 3), image % 2) for image in range(len(sizes))]
     arrays = plan_arrays(sizes, uses)
     assert sum(len(array.samplers) for array in arrays) <= MAX_ARRAYS
@@ -125,7 +127,9 @@ def test_images_in_an_array_of_another_size_are_resampled(null: rhi.Device, near
     builder = make_boxes()
     images = [random.integers(0, 256, (1 << k, 1 << k, 4), np.uint8) for k in range(9)]
     for image in images:
-        add_box(builder, texture=TextureMap(builder.add_image(image), sampler=SamplerDescriptor(magnify=magnify)))
+        add_box(
+            builder, texture=TextureMap(builder.add_image(image), sampler=SamplerDescriptor(magnify=magnify))
+        )
     scene_images = SceneImages(null, builder.build())
     assert scene_images.table is not None
     joined = 0
@@ -157,7 +161,9 @@ def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null:
     assert arrays[materials["texture"]].tolist() == arrays[materials["normal_texture"]].tolist() == [0, 1]
     with open_renderer(null, scene, ForwardPlus()) as renderer:
         renderer.render(EYE)
-    names = [{binding.name for binding in c["descriptor"].bindings} for c in null.stream.filter(Op.CREATE_PROGRAM)]
+    names = [
+        {binding.name for binding in c["descriptor"].bindings} for c in null.stream.filter(Op.CREATE_PROGRAM)
+    ]
     reading = [name & {"images", "images_1", "maps", "maps_1"} for name in names if "images" in name]
     assert reading == [{"images", "images_1"}, {"images", "images_1", "maps", "maps_1"}]
 
@@ -171,8 +177,11 @@ def test_extreme_images_are_drawn(gl: rhi.Device, size: tuple[int, int]) -> None
 TEXELS = 32
 
 
-def draw_texels(device: rhi.Device, image: Any, bias: float, technique: str = "forward", more: int = 0) -> Any:
-    """Draw a face of a box, on which an image of `TEXELS` has a texel for each pixel; with `more`, by a table."""
+def draw_texels(
+    device: rhi.Device, image: Any, bias: float, technique: str = "forward", more: int = 0
+) -> Any:
+    """Draw a face of a box, on which an image of `TEXELS` has a texel for each pixel; with `more`, by a
+    table."""
     builder = make_boxes()
     for texels in (image, *[np.zeros((8, 8, 4), np.uint8)] * more):
         add_box(builder, texture=builder.add_image(texels), emission=1.0)
@@ -184,7 +193,9 @@ def draw_texels(device: rhi.Device, image: Any, bias: float, technique: str = "f
 
 
 @pytest.mark.parametrize(("technique", "more"), [("forward", 0), ("forward", 1), ("deferred_plus", 0)])
-def test_a_bias_of_a_level_shows_half_as_many_texels(drawing_device: rhi.Device, technique: str, more: int) -> None:
+def test_a_bias_of_a_level_shows_half_as_many_texels(
+    drawing_device: rhi.Device, technique: str, more: int
+) -> None:
     """Blocks of 2 × 2 equal texels are what an image of half the size has; one level more shows that."""
     small = np.full((TEXELS // 2, TEXELS // 2, 4), 255, np.uint8)
     small[..., :3] = np.random.default_rng(1).integers(0, 256, small.shape[:2])[..., None]
@@ -193,5 +204,7 @@ def test_a_bias_of_a_level_shows_half_as_many_texels(drawing_device: rhi.Device,
     coarse, fine = (draw_texels(drawing_device, image, bias, *arguments) for bias in (1.0, 0.0))
     assert max_difference(coarse, draw_texels(drawing_device, small, 0.0, *arguments)) <= 1
     assert max_difference(coarse, fine) > 50
-    assert max_difference(fine, draw_texels(drawing_device, image, -1.0, *arguments)) <= 1  # there is no finer level
+    assert (
+        max_difference(fine, draw_texels(drawing_device, image, -1.0, *arguments)) <= 1
+    )  # there is no finer level
     assert np.ptp(draw_texels(drawing_device, image, 16.0, *arguments), axis=(0, 1)).max() <= 1

@@ -60,8 +60,12 @@ class DepthFirst:
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         return (
-            FramePass("depth", self._draw_depth, "hides what isn't seen", writes=(Target("depth", DEPTH_FORMAT),)),
-            FramePass("lit", self._draw_lit, "lights what is seen", ("depth",), (Target("image", IMAGE_FORMAT),)),
+            FramePass(
+                "depth", self._draw_depth, "hides what isn't seen", writes=(Target("depth", DEPTH_FORMAT),)
+            ),
+            FramePass(
+                "lit", self._draw_lit, "lights what is seen", ("depth",), (Target("image", IMAGE_FORMAT),)
+            ),
         )
 
     def _draw_depth(self, frame: Frame) -> None:
@@ -72,19 +76,28 @@ class DepthFirst:
         bindings = bind(frame, program, {})
         frame.draw_visible(
             TechniqueDrawer(
-                frame.device, frame.resources, frame.view, [BoundProgram(program, bindings)],
-                color=frame.targets.image, depth=frame.targets.depth, clears=False,
+                frame.device,
+                frame.resources,
+                frame.view,
+                [BoundProgram(program, bindings)],
+                color=frame.targets.image,
+                depth=frame.targets.depth,
+                clears=False,
                 clear=(*frame.resources.scene.background, 1.0),
                 states=(DepthFunction.EQUAL, DepthWrite.OFF),
             )
-        )  # fmt: skip
+        )
 
 
 @pytest.mark.nightly_cases(
     "cl-frustum", "cl-chc_plus_plus", "cl-depth_pyramid", "cl-two_pass", "cl-conditional", reason=FEWER_CASES
 )
-@pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
-def test_two_passes_of_a_view_draw_the_same_image_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"]
+)
+def test_two_passes_of_a_view_draw_the_same_image_as_one(
+    drawing_device: rhi.Device, city: Scene, name: str
+) -> None:
     require_algorithm(drawing_device, name)
     images = []
     for technique in (Forward(), DepthFirst()):
@@ -133,7 +146,9 @@ class FromAbove:
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         map_depth = Target("map", Format.D32F, 0.5)
-        above = FramePass("above", self._draw_above, "shows a map", writes=(map_depth,), has_side_effects=True)
+        above = FramePass(
+            "above", self._draw_above, "shows a map", writes=(map_depth,), has_side_effects=True
+        )
         return (above, *Forward().declare(effects))
 
     def _draw_above(self, frame: Frame) -> None:
@@ -145,7 +160,9 @@ class FromAbove:
 def test_each_view_culls_for_its_own_camera(null: rhi.Device, city: Scene) -> None:
     technique = FromAbove()
     street = city.paths["ground"].camera(600).with_aspect(SIZE[0] / SIZE[1])
-    down = Camera.look_at(street.position + np.array([0, 60, 0]), street.position).with_aspect(SIZE[0] / SIZE[1])
+    down = Camera.look_at(street.position + np.array([0, 60, 0]), street.position).with_aspect(
+        SIZE[0] / SIZE[1]
+    )
     technique.above = View(null, "above", FrustumCulling(city))
     technique.above.aim(down)
     with open_renderer(null, city, technique, visibility="frustum") as renderer:

@@ -54,7 +54,10 @@ def make(name: str, position: tuple[float, float, float]) -> Scene:
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_feature_is_needed_where_an_object_that_has_it_is_in_view(name: str) -> None:
-    before, behind = collect_frame_effects(make(name, BEFORE), EYE), collect_frame_effects(make(name, BEHIND), EYE)
+    before, behind = (
+        collect_frame_effects(make(name, BEFORE), EYE),
+        collect_frame_effects(make(name, BEHIND), EYE),
+    )
     assert before.enabled == {Effect(name)}
     assert not behind.enabled
     assert behind.explain(Effect(name)).endswith(", none in view")
@@ -66,10 +69,16 @@ def test_bloom_is_needed_where_something_that_shines_is_in_view() -> None:
     assert Effect.BLOOM in collect_frame_effects(scene, EYE).enabled
     unseen = collect_frame_effects(scene, AWAY)
     assert Effect.BLOOM not in unseen.enabled
-    assert unseen.explain(Effect.BLOOM) == "1 object emits more light than a white surface reflects, out of view"
+    assert (
+        unseen.explain(Effect.BLOOM) == "1 object emits more light than a white surface reflects, out of view"
+    )
 
 
-@given(st.lists(st.tuples(*[st.floats(-30, 30)] * 3, st.sampled_from(sorted(MATERIALS))), min_size=1, max_size=12))
+@given(
+    st.lists(
+        st.tuples(*[st.floats(-30, 30)] * 3, st.sampled_from(sorted(MATERIALS))), min_size=1, max_size=12
+    )
+)
 def test_no_feature_in_view_is_left_out_whatever_was_seen_before(
     placed: list[tuple[float, float, float, str]],
 ) -> None:
@@ -87,7 +96,9 @@ def test_no_feature_in_view_is_left_out_whatever_was_seen_before(
 def test_features_out_of_view_leave_the_shaders_after_a_while_and_come_back_at_once() -> None:
     scene = make("metals", BEHIND)
     seen = VisibleFeatures(scene)
-    assert [seen.choose_shader_features(EYE) for _ in range(PATIENCE + 1)] == [{"metals"}] * PATIENCE + [set()]
+    assert [seen.choose_shader_features(EYE) for _ in range(PATIENCE + 1)] == [{"metals"}] * PATIENCE + [
+        set()
+    ]
     assert seen.choose_shader_features(AWAY) == {"metals"}
     assert [seen.choose_shader_features(EYE) for _ in range(10)][-1] == set()
     scene.materials["emission"] = 1.0
@@ -118,7 +129,10 @@ def test_a_mask_behind_the_eye_still_cuts_its_shadow() -> None:
         builder.lights.add_directional((0.0, -0.2, -1.0), casts_shadow=True)
         texels = np.full((4, 4, 4), (255, 255, 255, alpha), np.uint8)
         add_box(builder, (0, 2.6, 13.0), texture=builder.add_image(texels), alpha_mode=AlphaMode.MASK)
-        with rhi.create_device("gl") as device, open_renderer(device, builder.build(), size=(192, 128)) as renderer:
+        with (
+            rhi.create_device("gl") as device,
+            open_renderer(device, builder.build(), size=(192, 128)) as renderer,
+        ):
             for frame in range(PATIENCE + 2):  # the eye moves, so the map of the sun is drawn again
                 result = renderer.render(Camera.look_at((0.05 * frame, 0, 10), (0, 0, 0)))
             assert Effect.MASKS not in result.frames[0].effects.enabled
@@ -133,7 +147,10 @@ def test_a_terrain_behind_the_eye_is_tessellated_only_for_its_shadow(has_shadow:
     builder.lights.add_directional((0.3, -1.0, 0.2), casts_shadow=has_shadow)
     mesh = builder.add_height_field(make_height_field(np.zeros((33, 33)), 16.0))
     builder.add_objects(builder.add_node(translation((0, -2, 60))), mesh, builder.add_material())
-    with rhi.create_device("null") as device, open_renderer(device, builder.build(), visibility="frustum") as renderer:
+    with (
+        rhi.create_device("null") as device,
+        open_renderer(device, builder.build(), visibility="frustum") as renderer,
+    ):
         for frame in range(3):
             renderer.render(Camera.look_at((0, 0.01 * frame, 10), (0, 0, 0)))
         away = len(frames(device)[-1].filter(Op.DISPATCH))

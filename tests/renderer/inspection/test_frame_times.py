@@ -20,7 +20,9 @@ from renderer.techniques import ForwardMultipass
 def test_each_frame_has_the_times_of_its_own_passes(null: rhi.Device) -> None:
     scene = load_scene("hall:columns=4,flags=2")
     view = next(iter(scene.views.values()))
-    away = view.__class__.look_at((0, 900, 0), (0, 1000, 1), projection=view.projection)  # no local light in view
+    away = view.__class__.look_at(
+        (0, 900, 0), (0, 1000, 1), projection=view.projection
+    )  # no local light in view
     path_frames = [PathFrame(7, view), PathFrame(8, away), PathFrame(9, view)]
     with Renderer(null, scene, technique=ForwardMultipass(), size=(32, 16)) as renderer:
         frames = list(capture_frames(renderer, path_frames))

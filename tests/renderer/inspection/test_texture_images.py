@@ -50,7 +50,8 @@ def test_normals_are_decoded(name: str) -> None:
 def test_a_surface_without_a_normal_is_a_distance() -> None:
     distances = np.array([[1.0, 2.0, 3.0]], np.float32)
     assert (
-        texture_to_image("surface", distances.view(np.uint32)).tolist() == texture_to_image("depth", distances).tolist()
+        texture_to_image("surface", distances.view(np.uint32)).tolist()
+        == texture_to_image("depth", distances).tolist()
     )
 
 

@@ -18,7 +18,18 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
 from renderer.lab import comparison
-from renderer.lab.comparison import Frames, Record, Subject, average, compare, interval, median_of, rate, ratio, time
+from renderer.lab.comparison import (
+    Frames,
+    Record,
+    Subject,
+    average,
+    compare,
+    interval,
+    median_of,
+    rate,
+    ratio,
+    time,
+)
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, PathFrame
 from tests.renderer.conftest import open_device, run_with_quick_kernels
@@ -61,7 +72,12 @@ def test_ratios_are_to_the_first_subject_with_the_same_cells(ticks: Callable[[fl
         for (scene, way), seconds in taken.items()
     ]
     rows = compare(subjects, COLUMNS, range(2), group_by=("scene",))
-    assert [(row["ratio"], row["speed"]) for row in rows] == [(1.0, 1.0), (3.0, 0.333), (1.0, 1.0), (4.0, 0.25)]
+    assert [(row["ratio"], row["speed"]) for row in rows] == [
+        (1.0, 1.0),
+        (3.0, 0.333),
+        (1.0, 1.0),
+        (4.0, 0.25),
+    ]
     assert [row["ratio"] for row in compare(subjects, COLUMNS, range(2))] == [1.0, 3.0, 5.0, 20.0]
 
 
@@ -73,7 +89,9 @@ def test_a_ratio_is_the_median_of_rounds_and_no_quotient_of_medians(ticks: Calla
     assert row["ratio"] == 2.0
     assert row["interval"][0] <= 2.0 <= row["interval"][1]
     assert (row["ms"], row["per second"]) == (20.0, 2.0)
-    uneven = [Subject({}, lambda number, of=of: ticks(of[number])) for of in ((1.0, 2.0, 9.0), (3.0, 1.0, 9.0))]
+    uneven = [
+        Subject({}, lambda number, of=of: ticks(of[number])) for of in ((1.0, 2.0, 9.0), (3.0, 1.0, 9.0))
+    ]
     assert compare(uneven, {"ratio": ratio()}, range(3), warm_ups=0)[1]["ratio"] == 1.0  # medians are 2 and 3
 
 
@@ -107,8 +125,8 @@ Run = Callable[..., Any]
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Runs a benchmark that has these rows, by these arguments, and returns what it prints; RHI_KERNELS is what it was
-    at the end."""
+    """Runs a benchmark that has these rows, by these arguments, and returns what it prints; RHI_KERNELS is
+    what it was at the end."""
 
     def run(rows: Iterable[Record], *arguments: str, asked: str | None = None, **options_of_run: Any) -> Any:
         monkeypatch.setattr("sys.argv", ["some.py", *arguments])
@@ -129,9 +147,12 @@ def test_a_benchmark_prints_its_rows(form: str, run: Run) -> None:
         assert json.loads(out) == {"rows": [{"name": "a", "ratio": 1.0}]}
     else:
         parts = out.splitlines()
-        assert [part.strip(" |").split() for part in (parts[0].replace("|", " "), parts[2].replace("|", " "))] == [
-            ["name", "ratio"], ["a", "1.00"],
-        ]  # fmt: skip
+        assert [
+            part.strip(" |").split() for part in (parts[0].replace("|", " "), parts[2].replace("|", " "))
+        ] == [
+            ["name", "ratio"],
+            ["a", "1.00"],
+        ]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +169,9 @@ def test_a_benchmark_runs_the_kernels_of_a_long_run_or_others_on_demand(
 
 def test_rows_with_other_columns_are_another_table(run: Run) -> None:
     rows = [{"a": 1}, {"a": 2}, {"b": 3, "c": 4}]
-    assert run(rows, "--markdown").out == "| a |\n| --- |\n| 1 |\n| 2 |\n\n| b | c |\n| --- | --- |\n| 3 | 4 |\n"
+    assert (
+        run(rows, "--markdown").out == "| a |\n| --- |\n| 1 |\n| 2 |\n\n| b | c |\n| --- | --- |\n| 3 | 4 |\n"
+    )
     assert json.loads(run(rows, "--json").out) == {"rows": rows}
 
 
@@ -215,14 +238,18 @@ def test_a_device_that_records_keeps_the_commands_of_the_latest_run_only() -> No
         assert lengths[-1] > lengths[0]  # nobody else forgets them
 
 
-@pytest.mark.nightly_cases("techniques grid --techniques forward --rounds 1 --size 32x18", reason=CHEAPER_TEST)
+@pytest.mark.nightly_cases(
+    "techniques grid --techniques forward --rounds 1 --size 32x18", reason=CHEAPER_TEST
+)
 @pytest.mark.parametrize(
     "command",
     [
         "techniques grid --techniques forward --rounds 1 --size 32x18",
         "stereo grid --stereo grey --frames 1 --sizes 32x18",
         "visibility grid --algorithms none --frames 1 --size 32x18",
-        pytest.param("deferred-plus grid:count=1,lights=0 --frames 1 --size 32x18", marks=pytest.mark.nightly),
+        pytest.param(
+            "deferred-plus grid:count=1,lights=0 --frames 1 --size 32x18", marks=pytest.mark.nightly
+        ),
     ],
 )
 def test_each_comparison_says_which_kernels_cl_ran(command: str, tmp_path: Path) -> None:
@@ -233,7 +260,9 @@ def test_each_comparison_says_which_kernels_cl_ran(command: str, tmp_path: Path)
     assert "RHI_KERNELS=optimised" in ran.stderr
 
 
-@pytest.mark.parametrize(("ran", "is_noted"), [("quick", True), ("quick, then optimised", True), ("optimised", False)])
+@pytest.mark.parametrize(
+    ("ran", "is_noted"), [("quick", True), ("quick, then optimised", True), ("optimised", False)]
+)
 def test_figures_that_a_long_run_has_not_are_noted(ran: str, is_noted: bool, run: Run) -> None:
     stderr = run([{"a": 1}, {"a": 1, "kernels": ran}, {"a": 2, "kernels": None}]).err
     assert ("quick kernels ran" in stderr) is is_noted

@@ -65,7 +65,9 @@ def test_a_particle_is_where_the_drop_is(null: Device, hall: Scene) -> None:
     assert np.median(np.abs(moved - along)[calm]) < 1e-5
 
 
-def test_all_particles_are_one_draw_and_one_upload_and_1000_frames_create_nothing(null: Device, hall: Scene) -> None:
+def test_all_particles_are_one_draw_and_one_upload_and_1000_frames_create_nothing(
+    null: Device, hall: Scene
+) -> None:
     catch, particles = Catch(), Particles(null)
     with Renderer(null, hall, visibility=NoCulling(hall), size=(64, 36)) as renderer:
         renderer.layers.append(catch)

@@ -1,7 +1,8 @@
-"""Draws a floor lit by a point light, a spot light and two tube lights, by a copy of the renderer that has such a kind.
+"""Draws a floor lit by a point light, a spot light and two tube lights, by a copy of the renderer that has
+such a kind.
 
-Run as `draw_tubes.py BACKEND OUT TECHNIQUE…`: writes the image of each technique (h, w, 3), 0 to 255, to the file OUT,
-and the passes of each as text.
+Run as `draw_tubes.py BACKEND OUT TECHNIQUE…`: writes the image of each technique (h, w, 3), 0 to 255, to the
+file OUT, and the passes of each as text.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""A fourth kind of lights is a leaf and a row: a copy of the renderer with both draws it by every technique."""
+"""A fourth kind of lights is a leaf and a row: a copy of the renderer with both draws it by every
+technique."""
 
 from __future__ import annotations
 
@@ -17,7 +18,12 @@ from numpy.typing import NDArray
 import renderer
 from renderer.techniques import TECHNIQUES
 from tests.renderer.light_kinds.tube_scene import COLOR, EYE, SIZE, TUBES, make_floor
-from tests.renderer.techniques.lighting_reference import compute_pixel_rays, encode, reference_plane_light, tone_map
+from tests.renderer.techniques.lighting_reference import (
+    compute_pixel_rays,
+    encode,
+    reference_plane_light,
+    tone_map,
+)
 
 HERE = Path(__file__).parent
 PRODUCT = Path(renderer.__file__).parent
@@ -47,7 +53,8 @@ def draw_extended(folder: Path, backend: str, *techniques: str) -> dict[str, NDA
 
 
 def expected_image(*, tubes: bool = True) -> NDArray[np.float64]:
-    """The image (h, w, 3) of the floor, 0 to 255, in float64: the lights that the reference knows, and the tubes."""
+    """The image (h, w, 3) of the floor, 0 to 255, in float64: the lights that the reference knows, and the
+    tubes."""
     up, scene = np.array([0.0, 1.0, 0.0]), make_floor().build()
     mapped, _ = reference_plane_light(scene, EYE, SIZE, np.zeros(3), up, np.array(COLOR))
     if not tubes:
@@ -80,7 +87,8 @@ def reflect_tube(
     intensity: float,
     color: tuple[float, ...] = (1.0, 1.0, 1.0),
 ) -> NDArray[np.float64]:
-    """The light of a tube that the floor's material reflects to the eye: that of the nearest point of its segment."""
+    """The light of a tube that the floor's material reflects to the eye: that of the nearest point of its
+    segment."""
     axis = np.array(direction) / np.linalg.norm(direction)
     along = np.clip((hit - position) @ axis, -half_length, half_length)
     to_light = position + along[..., None] * axis - hit
@@ -113,8 +121,11 @@ def test_cl_draws_a_kind_of_lights_that_is_a_leaf_and_a_row(extended: Path) -> N
 
 
 def list_mentions(name: str) -> set[str]:
-    """The files of the renderer that mention a kind of lights in code: `spot`, `spot_lights`, `SpotLight`, `"spot"`."""
-    word = re.compile(rf"\b{name}\b|\b{name}_|_{name}_|\b{name.capitalize()}[A-Z]|\b{name.upper()}_|\badd_{name}")
+    """The files of the renderer that mention a kind of lights in code: `spot`, `spot_lights`, `SpotLight`,
+    `"spot"`."""
+    word = re.compile(
+        rf"\b{name}\b|\b{name}_|_{name}_|\b{name.capitalize()}[A-Z]|\b{name.upper()}_|\badd_{name}"
+    )
     paths = set()
     for path in sorted(PRODUCT.rglob("*.py")):
         with path.open("rb") as file:
@@ -129,6 +140,12 @@ def list_mentions(name: str) -> set[str]:
 
 
 def test_a_kind_of_lights_is_named_by_its_leaf_the_table_and_what_makes_scenes() -> None:
-    """What adds lights of the kind to a scene (content, the lab's scenes) names it, and nothing that draws them."""
+    """What adds lights of the kind to a scene (content, the lab's scenes) names it, and nothing that draws
+    them."""
     drawing = {path for path in list_mentions("spot") if not path.startswith(("content/", "lab/"))}
-    assert drawing == {"light_kinds/spot.py", "light_kinds/table.py", "scene/__init__.py", "shaders/__init__.py"}
+    assert drawing == {
+        "light_kinds/spot.py",
+        "light_kinds/table.py",
+        "scene/__init__.py",
+        "shaders/__init__.py",
+    }

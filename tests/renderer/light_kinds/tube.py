@@ -1,6 +1,7 @@
 """A fourth kind of lights, for a test: tubes, which shine from the nearest point of a segment.
 
-The test copies this file to `renderer/light_kinds` and adds a row to the table there; nothing else knows of tubes.
+The test copies this file to `renderer/light_kinds` and adds a row to the table there; nothing else knows of
+tubes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ TUBE: Final = np.dtype([*LOCAL_FIELDS, ("direction", "<f4", 3), ("half_length", 
 
 
 class TubeLight(Struct):
-    """A tube light: a segment of `half_length` to both sides of `position`, along the unit vector `direction`."""
+    """A tube light: a segment of `half_length` to both sides of `position`, along the unit vector
+    `direction`."""
 
     position: vec3
     range: float
@@ -75,7 +77,10 @@ KIND: Final = LocalLightKind(
     gltf=None,
     packed=np.dtype(
         [
-            *[(name, "<f4", *shape) for name, *shape in (("position", 3), ("range",), ("color", 3), ("intensity",))],
+            *[
+                (name, "<f4", *shape)
+                for name, *shape in (("position", 3), ("range",), ("color", 3), ("intensity",))
+            ],
             ("direction", "<f4", 3),
             ("half_length", "<f4"),
         ]
@@ -104,4 +109,6 @@ class TubeLights(LightArrays):
     ) -> int:
         """Add a tube light; returns its index."""
         values = {"position": position, "direction": direction, "half_length": half_length, "range": range}
-        return int(self._add("tube", "add_tube", 1, casts_shadow, **values, color=color, intensity=intensity)[0])
+        return int(
+            self._add("tube", "add_tube", 1, casts_shadow, **values, color=color, intensity=intensity)[0]
+        )

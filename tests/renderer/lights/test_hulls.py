@@ -20,7 +20,9 @@ def planes(corners: Floats, triangles: np.ndarray) -> tuple[Floats, Floats]:
     return normals, (normals * a).sum(1)
 
 
-@pytest.mark.parametrize("hull", [make_sphere(), make_cone(), make_cone(3)], ids=["sphere", "cone", "of 3 sides"])
+@pytest.mark.parametrize(
+    "hull", [make_sphere(), make_cone(), make_cone(3)], ids=["sphere", "cone", "of 3 sides"]
+)
 def test_a_body_is_closed_and_convex_and_turned_outward(hull: tuple[Floats, np.ndarray]) -> None:
     corners, triangles = hull
     edges = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])

@@ -56,7 +56,9 @@ def list_by_pairs(lower: Floats, upper: Floats, positions: Floats, ranges: Float
 @pytest.mark.parametrize("lights", [15, 16, 17, 400])
 @pytest.mark.parametrize("origin", [0.0, 1e7])
 @pytest.mark.parametrize("flat", [1.0, 0.0])
-def test_lists_of_groups_of_lights_are_those_of_a_test_of_all_pairs(lights: int, origin: float, flat: float) -> None:
+def test_lists_of_groups_of_lights_are_those_of_a_test_of_all_pairs(
+    lights: int, origin: float, flat: float
+) -> None:
     rng = np.random.default_rng(lights)
     size = 60.0 * np.array([1.0, flat, 1.0])
     lower = rng.uniform(0.0, 1.0, (300, 3)) * size + origin

@@ -21,8 +21,8 @@ BUDGET = 64
 class Sliders:
     """Points on rails that follow a swinging target, a part of the distance in each step.
 
-    Far from the target's present place lies what was averaged over its past, which a leap leaves out. In a step the
-    target moves by at most SPEED * interval, and the average looks back by (1 - PULL) / PULL steps.
+    Far from the target's present place lies what was averaged over its past, which a leap leaves out. In a
+    step the target moves by at most SPEED * interval, and the average looks back by (1 - PULL) / PULL steps.
     """
 
     interval = 1 / 60
@@ -230,13 +230,16 @@ def test_a_leap_gives_another_state_than_steps_of_the_same_number() -> None:
     assert states[0][1] != states[1][1]
 
 
-@pytest.mark.parametrize("make", [
-    lambda: Stepwise(0),
-    lambda: Stepwise(5, memory=0),
-    lambda: Leap(0, 1.0),
-    lambda: Leap(5, -1.0),
-    lambda: Leap(5, np.inf),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Stepwise(0),
+        lambda: Stepwise(5, memory=0),
+        lambda: Leap(0, 1.0),
+        lambda: Leap(5, -1.0),
+        lambda: Leap(5, np.inf),
+    ],
+)
 def test_a_policy_without_a_bound_is_refused(make: Callable[[], object]) -> None:
     with pytest.raises(ValidationError, match=r"^\[scene-bad-simulation\]"):
         make()

@@ -80,11 +80,13 @@ def test_a_weight_fades_and_another_fade_begins_where_it_is(clip):
 @pytest.mark.parametrize(
     ("values", "rule"),
     [
-        ({"weight": -0.1}, "scene-bad-clip"), ({"weight": np.inf}, "scene-bad-clip"),
-        ({"fade": -1.0}, "scene-bad-clip"), ({"at": np.nan}, "scene-not-finite"),
+        ({"weight": -0.1}, "scene-bad-clip"),
+        ({"weight": np.inf}, "scene-bad-clip"),
+        ({"fade": -1.0}, "scene-bad-clip"),
+        ({"at": np.nan}, "scene-not-finite"),
         ({"speed": np.inf}, "scene-not-finite"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_order_is_refused_and_changes_nothing(clip, values, rule):
     before = clip.clips._rows.copy()
     with pytest.raises(ValidationError, match=rule):

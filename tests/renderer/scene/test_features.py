@@ -41,18 +41,34 @@ CHANGES = st.tuples(
     st.integers(0, COUNT - 1),
     st.sampled_from(
         [
-            ("base_color", 0.5), ("emission", 0.0), ("emission", 1.0), ("emissive", 0.0), ("emissive", 2.0),
-            ("texture", -1), ("texture", 0), ("texture", 1), ("normal_texture", 2), ("normal_texture", -1),
-            ("metallic_roughness_texture", 3), ("occlusion_texture", 1), ("emissive_texture", 0),
-            ("model", 0), ("model", 1), ("alpha_mode", 0), ("alpha_mode", 1), ("double_sided", 0),
+            ("base_color", 0.5),
+            ("emission", 0.0),
+            ("emission", 1.0),
+            ("emissive", 0.0),
+            ("emissive", 2.0),
+            ("texture", -1),
+            ("texture", 0),
+            ("texture", 1),
+            ("normal_texture", 2),
+            ("normal_texture", -1),
+            ("metallic_roughness_texture", 3),
+            ("occlusion_texture", 1),
+            ("emissive_texture", 0),
+            ("model", 0),
+            ("model", 1),
+            ("alpha_mode", 0),
+            ("alpha_mode", 1),
+            ("double_sided", 0),
             ("double_sided", 1),
         ]
     ),
-)  # fmt: skip
+)
 
 
 @given(st.lists(st.lists(CHANGES, max_size=5), max_size=4))
-def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(steps: list[list[tuple[int, Any]]]) -> None:
+def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(
+    steps: list[list[tuple[int, Any]]],
+) -> None:
     materials = np.array([make_material()] * COUNT)
     features = MaterialFeatures(materials, make_textures(), SAMPLERS, ())
     for changes in steps:
@@ -82,7 +98,9 @@ def test_materials_may_be_replaced_by_more_but_not_by_fewer_than_objects_have(te
     scene = builder.build()
     camera, before = scene.views["eye"], scene.materials
     with rhi.create_device("null") as null:
-        renderer = Renderer(null, scene, technique=TECHNIQUES[technique](), visibility=NoCulling(scene), size=(16, 16))
+        renderer = Renderer(
+            null, scene, technique=TECHNIQUES[technique](), visibility=NoCulling(scene), size=(16, 16)
+        )
         with renderer:
             renderer.render(camera)
             scene.materials = np.concatenate([before, [make_material(emission=1.0)]])

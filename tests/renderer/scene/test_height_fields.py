@@ -37,14 +37,20 @@ def test_its_mesh_has_equal_triangles_as_many_as_the_limit_allows():
 
 def test_heights_between_vertices_are_interpolated():
     field = make_height_field([[0.0, 3.0], [6.0, 9.0]], (4.0, 8.0))
-    assert field.sample_heights([-2.0, 2.0, 0.0, 9.0], [-4.0, -4.0, 2.0, 0.0]) == pytest.approx([0.0, 3.0, 6.0, 6.0])
+    assert field.sample_heights([-2.0, 2.0, 0.0, 9.0], [-4.0, -4.0, 2.0, 0.0]) == pytest.approx(
+        [0.0, 3.0, 6.0, 6.0]
+    )
 
 
 def test_normals_and_tangents_follow_a_slope():
     x = np.linspace(0.0, 8.0, 9)
     mesh = make_height_field(np.broadcast_to(2.0 * x, (9, 9)), 8.0).make_mesh()
-    assert mesh.vertices["normal"] == pytest.approx(np.broadcast_to(np.array([-2, 1, 0]) / 5**0.5, (81, 3)), abs=1e-6)
-    assert mesh.vertices["tangent"] == pytest.approx(np.broadcast_to([5**-0.5, 2 * 5**-0.5, 0, 1], (81, 4)), abs=1e-6)
+    assert mesh.vertices["normal"] == pytest.approx(
+        np.broadcast_to(np.array([-2, 1, 0]) / 5**0.5, (81, 3)), abs=1e-6
+    )
+    assert mesh.vertices["tangent"] == pytest.approx(
+        np.broadcast_to([5**-0.5, 2 * 5**-0.5, 0, 1], (81, 4)), abs=1e-6
+    )
 
 
 def test_lengths_and_reaches_hold_those_of_all_that_depends_on_a_vertex():

@@ -110,7 +110,8 @@ CUTOFF = 0.25
 
 
 def make_faint() -> Lights:
-    """Make point lights of which the last two end before their light is faint: at their range, and at their source."""
+    """Make point lights of which the last two end before their light is faint: at their range, and at their
+    source."""
     lights = Lights()
     lights.add_points([(0, 1.5, 2), (2, 0, 3), (-2, 0, 3)], [9.0, 1.5, 9.0], intensity=[1.0, 4.0, 0.1],
                       color=[(0.5, 1, 0), (1, 1, 1), (1, 1, 1)], source_radius=[0, 0, 1.0])  # fmt: skip
@@ -133,7 +134,9 @@ def test_a_cutoff_shortens_ranges_and_little_light_is_missing() -> None:
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
-def test_a_technique_draws_lights_with_a_cutoff_as_if_their_ranges_were_shorter(gl: rhi.Device, technique: str) -> None:
+def test_a_technique_draws_lights_with_a_cutoff_as_if_their_ranges_were_shorter(
+    gl: rhi.Device, technique: str
+) -> None:
     settings, images, counts = RenderSettings(algorithm="frustum").change("technique.name", technique), [], []
     for least, is_cut in ((CUTOFF, False), (0.0, True), (0.0, False)):
         builder = make_boxes(*[(2 * x, 2 * y, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)])

@@ -248,7 +248,9 @@ def test_textures_of_shaders_are_read_as_they_are() -> None:
 def test_bytes_between_parameters_are_no_edit_in_each_frame() -> None:
     builder = start()
     scene = build(builder, builder.add_material(shader=Stripes, width=0.5))
-    scene.parameters[0].view(np.uint8).reshape(len(scene.materials), -1)[:, 4:16] = 7  # a copy of the array has others
+    scene.parameters[0].view(np.uint8).reshape(len(scene.materials), -1)[:, 4:16] = (
+        7  # a copy of the array has others
+    )
     scene.refresh()
     version = scene.material_version
     scene.refresh()

@@ -12,7 +12,15 @@ from refusals import refused_rule
 
 from renderer import scene as scenes
 from renderer.content import BUILT_IN
-from renderer.scene import Scene, SceneBuilder, ShadingModel, TextureMap, make_geometry, make_material, vertex_format
+from renderer.scene import (
+    Scene,
+    SceneBuilder,
+    ShadingModel,
+    TextureMap,
+    make_geometry,
+    make_material,
+    vertex_format,
+)
 from rhi import Comparison, SamplerDescriptor, Wrap
 
 SIDE = np.full((4, 4, 4), 128, np.uint8)
@@ -42,7 +50,9 @@ def build(geometry: Any = None, images: int = 2, **material: Any) -> Scene:
         ({"metallic_roughness_texture": 1}, ShadingModel.METALLIC_ROUGHNESS),
     ],
 )
-def test_a_material_is_of_the_model_whose_parameters_are_given(parameters: dict[str, Any], model: ShadingModel) -> None:
+def test_a_material_is_of_the_model_whose_parameters_are_given(
+    parameters: dict[str, Any], model: ShadingModel
+) -> None:
     assert make_material(**parameters)["model"] == model
 
 
@@ -91,7 +101,10 @@ def test_each_way_to_read_an_image_is_one_texture() -> None:
     arguments: list[dict[str, Any]] = [
         {"texture": images[1]},
         {"texture": TextureMap(images[1])},  # the same
-        {"texture": TextureMap(images[1], sampler=clamped), "occlusion_texture": images[1]},  # as a colour, and as data
+        {
+            "texture": TextureMap(images[1], sampler=clamped),
+            "occlusion_texture": images[1],
+        },  # as a colour, and as data
         {"texture": TextureMap(images[1], scale=(2.0, 2.0)), "emissive_texture": images[0]},
     ]
     for values in arguments:
@@ -137,7 +150,9 @@ def test_vertices_have_only_what_the_scene_reads() -> None:
     assert geometry.vertices.dtype == vertex_format(more)
     assert build().meshes.vertices.dtype == scenes.VERTEX
     assert build(geometry).meshes.vertices.dtype == vertex_format(["color"])
-    assert build(geometry, texture=TextureMap(0, uv_set=1)).meshes.vertices.dtype == vertex_format(["uv2", "color"])
+    assert build(geometry, texture=TextureMap(0, uv_set=1)).meshes.vertices.dtype == vertex_format(
+        ["uv2", "color"]
+    )
     assert build(geometry, normal_texture=0).meshes.vertices.dtype == vertex_format(["tangent", "color"])
 
 

@@ -12,8 +12,9 @@ def test_equal_omissions_are_counted_and_have_the_location_of_the_first() -> Non
     omissions.add("a camera", "nodes[7]")
     omissions.add("a texture", "images[9]", 2)
     assert [(omission.what, omission.count, omission.where) for omission in omissions] == [
-        ("a camera", 2, "nodes[3]"), ("a texture", 6, "images[0]"),
-    ]  # fmt: skip
+        ("a camera", 2, "nodes[3]"),
+        ("a texture", 6, "images[0]"),
+    ]
     assert len(omissions) == 2
     assert list(map(str, omissions)) == ["a camera (nodes[3], 2 times)", "a texture (images[0], 6 times)"]
 

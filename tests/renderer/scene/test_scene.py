@@ -35,7 +35,10 @@ def test_objects_have_the_bounds_of_their_mesh_in_the_world():
 def test_triangles_are_counted_by_mesh_and_by_object():
     builder = scenes.SceneBuilder("counted")
     plane = scenes.make_geometry([*TRIANGLE, [1.0, 1.0, 0.0]], [0, 1, 2, 2, 1, 3])
-    meshes = [builder.add_mesh(each) for each in (scenes.make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())]
+    meshes = [
+        builder.add_mesh(each)
+        for each in (scenes.make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())
+    ]
     nodes, material = [builder.add_node() for _ in range(3)], builder.add_material()
     builder.add_objects(nodes, [meshes[1], meshes[1], meshes[2]], material)
     scene = builder.build()
@@ -50,7 +53,8 @@ def test_moving_a_node_moves_the_bounds_of_what_hangs_on_it_only():
     assert scene.objects.dynamic.tolist() == [True, False]
     still = scene.objects.lower[1].copy()
     scene.nodes.set_local(
-        scene.nodes.find("arm"), multiply(scenes.translation((9, 0, 0)), scenes.rotation((0, 0, 1), np.pi / 2))
+        scene.nodes.find("arm"),
+        multiply(scenes.translation((9, 0, 0)), scenes.rotation((0, 0, 1), np.pi / 2)),
     )
     assert scene.update().tolist() == [0]
     assert np.allclose(scene.objects.lower[0], (6.5, -0.5, -0.5))
@@ -84,7 +88,9 @@ def test_meshes_share_arrays_that_draws_can_index():
         draw = meshes.ranges[mesh]
         geometry = BUILT_IN[name]()
         indices = meshes.indices[draw["first_index"] : draw["first_index"] + draw["index_count"]]
-        assert np.array_equal(meshes.vertices[indices + draw["base_vertex"]], geometry.vertices[geometry.indices])
+        assert np.array_equal(
+            meshes.vertices[indices + draw["base_vertex"]], geometry.vertices[geometry.indices]
+        )
 
 
 def test_transforms_relative_to_a_far_eye_are_exact():
@@ -155,7 +161,10 @@ def test_a_geometry_of_another_dtype_is_refused():
 
 def test_a_geometry_whose_indices_name_no_vertex_is_refused():
     vertices = np.zeros(3, scenes.VERTEX)
-    assert refused_rule(lambda: scenes.MeshGeometry(vertices, np.array([0, 1, 3], np.uint32))) == "scene-bad-mesh"
+    assert (
+        refused_rule(lambda: scenes.MeshGeometry(vertices, np.array([0, 1, 3], np.uint32)))
+        == "scene-bad-mesh"
+    )
     assert scenes.MeshGeometry(vertices, np.array([0, 1, 2], np.uint32)).triangle_count == 1
 
 
@@ -257,7 +266,9 @@ def test_ids_of_nothing_are_refused(call):
     builder.add_objects(2, 1, 0)
 
 
-@pytest.mark.parametrize("image", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)])
+@pytest.mark.parametrize(
+    "image", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)]
+)
 def test_bad_images_are_refused(image):
     assert refused_rule(lambda: scenes.SceneBuilder("x").add_image(image)) == "scene-bad-image"
 

@@ -155,7 +155,9 @@ def look_from(pixels: float) -> scenes.Camera:
     return scenes.Camera.look_at(eye, (0.0, 0.0, 0.0), projection=scenes.Perspective(fov=np.pi / 2))
 
 
-def count_moves(camera: scenes.Camera, lag: float = LAG, seconds: float = 8.0, interval: float = 1 / 64) -> list[int]:
+def count_moves(
+    camera: scenes.Camera, lag: float = LAG, seconds: float = 8.0, interval: float = 1 / 64
+) -> list[int]:
     """Return in how many of 64 frames a second each of nine clocks has moved on."""
     simulator, clock = make_simulator(make_scene(9))
     clock.interval, moves = interval, np.zeros(9, int)
@@ -234,7 +236,9 @@ def test_flags_that_are_late_are_off_by_less_than_the_lag() -> None:
             simulator.slow_down(camera, HEIGHT, lag)
             simulator.advance(simulator.objects)
             corner = np.array([1.0, 1.0, 0.0, 1.0])  # of the segments, which are less than a metre wide
-            clip = scene.nodes.world[scene.objects.node[simulator.objects]] @ corner @ camera.view_projection.T
+            clip = (
+                scene.nodes.world[scene.objects.node[simulator.objects]] @ corner @ camera.view_projection.T
+            )
             positions.append(0.5 * HEIGHT * clip[:, :2] / clip[:, 3:])
         off.append(np.linalg.norm(positions[0] - positions[1], axis=1).max())
     assert 0.0 < max(off) < LAG
@@ -242,7 +246,9 @@ def test_flags_that_are_late_are_off_by_less_than_the_lag() -> None:
 
 @settings(max_examples=25)
 @given(st.lists(st.booleans(), min_size=1, max_size=40), st.floats(0.3, 6.0))
-def test_what_is_late_is_as_late_as_if_it_had_been_drawn_all_the_time(drawn: list[bool], pixels: float) -> None:
+def test_what_is_late_is_as_late_as_if_it_had_been_drawn_all_the_time(
+    drawn: list[bool], pixels: float
+) -> None:
     (always, all_steps), (now_and_then, steps) = (make_simulator(make_scene(9)) for _ in range(2))
     for frame, is_drawn in enumerate([*drawn, True], 1):
         for simulator in (always, now_and_then):
@@ -255,7 +261,9 @@ def test_what_is_late_is_as_late_as_if_it_had_been_drawn_all_the_time(drawn: lis
 
 @settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 400), st.sets(st.integers(0, 2))), max_size=12), st.integers(0, 400))
-def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(glances: list[tuple[int, set[int]]], last: int) -> None:
+def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(
+    glances: list[tuple[int, set[int]]], last: int
+) -> None:
     always, now_and_then = FountainSimulation(3, 7), FountainSimulation(3, 7)
     everyone = np.arange(3)
     frames = sorted(frame for frame, _ in glances)
@@ -292,7 +300,9 @@ def test_fewer_drops_are_some_of_those_that_there_would_be() -> None:
         all_.step(np.arange(2), np.full(2, number))
         if number % 2 == 0:
             fewer.step(np.arange(2), np.full(2, number // 2))
-    assert fewer.position[:, (np.arange(106, 151)) % 45] == pytest.approx(all_.position[:, np.arange(212, 301, 2) % 90])
+    assert fewer.position[:, (np.arange(106, 151)) % 45] == pytest.approx(
+        all_.position[:, np.arange(212, 301, 2) % 90]
+    )
 
 
 def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
@@ -333,13 +343,28 @@ def refusal(change: object) -> str:
     return refused.value.rule.id
 
 
-@pytest.mark.parametrize(("change", "rule"), [
-    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], free, m), Clock(1)), "scene-unbounded-mesh"),
-    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[:2], bound, m), Clock(2)), "scene-shared-mesh"),
-    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], bound, m).repeat(2), Clock(2)), "scene-shared-mesh"),
-    (lambda b, n, bound, free, m: b.simulate([4], Clock(1)), "scene-bad-index"),
-    (lambda b, n, bound, free, m: b.add_mesh(BUILT_IN["box"](), bounds=(np.zeros(3), np.ones(3))), "scene-bad-mesh"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        (
+            lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], free, m), Clock(1)),
+            "scene-unbounded-mesh",
+        ),
+        (
+            lambda b, n, bound, free, m: b.simulate(b.add_objects(n[:2], bound, m), Clock(2)),
+            "scene-shared-mesh",
+        ),
+        (
+            lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], bound, m).repeat(2), Clock(2)),
+            "scene-shared-mesh",
+        ),
+        (lambda b, n, bound, free, m: b.simulate([4], Clock(1)), "scene-bad-index"),
+        (
+            lambda b, n, bound, free, m: b.add_mesh(BUILT_IN["box"](), bounds=(np.zeros(3), np.ones(3))),
+            "scene-bad-mesh",
+        ),
+    ],
+)
 def test_what_can_not_be_simulated_is_refused(change: object, rule: str) -> None:
     assert refusal(change) == rule
 

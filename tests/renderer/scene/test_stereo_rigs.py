@@ -9,7 +9,15 @@ import pytest
 from refusals import refused_rule
 
 from renderer import scene as scenes
-from renderer.scene import HUMAN_EYE_DISTANCE, Camera, Depth, Perspective, Projection, StereoRig, measure_parallax
+from renderer.scene import (
+    HUMAN_EYE_DISTANCE,
+    Camera,
+    Depth,
+    Perspective,
+    Projection,
+    StereoRig,
+    measure_parallax,
+)
 from renderer.scene.arrays import Floats
 
 HERE = (3.0, 1.7, -4.0)
@@ -65,7 +73,9 @@ def test_parallax_at_infinity_is_the_eye_distance_over_the_convergence() -> None
         assert rig.compute_parallax(projection, np.inf) == pytest.approx(want)
         measured = measure_parallax(rig.place_eyes(camera), make_points(camera, [1e12]))
         assert measured[0, 0] == pytest.approx(want, abs=1e-12)
-    assert StereoRig(0.065, np.inf).compute_parallax(projection, 5.0) < 0.0, "all is in front of a screen at infinity"
+    assert StereoRig(0.065, np.inf).compute_parallax(projection, 5.0) < 0.0, (
+        "all is in front of a screen at infinity"
+    )
 
 
 def test_eyes_that_are_toed_in_see_corners_at_different_heights() -> None:
@@ -84,13 +94,17 @@ def test_eyes_that_are_toed_in_see_corners_at_different_heights() -> None:
         assert abs(off_axis[1]) < 1e-9
     middle = camera.position + 10.0 * camera.forward
     for toed in (True, False):
-        assert np.abs(measure_parallax(StereoRig(0.065, 10.0, toed).place_eyes(camera), [middle])).max() < 1e-12
+        assert (
+            np.abs(measure_parallax(StereoRig(0.065, 10.0, toed).place_eyes(camera), [middle])).max() < 1e-12
+        )
 
 
 @pytest.mark.parametrize("is_toed_in", [False, True])
 @pytest.mark.parametrize("convergence", [0.4, 3.0, np.inf])
 @pytest.mark.parametrize("name", PROJECTIONS)
-def test_the_camera_around_both_eyes_sees_what_either_sees(name: str, convergence: float, is_toed_in: bool) -> None:
+def test_the_camera_around_both_eyes_sees_what_either_sees(
+    name: str, convergence: float, is_toed_in: bool
+) -> None:
     projection = PROJECTIONS[name]
     camera, rig = look(projection), StereoRig(0.1, convergence, is_toed_in)
     rng = np.random.default_rng(3)
@@ -160,7 +174,8 @@ def test_bad_rigs_are_refused(bad: dict[str, float]) -> None:
 @pytest.mark.parametrize(("nearest", "farthest"), [(0.0, 1.0), (2.0, 1.0), (np.nan, 1.0)])
 def test_bad_depth_ranges_are_refused(nearest: float, farthest: float) -> None:
     assert (
-        refused_rule(lambda: StereoRig.comfortable(PROJECTIONS["perspective"], nearest, farthest)) == "stereo-bad-value"
+        refused_rule(lambda: StereoRig.comfortable(PROJECTIONS["perspective"], nearest, farthest))
+        == "stereo-bad-value"
     )
 
 

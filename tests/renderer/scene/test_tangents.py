@@ -21,7 +21,8 @@ def corners_of(geometry: MeshGeometry) -> NDArray[Any]:
 
 
 def strip(u: list[float], v: tuple[float, float] = (0.0, 1.0)) -> MeshGeometry:
-    """Make quads side by side in the plane z = 0, with these u at their columns, and v at their lower and upper row."""
+    """Make quads side by side in the plane z = 0, with these u at their columns, and v at their lower and
+    upper row."""
     count = len(u)
     x = np.arange(count, dtype=float)
     positions = np.concatenate([np.stack([x, 0 * x + row, 0 * x], axis=1) for row in (0, 1)])
@@ -56,7 +57,10 @@ def test_tangents_lead_along_u_and_bitangents_up_in_the_image() -> None:
 def test_where_a_texture_is_mirrored_vertices_become_two() -> None:
     with_tangents = add_tangents(strip([0, 1, 0], (1.0, 0.0)))
     assert len(with_tangents.vertices) == 8
-    assert corners_of(with_tangents)["tangent"].tolist() == [[[1.0, 0, 0, 1]] * 3] * 2 + [[[-1.0, 0, 0, -1]] * 3] * 2
+    assert (
+        corners_of(with_tangents)["tangent"].tolist()
+        == [[[1.0, 0, 0, 1]] * 3] * 2 + [[[-1.0, 0, 0, -1]] * 3] * 2
+    )
 
 
 def test_without_splitting_vertices_keep_their_number_and_order() -> None:
@@ -86,9 +90,12 @@ def test_triangles_of_no_size_give_no_nan() -> None:
 
 
 def test_tangents_are_weighted_by_the_angle_at_their_vertex() -> None:
-    # At the vertex 0, a corner of 90° whose u grows along x, where v stays the same, and one of 45° along (1, 1).
+    # At the vertex 0, a corner of 90° whose u grows along x, where v stays the same, and one of 45° along (1,
+    # 1).
     positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 1, 0]]
-    geometry = make_geometry(positions, [0, 1, 2, 0, 2, 3], np.tile(UP, (4, 1)), [[0, 0], [1, 0], [0, -1], [-1, -2]])
+    geometry = make_geometry(
+        positions, [0, 1, 2, 0, 2, 3], np.tile(UP, (4, 1)), [[0, 0], [1, 0], [0, -1], [-1, -2]]
+    )
     tangents = add_tangents(geometry).vertices["tangent"]
     assert tangents[1].tolist() == [1.0, 0.0, 0.0, 1.0]
     assert tangents[3].tolist() == pytest.approx([np.sqrt(0.5), np.sqrt(0.5), 0.0, 1.0])
@@ -100,7 +107,10 @@ def test_tangents_are_weighted_by_the_angle_at_their_vertex() -> None:
 def test_tangents_do_not_depend_on_size(scale: float) -> None:
     torus = BUILT_IN["torus"]()
     resized = make_geometry(
-        torus.vertices["position"] * scale, torus.indices, torus.vertices["normal"], torus.vertices["uv"] * scale
+        torus.vertices["position"] * scale,
+        torus.indices,
+        torus.vertices["normal"],
+        torus.vertices["uv"] * scale,
     )
     np.testing.assert_allclose(
         corners_of(add_tangents(resized))["tangent"], corners_of(add_tangents(torus))["tangent"], atol=1e-3

@@ -73,7 +73,9 @@ def test_octahedral_normals_are_as_exact_as_their_bits_allow(
     errors = off(sl.evaluate(encode_octahedral_nearest, rounded_normals, steps), decode_octahedral, steps)
     assert errors[0] < 1.02 * best[0]
     assert 0.9 * best[1] < errors[1] < 1.005 * best[1]
-    errors = off(sl.evaluate(encode_octahedral_truncated, rounded_normals, last), decode_octahedral_truncated, last)
+    errors = off(
+        sl.evaluate(encode_octahedral_truncated, rounded_normals, last), decode_octahedral_truncated, last
+    )
     assert errors[0] < 1.02 * truncated[0]
     assert 0.9 * truncated[1] < errors[1] < 1.005 * truncated[1]
 
@@ -103,8 +105,12 @@ def test_a_tangent_is_stored_better_than_by_its_cosine() -> None:
 def test_derivatives_are_stored_better_than_by_cosines() -> None:
     values = sample_derivatives(np.random.default_rng(4), 40_000)[:, :4]
     rounded_values = values.astype(np.float32)
-    ours = np.asarray(sl.evaluate(decode_gradient, sl.evaluate(encode_gradient, rounded_values[:, :2])), float)
-    theirs = np.asarray(sl.evaluate(decode_derivatives, sl.evaluate(encode_derivatives, rounded_values)), float)
+    ours = np.asarray(
+        sl.evaluate(decode_gradient, sl.evaluate(encode_gradient, rounded_values[:, :2])), float
+    )
+    theirs = np.asarray(
+        sl.evaluate(decode_derivatives, sl.evaluate(encode_derivatives, rounded_values)), float
+    )
     assert angles_in_degrees(values[:, :2], ours).max() < 0.12
     assert vector_errors(values[:, :2], ours).max() < 0.31
     assert 9.0 < angles_in_degrees(values[:, :2], theirs[:, :2]).max() < 10.3
@@ -126,9 +132,9 @@ def test_derivatives_are_stored_better_than_by_cosines() -> None:
 def test_hard_cases_are_stored_in_float64(number: int, measure: Callable[[Floats], CaseResult]) -> None:
     packed = pack_values(encoding_cases.list_values())
     groups, results = -(-len(packed) // GROUP), 4 * len(packed)
-    read = sl.run_compute(encoding_cases.EveryEncoding, groups, values=packed, results=results, dtype=np.float64)[
-        "results"
-    ]
+    read = sl.run_compute(
+        encoding_cases.EveryEncoding, groups, values=packed, results=results, dtype=np.float64
+    )["results"]
     errors = measure(np.concatenate([read["first"], read["second"]], axis=1).reshape(-1, 4, 8))
     assert CASES[number].passes(errors), errors
 

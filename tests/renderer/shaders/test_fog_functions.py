@@ -79,11 +79,15 @@ def test_a_ray_that_never_leaves_the_fog_sees_nothing_else(direction: tuple[floa
     light = evaluate(shaders.apply_fog_to_background, np.ones(3), np.array(direction), fog, dtype=np.float32)
     assert light.tolist() == [0.25, 0.5, 0.75]
     level = look(Fog(1e-5, (0.25, 0.5, 0.75)), 500.0)
-    up = evaluate(shaders.apply_fog_to_background, np.ones(3), np.array([0.0, 1.0, 0.0]), level, dtype=np.float32)
+    up = evaluate(
+        shaders.apply_fog_to_background, np.ones(3), np.array([0.0, 1.0, 0.0]), level, dtype=np.float32
+    )
     assert up.tolist() == [0.25, 0.5, 0.75]
 
 
 def test_colours_lead_back_to_the_light_that_shows_them() -> None:
     for color in (0.0, 0.0, 0.0), (0.02, 0.5, 0.9), (1.0, 1.0, 1.0), (1e-4, 0.999, 1e-9):
-        assert evaluate(tone_map, np.array(inverse_tone_map(color)), dtype=np.float64) == pytest.approx(color, abs=1e-6)
+        assert evaluate(tone_map, np.array(inverse_tone_map(color)), dtype=np.float64) == pytest.approx(
+            color, abs=1e-6
+        )
     assert inverse_tone_map((1.0, 1.0, 1.0))[0] == pytest.approx(12.07, abs=0.01)

@@ -33,8 +33,11 @@ def encode(linear: Floats) -> Floats:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055) * 255
 
 
-def gltf_brdf(base: Floats, metallic: Floats, roughness: Floats, n: Floats, v: Floats, light: Floats) -> Floats:
-    """glTF 2.0, appendix B.3.5, times π, as it is written there: D, G and F by themselves. (k, 3) of unit vectors."""
+def gltf_brdf(
+    base: Floats, metallic: Floats, roughness: Floats, n: Floats, v: Floats, light: Floats
+) -> Floats:
+    """glTF 2.0, appendix B.3.5, times π, as it is written there: D, G and F by themselves. (k, 3) of unit
+    vectors."""
 
     def dots(a: Floats, b: Floats) -> Floats:
         return np.asarray((a * b).sum(-1, keepdims=True))
@@ -56,7 +59,9 @@ def surfaces(n: Floats, v: Floats, base: Floats, metallic: Any, roughness: Any) 
     points: Any = np.zeros(len(n), SurfacePoint.dtype)
     points["normal"], points["to_eye"], points["base_color"] = n, v, base
     points["occlusion"] = 1.0
-    return evaluate(metallic_surface, points, np.asarray(metallic, np.float32), np.asarray(roughness, np.float32))
+    return evaluate(
+        metallic_surface, points, np.asarray(metallic, np.float32), np.asarray(roughness, np.float32)
+    )
 
 
 def lights(direction: Floats, irradiance: Any = 1.0) -> Any:
@@ -66,8 +71,8 @@ def lights(direction: Floats, irradiance: Any = 1.0) -> Any:
 
 
 def random_views(seed: int, spread: float) -> tuple[Floats, Floats, Floats]:
-    """Return normals, directions to eyes and to lights, in float32, on one side. With a small `spread` lights are where
-    highlights are, near the mirrored direction."""
+    """Return normals, directions to eyes and to lights, in float32, on one side. With a small `spread` lights
+    are where highlights are, near the mirrored direction."""
     random = np.random.default_rng(seed)
     n = unit(random.normal(size=(COUNT, 3)))
     v, light = (unit(random.normal(size=(COUNT, 3))) for _ in range(2))
@@ -91,7 +96,9 @@ def test_reflected_light_is_within_one_level_of_gltfs_formulas_in_float64(spread
     exact = gltf_brdf(base, metallic, roughness, n, v, light) * (n * light).sum(1, keepdims=True)
     ours = evaluate(reflected_light_metallic, surfaces(n, v, base, metallic, roughness), lights(light))
     assert np.isfinite(ours).all()
-    expected, levels = (encode(evaluate(tone_map, x, dtype=np.float64)) for x in (exact, ours.astype(np.float64)))
+    expected, levels = (
+        encode(evaluate(tone_map, x, dtype=np.float64)) for x in (exact, ours.astype(np.float64))
+    )
     assert expected[seen].std() > 20.0
     assert np.abs(expected - levels)[seen].max() <= 1.0
 
@@ -109,7 +116,9 @@ def test_smooth_metals_have_a_finite_highlight_everywhere() -> None:
         assert np.isfinite(ours).all()
         assert (ours >= 0.0).all()
     peak = evaluate(
-        reflected_light_metallic, surfaces(n[:1], n[:1], np.ones((1, 3)), np.ones(1), np.zeros(1)), lights(n[:1])
+        reflected_light_metallic,
+        surfaces(n[:1], n[:1], np.ones((1, 3)), np.ones(1), np.zeros(1)),
+        lights(n[:1]),
     )
     np.testing.assert_allclose(peak, 0.25 / MIN_ROUGHNESS**4, rtol=1e-4)
 
@@ -160,5 +169,7 @@ def test_occlusion_takes_from_ambient_light_alone() -> None:
     open_light = evaluate(ambient_light_metallic, points, ambient)
     direct = evaluate(reflected_light_metallic, points, lights(light))
     points["occlusion"] = 0.25
-    np.testing.assert_allclose(evaluate(ambient_light_metallic, points, ambient), open_light * 0.25, rtol=1e-6)
+    np.testing.assert_allclose(
+        evaluate(ambient_light_metallic, points, ambient), open_light * 0.25, rtol=1e-6
+    )
     assert np.array_equal(evaluate(reflected_light_metallic, points, lights(light)), direct)

@@ -16,10 +16,12 @@ Floats = NDArray[np.float64]
 def lit_fraction(
     filter: ShadowFilter, depths: Floats, at: Floats, depth: Floats, slope: Floats, tile: tuple[int, int, int]
 ) -> tuple[Floats, Floats]:
-    """Return the lit share (n,) of points, and how near (n,) a texel's depth is to being neither lit nor in shadow.
+    """Return the lit share (n,) of points, and how near (n,) a texel's depth is to being neither lit nor in
+    shadow.
 
     Args:
-        depths: (height, width), those of the atlas. at: (n, 2) places. depth: (n,). slope: (n, 2). tile: x, y, size.
+        depths: (height, width), those of the atlas. at: (n, 2) places. depth: (n,). slope: (n, 2). tile: x,
+            y, size.
     """
     texels, weights = _list_texels(filter, at)
     corner, size = np.array(tile[:2]), tile[2]

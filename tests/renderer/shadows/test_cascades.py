@@ -40,7 +40,10 @@ def look(position: Floats, target: Floats, projection: Projection = PROJECTION) 
 
 
 def list_bits(cascades: list[Cascade]) -> list[tuple[object, ...]]:
-    return [(c.camera.position.tobytes(), c.camera.rotation.tobytes(), c.camera.projection, c.texel) for c in cascades]
+    return [
+        (c.camera.position.tobytes(), c.camera.rotation.tobytes(), c.camera.projection, c.texel)
+        for c in cascades
+    ]
 
 
 def test_splits_are_between_equal_distances_and_equal_ratios() -> None:
@@ -87,7 +90,9 @@ def test_maps_are_at_whole_texels_and_as_large_wherever_the_eye_is_and_looks(
 
 def test_a_turn_of_the_eye_keeps_the_width_of_texels() -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 50)
-    widths = {fit(look(np.zeros(3), np.array((np.sin(a), 0.3 * np.sin(2 * a), np.cos(a)))))[2].texel for a in angles}
+    widths = {
+        fit(look(np.zeros(3), np.array((np.sin(a), 0.3 * np.sin(2 * a), np.cos(a)))))[2].texel for a in angles
+    }
     assert len(widths) == 1
 
 
@@ -153,7 +158,9 @@ def test_maps_reach_from_all_casters_to_below_their_slice(top: float) -> None:
 
 
 @pytest.mark.parametrize("aside", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_casters_beside_a_cascade_are_left_out_though_the_receiver_reaches_them(aside: tuple[int, int]) -> None:
+def test_casters_beside_a_cascade_are_left_out_though_the_receiver_reaches_them(
+    aside: tuple[int, int],
+) -> None:
     cascade = fit(look(np.array((0.0, 3.0, 0.0)), np.array((0.0, 3.0, -1.0))))[0]
     map_camera, rows = cascade.camera, cascade.camera.rotation
     edge = 1.0 / map_camera.projection.matrix[0, 0]  # with what filters read

@@ -31,7 +31,9 @@ def test_quaternions_turn_as_their_matrices(direction: tuple[float, ...], vector
 
 @pytest.mark.parametrize("face", range(6))
 def test_quaternions_of_cube_faces_are_of_length_1(face: int) -> None:
-    assert np.linalg.norm(local_light_maps.quaternion_from_axes(local_light_maps.FACES[face])) == pytest.approx(1.0)
+    assert np.linalg.norm(
+        local_light_maps.quaternion_from_axes(local_light_maps.FACES[face])
+    ) == pytest.approx(1.0)
 
 
 @given(DIRECTIONS)
@@ -43,7 +45,9 @@ def test_each_direction_is_in_the_middle_of_one_face(direction: tuple[float, ...
     assert -z >= abs(y) - 1e-12
 
 
-@pytest.mark.parametrize(("outer", "count"), [(0.0017, 1), (0.5, 1), (np.pi / 3, 1), (1.06, 6), (2.0, 6), (np.pi, 6)])
+@pytest.mark.parametrize(
+    ("outer", "count"), [(0.0017, 1), (0.5, 1), (np.pi / 3, 1), (1.06, 6), (2.0, 6), (np.pi, 6)]
+)
 def test_wide_spot_lights_have_the_faces_of_a_cube(outer: float, count: int) -> None:
     light = make_spot(outer)
     assert local_light_maps.is_cube(spot.KIND, light) == (count == 6)
@@ -60,7 +64,9 @@ def test_a_map_holds_the_cone_of_its_light_and_a_border(outer: float, size: int)
     clip = camera.projection.matrix @ np.concatenate([rim, np.ones((40, 1))], 1).T
     texels = np.abs(clip[:2] / clip[3]).max() * size / 2
     assert texels <= size / 2 - min(3, (size - 1) // 4) + 1e-9
-    assert texels == pytest.approx(np.tan(outer) * local_light_maps.texels_per_tangent(spot.KIND, light, size))
+    assert texels == pytest.approx(
+        np.tan(outer) * local_light_maps.texels_per_tangent(spot.KIND, light, size)
+    )
 
 
 def test_a_light_that_lights_more_of_the_screen_has_wider_maps() -> None:
@@ -88,7 +94,11 @@ def test_the_largest_maps_are_halved_until_all_have_room() -> None:
     assert local_light_maps.shrink(widths, counts, 1 << 24, 16) == widths
     assert local_light_maps.shrink(widths, counts, 1 << 20, 16) == {"a": 256, "b": 256, "c": 64}
     room = 6 * 512**2 + 256**2 + 6 * 64**2
-    assert local_light_maps.shrink(widths, counts, room, 16) == {"a": 512, "b": 256, "c": 64}  # the last of the largest
+    assert local_light_maps.shrink(widths, counts, room, 16) == {
+        "a": 512,
+        "b": 256,
+        "c": 64,
+    }  # the last of the largest
     assert local_light_maps.shrink(widths, counts, room - 1, 16) == {"a": 256, "b": 256, "c": 64}
     assert local_light_maps.shrink(widths, counts, 1, 16) == {"a": 16, "b": 16, "c": 16}
 
@@ -110,5 +120,7 @@ def test_shadow_boxes_hold_the_shadows_within_reach(seed: int) -> None:
 def test_boxes_are_listed_for_each_light() -> None:
     corners = np.array([(0.0, 0, 0), (5, 0, 0), (10, 0, 0)])
     lights = np.array([(0.5, 0, 0), (100, 0, 0), (7.0, 0, 0)])
-    listed = local_light_maps.pair_by_light(*list_lights(corners, corners + 1, lights, np.array([1.0, 1.0, 4.0])), 3)
+    listed = local_light_maps.pair_by_light(
+        *list_lights(corners, corners + 1, lights, np.array([1.0, 1.0, 4.0])), 3
+    )
     assert [boxes.tolist() for boxes in listed] == [[0], [], [1, 2]]

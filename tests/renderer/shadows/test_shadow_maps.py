@@ -13,7 +13,16 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Camera, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    StereoRig,
+    scaling,
+    translation,
+)
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
@@ -40,7 +49,9 @@ def stage(*, casts: bool = True, casters: bool = True, moves: bool = False) -> S
 
 def make_renderer(device: rhi.Device, scene: Scene, technique: str = "forward") -> Renderer:
     visibility = make_visibility("frustum", scene, device)
-    renderer = Renderer(device, scene, technique=TECHNIQUES[technique](), visibility=visibility, size=(64, 48))
+    renderer = Renderer(
+        device, scene, technique=TECHNIQUES[technique](), visibility=visibility, size=(64, 48)
+    )
     renderer.shadows.settings = SMALL
     return renderer
 
@@ -60,7 +71,10 @@ def test_a_scene_without_a_casting_light_or_a_caster_issues_no_command_of_shadow
         effects, plan = renderer.plan(EYE)
         assert "shadow maps" not in [planned.name for planned in plan.passes]
         assert not any("shadow" in command.labels for command in null.stream)
-        assert effects.explain(Effect.DIRECTIONAL_SHADOWS) == "the scene has no directional light that casts shadows"
+        assert (
+            effects.explain(Effect.DIRECTIONAL_SHADOWS)
+            == "the scene has no directional light that casts shadows"
+        )
 
 
 def test_maps_are_drawn_before_what_they_shade_and_the_plan_says_why(null: rhi.Device) -> None:
@@ -117,7 +131,8 @@ def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> Non
 
 
 def street(lights: int = 64, *, car: bool = True) -> Scene:
-    """Make a street of casting spot lights, 12 m apart, with a post each, and a car that passes at 10 m/s, or none."""
+    """Make a street of casting spot lights, 12 m apart, with a post each, and a car that passes at 10 m/s, or
+    none."""
     builder, box, material = make_boxes(name="street"), 0, 0
     along = 12.0 * np.arange(lights)
     for x in along:
@@ -188,8 +203,12 @@ def test_far_maps_take_turns_when_there_are_more_than_the_budget(null: rhi.Devic
     nodes = builder.add_nodes(translation([(12.0 * i, 1.0, 0.0) for i in range(10)]), dynamic=True)
     builder.add_objects(nodes, 0, 0)
     builder.animate(nodes, lambda s: translation([(12.0 * i + s, 1.0, 0.0) for i in range(10)]))
-    builder.lights.add_spots([(12.0 * i, 5, 0) for i in range(10)], (0, -1, 0), 8.0, 0.4, 0.6, casts_shadow=True)
-    camera = Camera.look_at((54, 200, 0), (54, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0))
+    builder.lights.add_spots(
+        [(12.0 * i, 5, 0) for i in range(10)], (0, -1, 0), 8.0, 0.4, 0.6, casts_shadow=True
+    )
+    camera = Camera.look_at(
+        (54, 200, 0), (54, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0)
+    )
     with make_renderer(null, builder.build()) as renderer:
         renderer.shadows.settings = replace(SMALL, budget=5)
         assert draw(renderer, camera) == {"drawn": 10}
@@ -208,7 +227,9 @@ def test_a_local_light_without_a_caster_in_range_has_no_map(null: rhi.Device) ->
         draw(renderer)
         skipped = {r.name: r.reason for r in renderer.shadows.reports if r.state == "skipped"}
         assert skipped["point light 1"] == "no caster is in its range"
-        assert all(name == "point light 1" or reason == "no caster is in it" for name, reason in skipped.items())
+        assert all(
+            name == "point light 1" or reason == "no caster is in it" for name, reason in skipped.items()
+        )
         assert {key[1] for key in renderer.shadows.tiles} == {0}
 
 
@@ -238,17 +259,23 @@ def test_local_lights_that_come_into_view_get_the_room_of_those_that_left(null: 
         renderer.shadows.settings = replace(SMALL, max_size=128, max_atlas_size=256)
         first: dict[int, Counter[int]] = {}
         for step in range(7):
-            states = draw(renderer, replace(EYE, position=EYE.position + np.array((500.0 * (step % 3), 0.0, 0.0))))
+            states = draw(
+                renderer, replace(EYE, position=EYE.position + np.array((500.0 * (step % 3), 0.0, 0.0)))
+            )
             assert renderer.shadows.unshadowed_lights == 0
             assert states["kept"] == 0
-            seen = Counter(tile.size for key, tile in renderer.shadows.tiles.items() if key[1] // 20 == step % 3)
+            seen = Counter(
+                tile.size for key, tile in renderer.shadows.tiles.items() if key[1] // 20 == step % 3
+            )
             first.setdefault(step % 3, seen)
             assert seen == first[step % 3]
 
 
 def test_local_lights_share_the_room_of_the_atlas(null: rhi.Device) -> None:
     builder = stage()
-    builder.lights.add_points(np.random.default_rng(1).uniform((-2, 1, -2), (2, 5, 2), (20, 3)), 9.0, casts_shadow=True)
+    builder.lights.add_points(
+        np.random.default_rng(1).uniform((-2, 1, -2), (2, 5, 2), (20, 3)), 9.0, casts_shadow=True
+    )
     with make_renderer(null, builder.build()) as renderer:
         renderer.shadows.settings = replace(SMALL, max_size=128, max_atlas_size=256)
         draw(renderer)
@@ -260,7 +287,9 @@ def test_local_lights_share_the_room_of_the_atlas(null: rhi.Device) -> None:
             assert {key: renderer.shadows.tiles[key].size for key in sizes} == sizes
         renderer.scene.lights.point["casts_shadow"][3] = False
         draw(renderer)
-        assert 3 not in {key[1] for key in renderer.shadows.tiles}  # maps of those out of view are kept, not its own
+        assert 3 not in {
+            key[1] for key in renderer.shadows.tiles
+        }  # maps of those out of view are kept, not its own
 
 
 def test_two_eyes_share_maps_that_are_drawn_once(null: rhi.Device) -> None:
@@ -347,7 +376,9 @@ def test_maps_are_drawn_again_if_materials_cover_something_else(null: rhi.Device
     with make_renderer(null, scene) as renderer:
         assert draw(renderer)["drawn"] == 2
         assert draw(renderer)["drawn"] == 0
-        scene.materials[name][-1] = {"alpha_mode": AlphaMode.BLEND, "alpha_cutoff": 0.25, "double_sided": 1}[name]
+        scene.materials[name][-1] = {"alpha_mode": AlphaMode.BLEND, "alpha_cutoff": 0.25, "double_sided": 1}[
+            name
+        ]
         assert draw(renderer)["drawn"] == 2
 
 

@@ -21,7 +21,16 @@ from renderer.content import BUILT_IN
 from renderer.lab.exam import CASES
 from renderer.lab.exam.shadow_cases import FLOOR_CAMERA, SETTINGS, SLOPES, make_slope, measure_shadow_acne
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Camera, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    scaling,
+    translation,
+)
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowFilterShader
@@ -90,9 +99,15 @@ def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filt
 
 
 def render(
-    device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings | None = None, size: int = 64,
-    *, casts: bool | None = None, technique: str = "forward",
-) -> Pixels:  # fmt: skip
+    device: rhi.Device,
+    scene: Scene,
+    camera: Camera,
+    settings: ShadowSettings | None = None,
+    size: int = 64,
+    *,
+    casts: bool | None = None,
+    technique: str = "forward",
+) -> Pixels:
     """Return the image (h, w, 3); all lights cast shadows or none does, unless `casts` is None."""
     for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
         if casts is not None:
@@ -103,12 +118,16 @@ def render(
 
 
 @pytest.mark.parametrize("filter", [filter for filter in ShadowFilter if filter is not SETTINGS.filter])
-def test_a_lit_plane_has_no_acne_at_any_slope_with_the_other_filters(gl: rhi.Device, filter: ShadowFilter) -> None:
+def test_a_lit_plane_has_no_acne_at_any_slope_with_the_other_filters(
+    gl: rhi.Device, filter: ShadowFilter
+) -> None:
     acne = measure_shadow_acne(gl, replace(SETTINGS, filter=filter))
     assert CASES[48].passes(acne), acne
 
 
-def block_scene(degrees: float, normal_map: NDArray[np.uint8] | None = None) -> tuple[Scene, NDArray[np.float64]]:
+def block_scene(
+    degrees: float, normal_map: NDArray[np.uint8] | None = None
+) -> tuple[Scene, NDArray[np.float64]]:
     """Make a block on a floor and a sun; return the scene and the sun's direction."""
     scene_builder = make_boxes((0, 0.5, 0), name="block", specular_color=(0, 0, 0))
     floor = scene_builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
@@ -135,8 +154,12 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
     gl: rhi.Device, filter: ShadowFilter, degrees: float
 ) -> None:
     scene, down = block_scene(degrees)
-    above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
-    shadowed = render(gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256, casts=True)
+    above = Camera.look_at(
+        (0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5)
+    )
+    shadowed = render(
+        gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256, casts=True
+    )
     scene.lights.directional["intensity"] *= 0.5
     lit = shadowed[..., 0] >= render(gl, scene, above, size=256, casts=False)[..., 0]
     across = (np.arange(256) + 0.5) / 256 * 8 - 4
@@ -154,7 +177,8 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
 
 
 def test_shadows_fade_at_the_edge_of_the_last_cascade_alone(gl: rhi.Device) -> None:
-    """A wall of blocks throws a shadow along the view, through all cascades; it is whole up to where the last fades."""
+    """A wall of blocks throws a shadow along the view, through all cascades; it is whole up to where the last
+    fades."""
     builder = make_boxes(
         translation((0, -0.5, 0)) @ scaling((60, 1, 60)), translation((-2, 1, 0)) @ scaling((1, 2, 60)),
         name="wall", specular_color=(0, 0, 0),
@@ -163,7 +187,9 @@ def test_shadows_fade_at_the_edge_of_the_last_cascade_alone(gl: rhi.Device) -> N
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     eye = Camera.look_at((0.2, 6, 20), (0.2, 0, 8), projection=Perspective(fov=0.9, aspect=1.0, near=0.1))
     settings = ShadowSettings(cascades=3, cascade_size=256, distance=24.0)
-    shadowed, lit = (render(gl, builder.build(), eye, settings, casts=casts)[..., 0] for casts in (True, False))
+    shadowed, lit = (
+        render(gl, builder.build(), eye, settings, casts=casts)[..., 0] for casts in (True, False)
+    )
     # The floor that the wall is between it and the sun of, below the middle of the image: x from -1.3 to 1.5.
     shares = shadowed[:, 32] / np.maximum(lit[:, 32], 1)
     whole = int(np.argmax(shares <= 0.0))
@@ -174,13 +200,15 @@ def test_shadows_fade_at_the_edge_of_the_last_cascade_alone(gl: rhi.Device) -> N
 
 
 def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
-    """Make a square leaf of 2 × 2 m, 2 m above a floor. The shadow that a sun throws of it is 2 m to its right. With
-    `turned`, its front is below."""
+    """Make a square leaf of 2 × 2 m, 2 m above a floor. The shadow that a sun throws of it is 2 m to its
+    right. With `turned`, its front is below."""
     builder = SceneBuilder("leaf")
     corners = [(-1, 2, 1), (1, 2, 1), (1, 2, -1), (-1, 2, -1)]
     uv, order = [(0, 1), (1, 1), (1, 0), (0, 0)], [0, 1, 2, 0, 2, 3]
     leaf = builder.add_mesh(scenes.make_geometry(corners, order[::-1] if turned else order, uv=uv))
-    images = {name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)}
+    images = {
+        name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)
+    }
     builder.add_objects(builder.add_node(), leaf, builder.add_material(**{**material, **images}))
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
     plain = builder.add_material(specular_color=(0, 0, 0))
@@ -191,7 +219,9 @@ def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
 
 def measure_shadow(device: rhi.Device, scene: Scene) -> tuple[bool, bool]:
     """Return whether the shadow of the leaf's left half is on the floor, and that of its right half."""
-    above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
+    above = Camera.look_at(
+        (0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5)
+    )
     shadowed, lit = (render(device, scene, above, casts=casts)[24:40, :, 0] for casts in (True, False))
     halves = [columns < lit[:, :-1][:, :1] for columns in (shadowed[:, 42:45], shadowed[:, 51:54])]
     for half in halves:
@@ -199,7 +229,9 @@ def measure_shadow(device: rhi.Device, scene: Scene) -> tuple[bool, bool]:
     return bool(halves[0].all()), bool(halves[1].all())
 
 
-RIGHT_HALF = np.repeat(np.array([(255, 255, 255, 0), (255, 255, 255, 255)], np.uint8), 8, axis=0)[None].repeat(16, 0)
+RIGHT_HALF = np.repeat(np.array([(255, 255, 255, 0), (255, 255, 255, 255)], np.uint8), 8, axis=0)[
+    None
+].repeat(16, 0)
 CUT = {"alpha_mode": AlphaMode.MASK, "alpha_cutoff": 0.5, "texture": RIGHT_HALF}
 
 
@@ -214,7 +246,9 @@ def test_an_opaque_material_casts_the_shadow_of_its_whole_surface(drawing_device
 
 
 @pytest.mark.parametrize("two_sides", [False, True])
-def test_what_shows_its_back_to_the_sun_casts_a_shadow_if_it_has_two_sides(gl: rhi.Device, two_sides: bool) -> None:
+def test_what_shows_its_back_to_the_sun_casts_a_shadow_if_it_has_two_sides(
+    gl: rhi.Device, two_sides: bool
+) -> None:
     scene = leaf_scene(turned=True, double_sided=two_sides)
     assert measure_shadow(gl, scene) == (two_sides, two_sides)
 
@@ -238,19 +272,26 @@ def light_scene(
     return builder
 
 
-def add_light(builder: SceneBuilder, kind: str, at: tuple[float, ...], range: float = 16.0, casts: bool = True) -> None:
+def add_light(
+    builder: SceneBuilder, kind: str, at: tuple[float, ...], range: float = 16.0, casts: bool = True
+) -> None:
     if kind == "point":
         builder.lights.add_point(at, range, intensity=6.0, casts_shadow=casts)
     else:
         outer = 0.6 if kind == "spot" else 1.4
-        builder.lights.add_spot(at, (0.3, -1.0, 0.2), range, 0.8 * outer, outer, intensity=30.0, casts_shadow=casts)
+        builder.lights.add_spot(
+            at, (0.3, -1.0, 0.2), range, 0.8 * outer, outer, intensity=30.0, casts_shadow=casts
+        )
 
 
 def look_around(at: tuple[float, ...] = (0, 0, 0)) -> list[Camera]:
     """Return views of the corners of the room, in which three walls and seams of cube maps meet."""
     projection = Perspective(fov=1.6, aspect=1.0, near=0.05)
     directions = [np.array(corner, float) for corner in ((1, 1, 1), (-1, -1, 1), (1, -1, -1))]
-    return [Camera.look_at(at - 1.5 * direction, at + direction, projection=projection) for direction in directions]
+    return [
+        Camera.look_at(at - 1.5 * direction, at + direction, projection=projection)
+        for direction in directions
+    ]
 
 
 LIGHTS = ShadowSettings(min_size=64, max_size=64)
@@ -275,8 +316,8 @@ def test_lit_walls_have_neither_acne_nor_seams(gl: rhi.Device, filter: ShadowFil
 
 
 def is_at_corner(camera: Camera, light: NDArray[np.float64], size: int) -> NDArray[np.bool_]:
-    """Return (size, size), where another wall of the room is within four texels of a map, seen from a light: there a
-    filter finds that wall's depth."""
+    """Return (size, size), where another wall of the room is within four texels of a map, seen from a light:
+    there a filter finds that wall's depth."""
     across = ((np.arange(size) + 0.5) / size * 2 - 1) * np.tan(0.8)
     rays = np.stack(np.broadcast_arrays(across, -across[:, None], -1.0), -1) @ camera.rotation
     ends = (np.sign(rays) * ROOM - camera.position) / rays
@@ -286,7 +327,9 @@ def is_at_corner(camera: Camera, light: NDArray[np.float64], size: int) -> NDArr
         edge = hit.copy()
         edge[..., axis] = np.sign(hit[..., axis]) * ROOM
         ways = [point - light for point in (hit, edge)]
-        sine = np.linalg.norm(np.cross(*ways), axis=-1) / np.prod([np.linalg.norm(way, axis=-1) for way in ways], 0)
+        sine = np.linalg.norm(np.cross(*ways), axis=-1) / np.prod(
+            [np.linalg.norm(way, axis=-1) for way in ways], 0
+        )
         near |= (sine < 4 / 29) & (ends.argmin(-1) != axis)
     return near
 
@@ -302,7 +345,9 @@ def test_without_bias_walls_shade_themselves(gl: rhi.Device, kind: str) -> None:
 
 @pytest.mark.parametrize("away", [0.0, 1e5], ids=["at the origin", "100 km from it"])
 @pytest.mark.parametrize("kind", ["point", "spot"])
-def test_shadows_of_local_lights_end_within_a_texel_also_over_seams(gl: rhi.Device, kind: str, away: float) -> None:
+def test_shadows_of_local_lights_end_within_a_texel_also_over_seams(
+    gl: rhi.Device, kind: str, away: float
+) -> None:
     at, light_position = (away, 0.0, away), np.array((-0.6, 1.5, -0.4))
     images, halves = [], []
     for casts in (False, True):
@@ -310,10 +355,14 @@ def test_shadows_of_local_lights_end_within_a_texel_also_over_seams(gl: rhi.Devi
         add_light(builder, kind, tuple(light_position + at), casts=casts)
         scene = builder.build()
         camera = Camera.look_at(
-            np.add(at, (0, -1.6, 0)), np.add(at, (0, -2, 0)), (0, 0, -1),
+            np.add(at, (0, -1.6, 0)),
+            np.add(at, (0, -2, 0)),
+            (0, 0, -1),
             Orthographic(height=8.0, aspect=1.0, near=0.0, far=5.0),
-        )  # fmt: skip
-        images.append(render_lights(gl, scene, camera, replace(LIGHTS, min_size=128, max_size=128), size=128)[..., 0])
+        )
+        images.append(
+            render_lights(gl, scene, camera, replace(LIGHTS, min_size=128, max_size=128), size=128)[..., 0]
+        )
         scene.lights.point["intensity"] *= 0.5
         scene.lights.spot["intensity"] *= 0.5
         halves.append(render_lights(gl, scene, camera, LIGHTS, size=128)[..., 0])
@@ -328,7 +377,11 @@ def test_shadows_of_local_lights_end_within_a_texel_also_over_seams(gl: rhi.Devi
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     blocked = np.stack(
         [
-            is_between(floor + texel * (np.cos(a) * aside[0] + np.sin(a) * aside[1]), light_position, (0.0, -1.0, 0.0))
+            is_between(
+                floor + texel * (np.cos(a) * aside[0] + np.sin(a) * aside[1]),
+                light_position,
+                (0.0, -1.0, 0.0),
+            )
             for a in angles
         ]
     )
@@ -341,7 +394,9 @@ def test_shadows_of_local_lights_end_within_a_texel_also_over_seams(gl: rhi.Devi
     assert np.array_equal(lit[sure], ~blocked[0][sure])
 
 
-def is_between(points: NDArray[np.float64], light: NDArray[np.float64], block: tuple[float, ...]) -> NDArray[np.bool_]:
+def is_between(
+    points: NDArray[np.float64], light: NDArray[np.float64], block: tuple[float, ...]
+) -> NDArray[np.bool_]:
     """Return whether a unit block is between points (n, 3) and a light."""
     way = light - points
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -361,7 +416,9 @@ def test_each_of_many_local_lights_has_its_own_shadows(gl: rhi.Device, number: i
             is_lit = each == number
             position = (-0.6, 1.5, -0.4) if is_lit else (3.0, 3.0, 3.0)
             builder.lights.add_point(position, 12.0, intensity=6.0 if is_lit else 1e-6, casts_shadow=casts)
-        images.append(render_lights(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LIGHTS)[..., 0])
+        images.append(
+            render_lights(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LIGHTS)[..., 0]
+        )
     assert not (images[1] > images[0]).any()
     assert (images[1] < images[0] - 8).mean() > 0.03
     assert (images[1] == images[0]).mean() > 0.3
@@ -393,11 +450,15 @@ def test_a_light_inside_a_closed_caster_shines_through_unless_back_faces_are_dra
     plain = render_lights(gl, scene, camera, settings)
     assert ((shadowed < plain - 20).any(-1).mean() > 0.3) == blocks
     flat = ~is_at_corner(camera, np.array((0.1, 0.2, 0.0)), 48)
-    assert blocks or np.abs(shadowed[flat] - plain[flat]).max() <= 1  # another program, which may round otherwise
+    assert (
+        blocks or np.abs(shadowed[flat] - plain[flat]).max() <= 1
+    )  # another program, which may round otherwise
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.501, 0.0), (0.501, 0.2, 0.0)], ids=["above it", "beside it"])
-def test_a_caster_a_millimetre_from_a_local_light_casts_a_shadow(gl: rhi.Device, at: tuple[float, ...]) -> None:
+def test_a_caster_a_millimetre_from_a_local_light_casts_a_shadow(
+    gl: rhi.Device, at: tuple[float, ...]
+) -> None:
     builder = light_scene(block=(0, 0, 0))
     add_light(builder, "spot", at)  # beside the block, the near plane cuts through it
     scene, camera = builder.build(), Camera.look_at((0, -0.6, 0), (0, -4, 0), (0, 0, -1))
@@ -425,7 +486,8 @@ def test_a_map_is_the_same_to_the_bit_after_a_move_below_a_texel(gl: rhi.Device)
         renderer.render(FLOOR_CAMERA)
         first, tiles = renderer.shadows.atlas.read().copy(), renderer.shadows.tiles
         moved = [
-            replace(FLOOR_CAMERA, position=FLOOR_CAMERA.position + share * 0.3) for share in np.linspace(0.0, 1.0, 7)
+            replace(FLOOR_CAMERA, position=FLOOR_CAMERA.position + share * 0.3)
+            for share in np.linspace(0.0, 1.0, 7)
         ]
         for camera in moved:
             renderer.render(camera)
@@ -450,7 +512,9 @@ def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
     images = {name: render(gl, scene, camera, casts=True, technique=name) for name in TECHNIQUES}
     for name, pixels in images.items():
         # Inferred lighting has light for 36 % of the pixels.
-        assert (np.abs(pixels - images["forward"]).max(-1) > 3).mean() < (0.05 if name == "inferred" else 0.01), name
+        assert (np.abs(pixels - images["forward"]).max(-1) > 3).mean() < (
+            0.05 if name == "inferred" else 0.01
+        ), name
     assert len(np.unique(images["forward"][..., 0])) > 2
 
 
@@ -471,11 +535,17 @@ BUMPS = np.concatenate([np.round(127.5 + 127.5 * BUMPS), np.full((64, 64, 1), 25
 
 
 def render_plain_and_shadowed(
-    device: rhi.Device, scene: Scene, camera: Camera, technique: str = "forward", filter: ShadowFilter = SETTINGS.filter
+    device: rhi.Device,
+    scene: Scene,
+    camera: Camera,
+    technique: str = "forward",
+    filter: ShadowFilter = SETTINGS.filter,
 ) -> list[Pixels]:
     """Return a frame of a scene without shadows, and one with those of all lights."""
     settings = replace(SETTINGS, filter=filter, min_size=64, max_size=64)
-    return [render(device, scene, camera, settings, casts=casts, technique=technique) for casts in (False, True)]
+    return [
+        render(device, scene, camera, settings, casts=casts, technique=technique) for casts in (False, True)
+    ]
 
 
 def make_bumps(degrees: float) -> Scene:
@@ -551,7 +621,9 @@ def test_only_shadows_on_normal_maps_take_a_second_normal(bends: bool, casts: bo
             renderer.render(FLOOR_CAMERA)
             _, plan = renderer.plan(FLOOR_CAMERA)
             formats = {
-                texture.format for texture in plan.textures if any(name.endswith("surface") for name in texture.names)
+                texture.format
+                for texture in plan.textures
+                if any(name.endswith("surface") for name in texture.names)
             }
         words = (1 if make is small else 2) * (2 if bends and casts else 1)
         assert [format.channels for format in formats] == [words]
@@ -568,7 +640,9 @@ def build_wall(lights: int, spots: int = 0, *, walled: bool = True) -> Scene:
     positions = np.random.default_rng(1).uniform((-4, 1, -8), (-1, 4, 2), (lights + spots, 3))
     builder.lights.add_points(positions[:lights], 8.0, intensity=6.0, casts_shadow=True)
     if spots:
-        builder.lights.add_spots(positions[lights:], (1, -0.5, 0), 8.0, 0.3, 0.7, intensity=6.0, casts_shadow=True)
+        builder.lights.add_spots(
+            positions[lights:], (1, -0.5, 0), 8.0, 0.3, 0.7, intensity=6.0, casts_shadow=True
+        )
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
     return builder.build()
 
@@ -602,8 +676,12 @@ def test_local_lights_without_room_for_maps_shine_through_no_wall(
 
 
 @pytest.mark.parametrize("width", [64, 128])
-def test_the_foot_of_a_thin_wall_keeps_the_light_of_coarse_maps_off(drawing_device: rhi.Device, width: int) -> None:
-    with open_renderer(drawing_device, build_wall(250), TECHNIQUES["clustered"](), size=(128, 72)) as renderer:
+def test_the_foot_of_a_thin_wall_keeps_the_light_of_coarse_maps_off(
+    drawing_device: rhi.Device, width: int
+) -> None:
+    with open_renderer(
+        drawing_device, build_wall(250), TECHNIQUES["clustered"](), size=(128, 72)
+    ) as renderer:
         renderer.shadows.settings = ShadowSettings(min_size=width, max_size=width)
         image = read_colors(renderer.render(BESIDE_THE_WALL))
     # Of the filter, up to 2/3 may find the floor in front of the wall: its edge is drawn half a texel off.

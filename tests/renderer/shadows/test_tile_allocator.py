@@ -9,7 +9,9 @@ from renderer.shadows.tile_allocator import Tile, TileAllocator
 
 
 def overlap(a: Tile, b: Tile) -> bool:
-    return abs(2 * a.x + a.size - 2 * b.x - b.size) < a.size + b.size > abs(2 * a.y + a.size - 2 * b.y - b.size)
+    return (
+        abs(2 * a.x + a.size - 2 * b.x - b.size) < a.size + b.size > abs(2 * a.y + a.size - 2 * b.y - b.size)
+    )
 
 
 def test_tiles_from_large_to_small_fill_the_square_without_a_gap() -> None:

@@ -81,7 +81,9 @@ def test_each_image_of_each_technique_is_that_of_its_eye(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("scene_name", ["city", "hall"])
-@pytest.mark.parametrize("name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"])
+@pytest.mark.parametrize(
+    "name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"]
+)
 def test_each_image_with_each_algorithm_is_that_of_its_eye(
     drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
 ) -> None:
@@ -93,7 +95,9 @@ def test_each_image_with_each_algorithm_is_that_of_its_eye(
 
 
 @pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
-def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, hall: Scene, name: str) -> None:
+def test_what_both_eyes_see_is_known_where_the_device_lists_it(
+    gl: rhi.Device, hall: Scene, name: str
+) -> None:
     """The right eye's lists replace the left one's, which were read before."""
     require_algorithm(gl, name)
     with open_renderer(gl, hall, visibility=name) as renderer:
@@ -154,10 +158,14 @@ class CountingCulling(FrustumCulling):
         return super().render(camera, scene_drawer)
 
 
-def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward") -> dict[str, Any]:
+def count(
+    null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward"
+) -> dict[str, Any]:
     """Return what the frames of a walk cost, after the first ones."""
     algorithm = CountingCulling(scene)
-    with Renderer(null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm) as renderer:
+    with Renderer(
+        null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm
+    ) as renderer:
         renderer.stereo = stereo
         path = scene.paths["ground"]
         renderer.render(path.camera(599), 10.0)
@@ -206,7 +214,9 @@ def test_swapped_eyes_see_lights_at_their_positions(gl: rhi.Device) -> None:
     moved = replace(camera, position=camera.position + 0.5)
     with open_renderer(gl, scene) as renderer, open_renderer(gl, scene) as fresh:
         draw(renderer, camera, Stereo(RIG, "color"))
-        exchanged = draw(renderer, moved, Stereo(RIG, "side_by_side"))[1]  # another size has another right eye
+        exchanged = draw(renderer, moved, Stereo(RIG, "side_by_side"))[
+            1
+        ]  # another size has another right eye
         assert np.array_equal(exchanged, draw(fresh, moved, Stereo(RIG, "side_by_side"))[1])
 
 
@@ -243,7 +253,9 @@ def test_a_second_frame_of_eyes_that_stay_uploads_nothing(null: rhi.Device, name
 
 
 @pytest.mark.parametrize("output", ["side_by_side", "color", "dubois"])
-@pytest.mark.parametrize(("visibility", "step"), [("frustum", 0), ("none", 1)], ids=["they stay", "they move"])
+@pytest.mark.parametrize(
+    ("visibility", "step"), [("frustum", 0), ("none", 1)], ids=["they stay", "they move"]
+)
 def test_commands_are_recorded_once_while_the_number_of_objects_is_the_same(
     null: rhi.Device, city: Scene, output: str, visibility: str, step: int
 ) -> None:

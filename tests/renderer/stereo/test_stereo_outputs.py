@@ -27,7 +27,9 @@ class Eyes:
     renderer: Renderer
     camera: Camera
 
-    def show(self, output: str, rig: StereoRig = RIG, **options: Any) -> tuple[NDArray[Any], list[NDArray[Any]]]:
+    def show(
+        self, output: str, rig: StereoRig = RIG, **options: Any
+    ) -> tuple[NDArray[Any], list[NDArray[Any]]]:
         """Return the image, and the images of both eyes."""
         self.renderer.stereo = Stereo(rig, output, **options)
         result = self.render()

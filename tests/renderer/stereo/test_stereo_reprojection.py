@@ -16,7 +16,17 @@ from renderer import scene as scenes
 from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection, Scene, StereoRig, scaling, translation
+from renderer.scene import (
+    Camera,
+    Depth,
+    Orthographic,
+    Perspective,
+    Projection,
+    Scene,
+    StereoRig,
+    scaling,
+    translation,
+)
 from renderer.stereo import Stereo, read_hole_mask
 from rhi import Op
 from rhi.math import multiply
@@ -59,7 +69,9 @@ def draw(renderer: Renderer, camera: Camera, rig: StereoRig, *, moved: bool) -> 
 
 
 @pytest.mark.parametrize("depth", list(Depth))
-def test_pixels_move_by_the_parallax_of_their_depth(drawing_device: rhi.Device, wall: Scene, depth: Depth) -> None:
+def test_pixels_move_by_the_parallax_of_their_depth(
+    drawing_device: rhi.Device, wall: Scene, depth: Depth
+) -> None:
     camera = look(Perspective(PROJECTION.fov, PROJECTION.aspect, depth=depth))
     with open_renderer(drawing_device, wall) as renderer:
         _, left, drawn = draw(renderer, camera, RIG, moved=False)
@@ -67,7 +79,8 @@ def test_pixels_move_by_the_parallax_of_their_depth(drawing_device: rhi.Device, 
         holes = read_hole_mask(result.frames[1])
     assert np.array_equal(same, left), "the left eye is drawn as before"
     assert np.array_equal(moved[~holes], drawn[~holes])
-    # The box is 9 pixels high and wide: 27 / 3. Beside it the eye sees 8 pixels of the wall, P00 · e · (1/z1 - 1/z2).
+    # The box is 9 pixels high and wide: 27 / 3. Beside it the eye sees 8 pixels of the wall, P00 · e · (1/z1
+    # - 1/z2).
     wide = holes.sum(axis=1)
     assert sorted(set(wide.tolist())) == [2, 10], "2 at the left edge, where the wall moves away from it"
     assert (wide == 10).sum() == 9
@@ -98,7 +111,10 @@ def test_all_converges_where_the_wall_is(drawing_device: rhi.Device, wall: Scene
 
 PROJECTIONS: Final = {
     "parallel": (Orthographic(20.0, near=0.5, far=100.0), StereoRig(1.0, 9.0)),
-    "parallel, standard depth": (Orthographic(20.0, near=0.5, far=100.0, depth=Depth.STANDARD), StereoRig(1.0, 9.0)),
+    "parallel, standard depth": (
+        Orthographic(20.0, near=0.5, far=100.0, depth=Depth.STANDARD),
+        StereoRig(1.0, 9.0),
+    ),
     "with an end": (Perspective(PROJECTION.fov, near=0.5, far=60.0), RIG),
 }
 

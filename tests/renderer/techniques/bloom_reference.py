@@ -9,8 +9,8 @@ Floats = NDArray[np.float64]
 
 
 def halve(image: Floats, *, karis_average: bool = False) -> Floats:
-    """Return an image (h, w, 3) of half the size, rounded up: of 6 × 6 texels, half of the mean of the 4 × 4 in the
-    middle, and an eighth of that of each 4 × 4 at a corner."""
+    """Return an image (h, w, 3) of half the size, rounded up: of 6 × 6 texels, half of the mean of the 4 × 4
+    in the middle, and an eighth of that of each 4 × 4 at a corner."""
     height, width = -(-image.shape[0] // 2), -(-image.shape[1] // 2)
     rows = np.clip(2 * np.arange(height)[:, None] + np.arange(-2, 4), 0, image.shape[0] - 1)
     columns = np.clip(2 * np.arange(width)[:, None] + np.arange(-2, 4), 0, image.shape[1] - 1)
@@ -34,7 +34,8 @@ def spread(level: Floats, size: tuple[int, int]) -> Floats:
         total = np.zeros(1)
         for offset, weight in ((-1, 0.25), (0, 0.5), (1, 0.25)):
             near, far = (
-                np.take(level, np.clip(first + offset + step, 0, level.shape[axis] - 1), axis) for step in (0, 1)
+                np.take(level, np.clip(first + offset + step, 0, level.shape[axis] - 1), axis)
+                for step in (0, 1)
             )
             total = total + weight * (near * (1 - part) + far * part)
         level = total
@@ -42,7 +43,8 @@ def spread(level: Floats, size: tuple[int, int]) -> Floats:
 
 
 def add_bloom(light: Floats, share: float, count: int, *, karis_average: bool = False) -> Floats:
-    """Return light (h, w, 3) of which a share is scattered: the mean of `count` copies, each spread twice as far."""
+    """Return light (h, w, 3) of which a share is scattered: the mean of `count` copies, each spread twice as
+    far."""
     clean = np.where(np.isfinite(light).all(axis=2, keepdims=True), light, 0.0)
     levels = [halve(clean, karis_average=karis_average)]
     while len(levels) < count:

@@ -52,8 +52,8 @@ def reference_plane_light(
     normal: Floats | None = None,
     material: int = 0,
 ) -> tuple[Floats, Floats]:
-    """Return the linear colours (height, width, 3) of a plane, of another material than the first if that is given, and
-    the distances (height, width) from the eye; see `shade_plane`."""
+    """Return the linear colours (height, width, 3) of a plane, of another material than the first if that is
+    given, and the distances (height, width) from the eye; see `shade_plane`."""
     normal = plane if normal is None else normal
     rays = compute_pixel_rays(camera, size)
     distance = ((point - camera.position) @ plane) / (rays @ plane)

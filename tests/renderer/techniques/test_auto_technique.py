@@ -70,13 +70,19 @@ CandidateSelector = Callable[..., tuple[AutoTechnique, Renderer]]
 
 
 @pytest.fixture
-def on_trial(null: rhi.Device, log: list[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[CandidateSelector]:
-    """Makes a technique whose two candidates take these seconds, and a renderer: its device tries both, though it draws
-    nothing."""
-    monkeypatch.setattr("renderer.techniques.auto.list_candidates", lambda device, effects, names: (list(names), ""))
+def on_trial(
+    null: rhi.Device, log: list[str], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[CandidateSelector]:
+    """Makes a technique whose two candidates take these seconds, and a renderer: its device tries both,
+    though it draws nothing."""
+    monkeypatch.setattr(
+        "renderer.techniques.auto.list_candidates", lambda device, effects, names: (list(names), "")
+    )
     with ExitStack() as opened:
 
-        def make(forward: float, clustered: float, scene: Scene | None = None) -> tuple[AutoTechnique, Renderer]:
+        def make(
+            forward: float, clustered: float, scene: Scene | None = None
+        ) -> tuple[AutoTechnique, Renderer]:
             factories = {
                 "forward": lambda: Slow(Forward(), forward, log),
                 "clustered_deferred": lambda: Slow(ClusteredDeferred(), clustered, log),
@@ -120,7 +126,9 @@ def test_the_passes_are_those_of_the_technique_in_use(log: list[str], on_trial: 
         names.append(log[-1])
         _, plan = drawn.plan(EYE)
         uses = [frame_pass.name for frame_pass in plan.passes]
-        assert uses == (["forward"] if auto.current_name == "forward" else ["geometry", "light lists", "resolve"])
+        assert uses == (
+            ["forward"] if auto.current_name == "forward" else ["geometry", "light lists", "resolve"]
+        )
     assert names == ["forward"] * 5 + ["clustered_deferred"] * 4
 
 
@@ -133,7 +141,9 @@ def test_the_passes_are_those_of_the_technique_in_use(log: list[str], on_trial: 
         (lambda scene, drawn: [scene.lights.add_point((0, 1.5, 0), 3.0) for _ in range(10)], True),
     ],
 )
-def test_another_size_or_many_more_lights_are_another_trial(on_trial: CandidateSelector, change, tries: bool) -> None:
+def test_another_size_or_many_more_lights_are_another_trial(
+    on_trial: CandidateSelector, change, tries: bool
+) -> None:
     scene = box()
     auto, drawn = on_trial(0.01, 0.02, scene)
     for _ in range(12):
@@ -170,7 +180,9 @@ def test_techniques_are_not_exchanged_while_visibility_is_on_trial(
     assert auto.current_name == "clustered_deferred"
 
 
-def test_exchanges_leave_nothing_behind(null: rhi.Device, log: list[str], on_trial: CandidateSelector) -> None:
+def test_exchanges_leave_nothing_behind(
+    null: rhi.Device, log: list[str], on_trial: CandidateSelector
+) -> None:
     _, drawn = on_trial(0.01, 0.012)
 
     def count() -> int:
@@ -203,7 +215,10 @@ def test_a_device_that_draws_nothing_has_one_candidate_and_waits_for_nothing(
     for _ in range(3):
         renderer.render(EYE)
     assert not renderer.is_trying
-    assert (auto.current_name, auto.reason) == ("forward", "a null device draws nothing that could be measured")
+    assert (auto.current_name, auto.reason) == (
+        "forward",
+        "a null device draws nothing that could be measured",
+    )
 
 
 class Device:
@@ -217,13 +232,17 @@ class Device:
 FORWARD, CLUSTERS, TILES = (technique.name for technique in (Forward, ClusteredDeferred, TiledDeferred))
 
 
-@pytest.mark.parametrize(("device", "lights", "expected"), [
-    (Device("gl", "a GPU"), 1, [FORWARD, CLUSTERS, TILES]), (Device("gl", "a GPU"), 0, [FORWARD, CLUSTERS]),
-    (Device("gl", "llvmpipe (LLVM 15)"), 99, [FORWARD, CLUSTERS]),
-    (Device("gl", "a GPU", compute=False), 99, [FORWARD]),
-    (Device("cl", "a CPU"), MIN_TRIAL_LIGHTS, [FORWARD, CLUSTERS, TILES]),
-    (Device("cl", "a CPU"), MIN_TRIAL_LIGHTS - 1, [FORWARD]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("device", "lights", "expected"),
+    [
+        (Device("gl", "a GPU"), 1, [FORWARD, CLUSTERS, TILES]),
+        (Device("gl", "a GPU"), 0, [FORWARD, CLUSTERS]),
+        (Device("gl", "llvmpipe (LLVM 15)"), 99, [FORWARD, CLUSTERS]),
+        (Device("gl", "a GPU", compute=False), 99, [FORWARD]),
+        (Device("cl", "a CPU"), MIN_TRIAL_LIGHTS, [FORWARD, CLUSTERS, TILES]),
+        (Device("cl", "a CPU"), MIN_TRIAL_LIGHTS - 1, [FORWARD]),
+    ],
+)
 def test_the_kind_of_device_and_the_lights_in_view_say_what_is_tried(
     device: rhi.Device, lights: int, expected: list[str]
 ) -> None:

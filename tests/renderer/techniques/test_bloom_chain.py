@@ -30,7 +30,9 @@ class GivenLight:
         self.levels: list[Floats] = []
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
-        write = FramePass("write", self._write, "is given", writes=(effects.image, Target("depth", Format.D32F)))
+        write = FramePass(
+            "write", self._write, "is given", writes=(effects.image, Target("depth", Format.D32F))
+        )
         read = FramePass("read", self._read, "is compared", reads=("bloom 1",), has_side_effects=True)
         return write, *bloom_passes(effects, effects.image.name), read
 
@@ -78,7 +80,8 @@ def make_lights(height: int, width: int) -> Floats:
 def test_bloom_is_within_a_level_of_float64(
     drawing_device: rhi.Device, size: tuple[int, int], settings: dict[str, object]
 ) -> None:
-    """Levels are half floats, whose steps are 2^-11 of the number, and 4 levels are rounded before a texel is shown."""
+    """Levels are half floats, whose steps are 2^-11 of the number, and 4 levels are rounded before a texel is
+    shown."""
     light = make_lights(*size)
     exact = replace(BloomSettings(), **settings)  # type: ignore[arg-type]
     expected = encode(tone_map(add_bloom(light, 0.5, exact.levels, karis_average=exact.karis_average)))

@@ -9,7 +9,14 @@ from frames import make_lit_boxes, open_renderer
 
 import rhi
 from renderer.lab.measure.plan_report import describe_plan
-from renderer.techniques import Clustered, ClusteredDeferred, DeferredPlus, ForwardPlus, Technique, TiledDeferred
+from renderer.techniques import (
+    Clustered,
+    ClusteredDeferred,
+    DeferredPlus,
+    ForwardPlus,
+    Technique,
+    TiledDeferred,
+)
 from renderer.techniques.parts.light_list_reader import CLUSTERS
 from rhi import Op
 
@@ -18,23 +25,34 @@ PASSES: dict[str, tuple[Callable[[], Technique], list[str], dict[str, tuple[int,
     "forward_plus": (ForwardPlus, ["forward"], {"depth": (0, 1), "light lists": (4, 0), "forward": (0, 1)}),
     "clustered": (Clustered, ["forward"], {"light lists": (3, 0), "forward": (0, 1)}),
     "tiled_deferred": (
-        TiledDeferred, ["geometry", "resolve"], {"geometry": (0, 1), "tiles": (1, 0), "resolve": (0, 1)},
+        TiledDeferred,
+        ["geometry", "resolve"],
+        {"geometry": (0, 1), "tiles": (1, 0), "resolve": (0, 1)},
     ),
     "clustered_deferred": (
-        ClusteredDeferred, ["geometry", "resolve"], {"geometry": (0, 1), "light lists": (3, 0), "resolve": (0, 1)},
+        ClusteredDeferred,
+        ["geometry", "resolve"],
+        {"geometry": (0, 1), "light lists": (3, 0), "resolve": (0, 1)},
     ),
     "deferred_plus": (
-        DeferredPlus, ["geometry", "shading"], {"geometry": (0, 1), "light lists": (3, 0), "shading": (0, 1)},
+        DeferredPlus,
+        ["geometry", "shading"],
+        {"geometry": (0, 1), "light lists": (3, 0), "shading": (0, 1)},
     ),
     "deferred_plus, multi-pass": (
         lambda: DeferredPlus(multi_pass=True),
         ["geometry", "material ids", "rectangles", "shading"],
         {
-            "geometry": (0, 1), "light lists": (3, 0), "material ids": (0, 1), "rectangles": (1, 0), "shading": (0, 1),
+            "geometry": (0, 1),
+            "light lists": (3, 0),
+            "material ids": (0, 1),
+            "rectangles": (1, 0),
+            "shading": (0, 1),
         },
     ),
-}  # fmt: skip
-"""Techniques, the passes of a scene without local lights, and of one with them, with their dispatches and draws."""
+}
+"""Techniques, the passes of a scene without local lights, and of one with them, with their dispatches and
+draws."""
 
 
 @pytest.mark.parametrize("name", PASSES)
@@ -57,7 +75,9 @@ def test_lists_take_a_few_dispatches_and_objects_a_draw_however_many_lights_ther
 
 @pytest.mark.parametrize("name", PASSES)
 @pytest.mark.parametrize(("points", "spots"), [(1, 0), (0, 1)])
-def test_a_kind_of_light_that_a_scene_lacks_is_not_bound(null: rhi.Device, name: str, points: int, spots: int) -> None:
+def test_a_kind_of_light_that_a_scene_lacks_is_not_bound(
+    null: rhi.Device, name: str, points: int, spots: int
+) -> None:
     make, _, _ = PASSES[name]
     scene = make_lit_boxes(points, spots)
     with open_renderer(null, scene, make(), size=SIZE) as renderer:

@@ -27,7 +27,8 @@ def make_techniques() -> dict[str, Technique]:
 
 
 def stack_boxes(*colors: tuple[float, float, float], groups: bool = False) -> Scene:
-    """Make boxes in one place, in the order in which they are drawn; with `groups`, each second one is mirrored."""
+    """Make boxes in one place, in the order in which they are drawn; with `groups`, each second one is
+    mirrored."""
     builder = SceneBuilder("boxes in one place")
     mesh = builder.add_mesh(BUILT_IN["box"]())
     for number, color in enumerate(colors):
@@ -47,7 +48,9 @@ def test_the_surface_that_is_drawn_last_is_seen_with_every_technique(
 ) -> None:
     camera = EYE.with_projection(Perspective(depth=depth))
     techniques = make_techniques()
-    images = draw_each(drawing_device, stack_boxes(*colors), *techniques.values(), camera=camera, size=(24, 24))
+    images = draw_each(
+        drawing_device, stack_boxes(*colors), *techniques.values(), camera=camera, size=(24, 24)
+    )
     (alone,) = draw_each(drawing_device, stack_boxes(colors[-1]), Forward(), camera=camera, size=(24, 24))
     assert alone[12, 12, np.argmax(colors[-1])] > 100
     off = {name: max_difference(image, alone) for name, image in zip(techniques, images, strict=True)}
@@ -55,7 +58,9 @@ def test_the_surface_that_is_drawn_last_is_seen_with_every_technique(
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_surfaces_that_are_drawn_with_other_states_are_seen_alike_by_all_techniques(drawing_device: rhi.Device) -> None:
+def test_surfaces_that_are_drawn_with_other_states_are_seen_alike_by_all_techniques(
+    drawing_device: rhi.Device,
+) -> None:
     techniques = make_techniques()
     scene = stack_boxes(RED, GREEN, BLUE, groups=True)
     first, *others = draw_each(drawing_device, scene, *techniques.values(), camera=EYE, size=(24, 24))
@@ -64,7 +69,8 @@ def test_surfaces_that_are_drawn_with_other_states_are_seen_alike_by_all_techniq
 
 @pytest.mark.nightly_cases(reason=FEWER_CASES)
 def test_every_technique_draws_the_same_bazaar(gl: rhi.Device) -> None:
-    # Its stalls touch: up to 79 levels, in 30 to 462 pixels at 960 x 540, where each pass with EQUAL shaded both.
+    # Its stalls touch: up to 79 levels, in 30 to 462 pixels at 960 x 540, where each pass with EQUAL shaded
+    # both.
     scene, techniques = load_scene("bazaar"), make_techniques()
     for view in scene.views.values():
         camera = view.with_aspect(16 / 9)
@@ -105,7 +111,9 @@ def test_a_second_pass_draws_objects_in_the_order_of_the_first_one_whatever_thei
     drawn: dict[int, list[list[int]]] = {}
     real = SceneResources.draw_objects
 
-    def draw_objects(self: SceneResources, device: rhi.Device, program: Any, bindings: Any, rows: Any) -> None:
+    def draw_objects(
+        self: SceneResources, device: rhi.Device, program: Any, bindings: Any, rows: Any
+    ) -> None:
         drawn.setdefault(id(program), []).append(rows.tolist())
         real(self, device, program, bindings, rows)
 
@@ -127,7 +135,13 @@ def test_an_object_that_glass_covers_is_lit_in_full_by_inferred_lighting_at_full
     for view in islice(scene.views.values(), 2):
         camera = view.with_aspect(16 / 9)
         expected, full, part = draw_each(
-            drawing_device, scene, Forward(), Inferred(scale=1.0), Inferred(scale=0.99), camera=camera, size=(160, 90)
+            drawing_device,
+            scene,
+            Forward(),
+            Inferred(scale=1.0),
+            Inferred(scale=0.99),
+            camera=camera,
+            size=(160, 90),
         )
         assert max_difference(full, expected) <= 2
         assert max_difference(part, expected) > 16  # the control: there, glass takes texels

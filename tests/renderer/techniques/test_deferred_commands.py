@@ -7,7 +7,15 @@ from functools import partial
 
 import numpy as np
 import pytest
-from frames import count_draws, first_view_camera, list_owned, list_passes, make_lit_boxes, open_renderer, record
+from frames import (
+    count_draws,
+    first_view_camera,
+    list_owned,
+    list_passes,
+    make_lit_boxes,
+    open_renderer,
+    record,
+)
 
 import rhi
 from renderer import techniques
@@ -28,13 +36,17 @@ boxes = partial(make_lit_boxes, boxes=2)
 
 
 @pytest.mark.parametrize("technique", DEFERRED)
-def test_deferred_without_local_lights_draws_geometry_and_one_triangle(null: rhi.Device, technique: Technique) -> None:
+def test_deferred_without_local_lights_draws_geometry_and_one_triangle(
+    null: rhi.Device, technique: Technique
+) -> None:
     assert list_passes(null, boxes(), technique) == ["geometry", "resolve"]
     assert count_draws(null, boxes(), technique) == (2, 2)
 
 
 @pytest.mark.parametrize("technique", [LightPrePass(), LightPrePass(specular_channels=1), Inferred()])
-def test_a_light_pre_pass_without_local_lights_is_forward_shading(null: rhi.Device, technique: Technique) -> None:
+def test_a_light_pre_pass_without_local_lights_is_forward_shading(
+    null: rhi.Device, technique: Technique
+) -> None:
     with rhi.create_device("null") as other:
         expected = record(other, boxes(), Forward())
         stream = record(null, boxes(), technique)
@@ -55,7 +67,11 @@ def test_local_lights_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(
     null: rhi.Device, technique: Technique
 ) -> None:
     assert count_draws(null, boxes(200), technique) == (3, 3)
-    assert count_draws(null, boxes(0, spots=5), technique) == count_draws(null, boxes(0, wide=5), technique) == (3, 3)
+    assert (
+        count_draws(null, boxes(0, spots=5), technique)
+        == count_draws(null, boxes(0, wide=5), technique)
+        == (3, 3)
+    )
     assert count_draws(null, boxes(0, spots=5, wide=3), technique) == (3, 4)
     assert count_draws(null, boxes(200, spots=5, wide=3), technique) == (4, 5)
 
@@ -78,7 +94,9 @@ def test_a_masked_local_light_is_drawn_twice(null: rhi.Device, technique: Techni
 
 
 @pytest.mark.parametrize(("scale", "size"), [(1.0, (32, 16)), (0.6, (20, 10)), (0.4, (13, 7))])
-def test_inferred_light_is_collected_in_smaller_buffers(null: rhi.Device, scale: float, size: tuple[int, int]) -> None:
+def test_inferred_light_is_collected_in_smaller_buffers(
+    null: rhi.Device, scale: float, size: tuple[int, int]
+) -> None:
     stream = record(null, boxes(1), Inferred(scale=scale), size=SIZE)
     sizes = [begin["descriptor"].size for begin in stream.filter(Op.BEGIN_PASS)]
     assert sizes == [SIZE, size, size, SIZE]
@@ -98,7 +116,9 @@ def test_a_local_light_out_of_view_costs_nothing(null: rhi.Device, technique: Te
     scene.lights.add_point((0, 1, 40), 3.0)
     with rhi.create_device("null") as other:
         expected = record(other, dark, technique)
-        assert [(c.op, c.values) for c in record(null, scene, technique)] == [(c.op, c.values) for c in expected]
+        assert [(c.op, c.values) for c in record(null, scene, technique)] == [
+            (c.op, c.values) for c in expected
+        ]
 
 
 def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_keeps_its_depth(
@@ -153,7 +173,11 @@ def test_a_second_frame_uploads_the_rows_of_its_local_lights(null: rhi.Device, t
     [
         *(partial(Inferred, scale=scale) for scale in (0.0, -0.5, 1.001, float("nan"))),
         *(partial(LightPrePass, specular_channels=channels) for channels in (0, 2, 4)),
-        *(partial(kind, light_bits=bits) for kind in (Deferred, LightPrePass, Inferred) for bits in (8, 24, 64)),
+        *(
+            partial(kind, light_bits=bits)
+            for kind in (Deferred, LightPrePass, Inferred)
+            for bits in (8, 24, 64)
+        ),
         *(
             partial(kind, normal_bits=bits)
             for kind in (*STORING, techniques.TechniqueSettings)

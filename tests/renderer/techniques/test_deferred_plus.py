@@ -16,7 +16,16 @@ from renderer import rules
 from renderer.content import BUILT_IN, load_scene
 from renderer.lab.measure.plan_report import describe_plan
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Scene,
+    SceneBuilder,
+    TextureMap,
+    make_geometry,
+    scaling,
+    translation,
+)
 from renderer.techniques import DeferredPlus, Forward, Technique, TiledDeferred
 from renderer.techniques.deferred_plus import PackedShading
 from renderer.techniques.parts.geometry_buffer import MAX_MATERIALS
@@ -125,7 +134,9 @@ def tiles(uv: float) -> Scene:
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("uv", [0.999999, -0.25, 1000.3])
-def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(drawing_device: rhi.Device, uv: float) -> None:
+def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(
+    drawing_device: rhi.Device, uv: float
+) -> None:
     scene, camera = tiles(uv), Camera.look_at((3.5, 1, 3), (0, 0, 0))
     lit, shaded = draw_each(drawing_device, scene, Forward(), DeferredPlus(), camera=camera, size=SIZE)
     assert np.ptp(lit[..., :3]) > 100
@@ -169,7 +180,9 @@ def test_tiles_with_many_materials_have_all_their_rectangles(drawing_device: rhi
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
-@pytest.mark.parametrize("spec", ["yard:columns=3,lights=2", "bazaar:instances=400,materials=70,meshes=40,lights=8"])
+@pytest.mark.parametrize(
+    "spec", ["yard:columns=3,lights=2", "bazaar:instances=400,materials=70,meshes=40,lights=8"]
+)
 def test_bins_hold_each_pixel_once_by_shader_and_by_material(drawing_device: rhi.Device, spec: str) -> None:
     scene, size = load_scene(spec), (97, 61)
     camera = first_view_camera(scene).with_aspect(size[0] / size[1])
@@ -229,8 +242,9 @@ def test_materials_come_back_from_the_packed_buffer(drawing_device: rhi.Device) 
 def test_a_material_is_shaded_where_it_is_seen_however_many_there_are(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, multi_pass: bool
 ) -> None:
-    """The samples that pass the depth test of the last pass are the fragments that are shaded: nothing is discarded
-    later, neither by one pass (the next test) nor where rectangles are drawn, which lie on pixels of their material."""
+    """The samples that pass the depth test of the last pass are the fragments that are shaded: nothing is
+    discarded later, neither by one pass (the next test) nor where rectangles are drawn, which lie on pixels
+    of their material."""
     query = drawing_device.occlusion_query()
     name = "draw_indirect" if multi_pass else "draw"
     draw_once = getattr(rhi.Device, name)
@@ -274,7 +288,9 @@ def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> Non
     random, parts = np.random.default_rng(12), vars(scatter(1, images=False))
     materials = np.repeat(parts["materials"], MAX_MATERIALS)
     materials["base_color"][:, :3] = random.uniform(0.1, 1.0, (MAX_MATERIALS, 3))
-    parts = {name: parts[name] for name in signature(Scene).parameters if name in parts} | {"materials": materials}
+    parts = {name: parts[name] for name in signature(Scene).parameters if name in parts} | {
+        "materials": materials
+    }
     scene = Scene(**parts)
     rows = scene.objects.material
     rows[:] = random.integers(0, MAX_MATERIALS, len(rows))
@@ -301,15 +317,19 @@ def test_the_list_has_room_for_each_material_in_each_tile(null: rhi.Device) -> N
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_the_second_pass_draws_little_and_nothing_is_missing(device: rhi.Device) -> None:
-    """A walk through a grid of boxes, of which few are visible: what the first pass misses is under 3 % of all, and no
-    pixel is wrong."""
+    """A walk through a grid of boxes, of which few are visible: what the first pass misses is under 3 % of
+    all, and no pixel is wrong."""
     along = 2.0 * np.arange(-8, 9)
-    scene = make_boxes(*(translation((x, 0, z)) @ scaling((1.5, 2, 1.5)) for x in along for z in along)).build()
+    scene = make_boxes(
+        *(translation((x, 0, z)) @ scaling((1.5, 2, 1.5)) for x in along for z in along)
+    ).build()
     culling = TwoPassCulling(scene, device)
     first = second = 0
     with (
         Renderer(device, scene, technique=DeferredPlus(), visibility=culling, size=SIZE) as culled,
-        Renderer(device, scene, technique=DeferredPlus(), visibility=FrustumCulling(scene), size=SIZE) as whole,
+        Renderer(
+            device, scene, technique=DeferredPlus(), visibility=FrustumCulling(scene), size=SIZE
+        ) as whole,
     ):
         for frame in range(24):
             camera = Camera.look_at((0.02 * frame, 0.5, 20.0 - 0.05 * frame), (0.02 * frame, 0.4, 0.0))
@@ -336,8 +356,8 @@ def painted(builder: SceneBuilder, random: np.random.Generator, low: int, high: 
 
 
 def mapped(scale: float, *, unlike: bool = False, uniform: bool = False) -> Scene:
-    """Make things whose materials have all maps, repeated `scale` times, and two sides or one; with `unlike`, normals
-    have another scale; `uniform` ones are the same all over an image."""
+    """Make things whose materials have all maps, repeated `scale` times, and two sides or one; with `unlike`,
+    normals have another scale; `uniform` ones are the same all over an image."""
     random = np.random.default_rng(9)
     builder = SceneBuilder("mapped")
     rows = []
@@ -370,8 +390,8 @@ def mapped(scale: float, *, unlike: bool = False, uniform: bool = False) -> Scen
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("scale", [1.0, 1.7])
 def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, scale: float) -> None:
-    """On llvmpipe, textures are filtered to 8 bits. So what is stored with an error may make a normal of a map that is
-    0.4° off, which shows in sharp highlights: in a pixel of a thousand."""
+    """On llvmpipe, textures are filtered to 8 bits. So what is stored with an error may make a normal of a
+    map that is 0.4° off, which shows in sharp highlights: in a pixel of a thousand."""
     scene, images = mapped(scale), []
     with open_renderer(drawing_device, scene, size=SIZE) as renderer:
         for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
@@ -402,7 +422,10 @@ ODD_SQUARES: dict[str, tuple[list[tuple[float, float]], dict[str, Any]]] = {
     "a single texel": (SQUARE, {"texture": "texel", "normal_texture": "flat"}),
     "a line of texels": (SQUARE, {"texture": "line"}),
     "a mirror": (SQUARE, {"texture": "colors", "metallic": 1.0, "roughness": 0.0}),
-    "a mask at its cut": (SQUARE, {"texture": "holes", "alpha_mode": AlphaMode.MASK, "alpha_cutoff": 64 / 255}),
+    "a mask at its cut": (
+        SQUARE,
+        {"texture": "holes", "alpha_mode": AlphaMode.MASK, "alpha_cutoff": 64 / 255},
+    ),
 }
 
 
@@ -451,7 +474,9 @@ def test_odd_squares_are_those_of_forward_shading(drawing_device: rhi.Device) ->
     off = np.abs(images[1] - images[0]).max(2)
     assert (off > 3).mean() <= (0.001 if drawing_device.backend_name == "gl" else 0.0)  # as above
     squares = [images[0][y : y + 20, x : x + 20, :3] for y in (10, 38, 66) for x in (10, 38, 66)]
-    contrasts = dict(zip(ODD_SQUARES, (np.ptp(square.reshape(-1, 3), axis=0).max() for square in squares), strict=True))
+    contrasts = dict(
+        zip(ODD_SQUARES, (np.ptp(square.reshape(-1, 3), axis=0).max() for square in squares), strict=True)
+    )
     assert min(contrasts.values()) > 10, contrasts
     hole = (squares[-1] == images[0][0, 0, :3]).all(2)
     assert 0.2 < hole.mean() < 0.6, "3 of 8 columns are below the cut"
@@ -465,7 +490,8 @@ def test_coordinates_that_the_buffer_has_no_room_for_are_drawn_with_another_buff
 
 
 def painted_corners(*, uv_set: int, colored: bool) -> SceneBuilder:
-    """Make a slanted square whose two sets of texture coordinates are far apart, and whose corners have colours."""
+    """Make a slanted square whose two sets of texture coordinates are far apart, and whose corners have
+    colours."""
     random = np.random.default_rng(5)
     builder = SceneBuilder("corners")
     more = {"color": random.uniform(0.2, 1.0, (4, 4))} if colored else {}
@@ -493,5 +519,7 @@ def test_second_coordinates_and_colours_of_vertices_are_in_the_buffer(
     forward, *others = draw_each(drawing_device, scene, *techniques, size=SIZE)
     assert forward[..., :3].std() > 15
     assert max(max_difference(forward, image) for image in others) <= 3
-    other = draw_each(drawing_device, painted_corners(uv_set=1 - uv_set, colored=colored).build(), Forward(), size=SIZE)
+    other = draw_each(
+        drawing_device, painted_corners(uv_set=1 - uv_set, colored=colored).build(), Forward(), size=SIZE
+    )
     assert max_difference(forward, other[0]) > 40

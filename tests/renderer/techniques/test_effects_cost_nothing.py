@@ -1,5 +1,6 @@
-"""An effect that a scene lacks issues no command, with each technique: no pass, no part of a program, no binding, no
-buffer. All other effects are there, and the scene with all of them shows that the traces would be found."""
+"""An effect that a scene lacks issues no command, with each technique: no pass, no part of a program, no
+binding, no buffer. All other effects are there, and the scene with all of them shows that the traces would be
+found."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ SIZE = (64, 32)
 
 @dataclass(frozen=True)
 class Trace:
-    """What would be seen of an effect: patterns of the labels of buffers and textures, of the programs' text, and of
-    the names of bindings."""
+    """What would be seen of an effect: patterns of the labels of buffers and textures, of the programs' text,
+    and of the names of bindings."""
 
     labels: str
     text: str
@@ -41,7 +42,9 @@ TRACES = {
     Effect.IMAGES: Trace("images|texture", r"\bsampler2DArray\b|\bdecode_texel\b|\bencode_texel\b", "images"),
     Effect.EMISSION: Trace("^$", r"\.emission\b", "^$"),
     Effect.HAZE: Trace("[Hh]aze", r"\bapply_haze\b|\bHaze\b", "haze"),
-    Effect.FOG: Trace("[Ff]og", r"\bfog_transmittance\b|\bapply_fog_to_background\b|\bFogConstants\b", "^fog$|^air$"),
+    Effect.FOG: Trace(
+        "[Ff]og", r"\bfog_transmittance\b|\bapply_fog_to_background\b|\bFogConstants\b", "^fog$|^air$"
+    ),
     Effect.BLOOM: Trace(
         "bloom|bright", r"\bBloomConstants\b|\bread_upsampled\b|\bfinite_light\b", "smaller_level|bloom"
     ),
@@ -74,7 +77,10 @@ def make(effects: set[Effect]) -> Scene:
 @contextmanager
 def open_technique(scene: Scene, name: str) -> Iterator[Renderer]:
     """A renderer that draws with this technique on a null device."""
-    with rhi.create_device("null") as device, open_renderer(device, scene, TECHNIQUES[name](), size=SIZE) as renderer:
+    with (
+        rhi.create_device("null") as device,
+        open_renderer(device, scene, TECHNIQUES[name](), size=SIZE) as renderer,
+    ):
         yield renderer
 
 
@@ -90,9 +96,13 @@ def list_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
         for command in stream.filter(Op.CREATE_PROGRAM):
             program = command["descriptor"]
             for stage in program.stages:
-                traces.update(f"text {match}" for match in re.findall(trace.text, program.emit("glsl", stage).text))
+                traces.update(
+                    f"text {match}" for match in re.findall(trace.text, program.emit("glsl", stage).text)
+                )
             traces.update(
-                f"binding {binding.name}" for binding in program.bindings if re.search(trace.bindings, binding.name)
+                f"binding {binding.name}"
+                for binding in program.bindings
+                if re.search(trace.bindings, binding.name)
             )
     return traces
 
@@ -116,7 +126,8 @@ MATERIAL_TRACES = {
     Effect.MASKS: r"\bdiscard\b|\.alpha_cutoff\b",
     Effect.TWO_SIDES: r"\bgl_FrontFacing\b",
 }
-"""What programs say that have what materials may have, which bind nothing but the materials and their images."""
+"""What programs say that have what materials may have, which bind nothing but the materials and their
+images."""
 
 
 def make_material(effects: set[Effect]) -> Scene:
@@ -146,7 +157,9 @@ def write_programs(effects: frozenset[Effect], name: str) -> str:
         renderer.render(EYE)
         programs = [command["descriptor"] for command in renderer.device.stream.filter(Op.CREATE_PROGRAM)]
         return "\n".join(
-            shader_program.emit("glsl", stage).text for shader_program in programs for stage in shader_program.stages
+            shader_program.emit("glsl", stage).text
+            for shader_program in programs
+            for stage in shader_program.stages
         )
 
 
@@ -162,7 +175,9 @@ def test_what_no_material_has_is_in_no_program(effect: Effect, name: str) -> Non
 LIGHTS = "light rows|light grid|light volume|light spheres|light cones|whole target|light indices"
 
 
-@pytest.mark.parametrize("name", ["forward", "forward_multipass", "light_indexed", "forward_plus", "clustered"])
+@pytest.mark.parametrize(
+    "name", ["forward", "forward_multipass", "light_indexed", "forward_plus", "clustered"]
+)
 def test_without_local_lights_nothing_of_theirs_is_made(name: str) -> None:
     lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
     trace = Trace(LIGHTS, r"\blight_list\b|\bin_range\b|\bClusterGrid\b", "light|grid")
@@ -183,7 +198,8 @@ ADDED: dict[str, tuple[list[str], list[str]]] = {
     "tiled_deferred": (["tiles"], []),
     "clustered_deferred": (["light lists"], []),
 }
-"""The passes that a first local light adds, and those that they replace; `{}` is the kind of the local light."""
+"""The passes that a first local light adds, and those that they replace; `{}` is the kind of the local
+light."""
 
 
 def list_passes(scene: Scene, name: str) -> list[str]:
@@ -198,7 +214,9 @@ def list_passes(scene: Scene, name: str) -> list[str]:
 @pytest.mark.parametrize("name", ADDED)
 @pytest.mark.parametrize("effect", [Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS], ids=lambda effect: effect.value)
 def test_one_local_light_adds_exactly_its_passes(effect: Effect, name: str) -> None:
-    added, replaced = ([name_of_pass.format(effect.value) for name_of_pass in pass_names] for pass_names in ADDED[name])
+    added, replaced = (
+        [name_of_pass.format(effect.value) for name_of_pass in pass_names] for pass_names in ADDED[name]
+    )
     without, lit = list_passes(make(set()), name), list_passes(make({effect}), name)
     assert [name_of_pass for name_of_pass in lit if name_of_pass not in without] == added
     assert [name_of_pass for name_of_pass in without if name_of_pass not in lit] == replaced
@@ -238,7 +256,9 @@ def test_bloom_adds_two_passes_of_twelve_draws_and_its_images(name: str) -> None
     halves = sum((width >> i) * max(height >> i, 1) for i in range(1, 7))
     for others in (set(), lights):
         # What only emits has no bloom, so that the technique's own passes are the same.
-        dull, blooming = (measure(make(others | {effect}), name) for effect in (Effect.EMISSION, Effect.BLOOM))
+        dull, blooming = (
+            measure(make(others | {effect}), name) for effect in (Effect.EMISSION, Effect.BLOOM)
+        )
         assert blooming.passes == [*dull.passes, "bloom", "tone mapping"]
         assert blooming.draws - dull.draws == 6 + 5 + 1
         # Linear light in half floats may share the texture of the technique's own light.
@@ -258,7 +278,9 @@ def test_bloom_needs_something_that_is_brighter_than_white() -> None:
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 @pytest.mark.parametrize("kind", ["point", "spot"])
-def test_local_lights_that_are_points_leave_no_trace_of_spheres_and_spheres_add_no_draw(name: str, kind: str) -> None:
+def test_local_lights_that_are_points_leave_no_trace_of_spheres_and_spheres_add_no_draw(
+    name: str, kind: str
+) -> None:
     trace = Trace("source radii", r"\bsphere_cosine\b", "source_radii")
     points, spheres = (make({Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}) for _ in range(2))
     getattr(spheres.lights, kind)["source_radius"] = 0.1

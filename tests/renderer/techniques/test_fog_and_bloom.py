@@ -44,7 +44,9 @@ def stage(*, panes: bool = False, lights: bool = False, emission: float = 1.0) -
             glass = builder.add_material(
                 base_color=color, specular_color=(0, 0, 0), emission=1.0, alpha_mode=scenes.AlphaMode.BLEND
             )
-            builder.add_objects(builder.add_node(scenes.translation((1.5, 2.5, z))), builder.add_mesh(PANE), glass)
+            builder.add_objects(
+                builder.add_node(scenes.translation((1.5, 2.5, z))), builder.add_mesh(PANE), glass
+            )
     if lights:
         builder.lights.add_point((1.0, 1.5, 1.0), 8.0, (1.0, 0.7, 0.3), 6.0)
         builder.lights.add_spot((-2.0, 5.0, 2.0), (0.0, -1.0, 0.0), 9.0, 0.4, 0.7, (0.4, 0.6, 1.0), 20.0)
@@ -61,8 +63,8 @@ def pixel_directions(camera: scenes.Camera) -> NDArray[np.float64]:
 def look_at_ground(
     fog: scenes.Fog, background: tuple[float, float, float], camera: scenes.Camera
 ) -> NDArray[np.float64]:
-    """Return the light (h, w, 3) of an endless ground of the light (0.5, 0.4, 0.3) at a height of 0, in fog that is
-    added up along each ray."""
+    """Return the light (h, w, 3) of an endless ground of the light (0.5, 0.4, 0.3) at a height of 0, in fog
+    that is added up along each ray."""
     rays, eye, thinnest = pixel_directions(camera), camera.position[1], 1e-4
     light = np.zeros((*rays.shape[:2], 3))
     for pixel in np.ndindex(rays.shape[:2]):
@@ -101,7 +103,8 @@ def test_ground_and_sky_in_fog_are_within_a_level_of_float64(gl: rhi.Device, nam
     scene, camera = plain(*PLAINS[name])
     expected = encode(tone_map(look_at_ground(PLAINS[name][2], scene.background, camera)))
     assert np.ptp(expected, axis=(0, 1)).max() > 20
-    # An 8-bit image is rounded, so half of a level is its own; float32 and the fast exp take less than the other.
+    # An 8-bit image is rounded, so half of a level is its own; float32 and the fast exp take less than the
+    # other.
     assert np.abs(draw(gl, scene, camera=camera) - expected).max() <= 1.0
 
 
@@ -122,7 +125,10 @@ SOME = ("forward_multipass", "deferred", "deferred_plus")
     [
         pytest.param(scenes.Bloom(0.2), SOME, id="fog and bloom"),
         pytest.param(
-            scenes.Bloom(0.2), tuple(TECHNIQUES), id="fog and bloom, all techniques", marks=pytest.mark.nightly
+            scenes.Bloom(0.2),
+            tuple(TECHNIQUES),
+            id="fog and bloom, all techniques",
+            marks=pytest.mark.nightly,
         ),
         pytest.param(None, tuple(TECHNIQUES), id="fog, all techniques", marks=pytest.mark.nightly),
     ],
@@ -173,7 +179,9 @@ def test_light_with_fewer_bits_is_off_by_what_they_round(gl: rhi.Device) -> None
         for bits, format in ((11, Format.R11G11B10F), (16, Format.RGBA16F), (32, Format.RGBA32F)):
             renderer.bloom = BloomSettings(bits=bits)
             result = renderer.render(EYE)
-            assert {result.targets[name].format for name in ("bright_image", "bloom 1", "bloom 6")} == {format}
+            assert {result.targets[name].format for name in ("bright_image", "bloom 1", "bloom 6")} == {
+                format
+            }
             images[bits] = read_colors(result)
     errors = {bits: np.abs(images[bits] - images[32]).max() for bits in (11, 16)}
     assert 1.0 < errors[11] <= 8.0  # blue has 5 bits after the point, and levels add up
@@ -186,7 +194,9 @@ def test_without_a_share_light_is_shown_as_it_is_without_bloom(gl: rhi.Device) -
     plain_image = draw(gl, builder.build())
     builder = stage(lights=True, emission=12.0)
     builder.bloom = scenes.Bloom(1e-9)
-    assert np.abs(draw(gl, builder.build()) - draw(gl, stage(lights=True, emission=12.0).build())).max() <= 1.0
+    assert (
+        np.abs(draw(gl, builder.build()) - draw(gl, stage(lights=True, emission=12.0).build())).max() <= 1.0
+    )
     builder = stage(lights=True, emission=12.0)
     builder.haze, builder.bloom = 0.02, scenes.Bloom(1e-9)
     # Haze fades light instead of colours there.
@@ -195,11 +205,15 @@ def test_without_a_share_light_is_shown_as_it_is_without_bloom(gl: rhi.Device) -
 
 @pytest.mark.parametrize("blending", Blending)
 def test_transparent_surfaces_have_the_fog_before_them(gl: rhi.Device, blending: Blending) -> None:
-    """In even fog, all at one distance: fog before what is blended is what fog before each part makes of it."""
+    """In even fog, all at one distance: fog before what is blended is what fog before each part makes of
+    it."""
     builder = scenes.SceneBuilder("pane")
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     glass = builder.add_material(
-        base_color=(0.9, 0.5, 0.1, 0.6), specular_color=(0, 0, 0), emission=1.0, alpha_mode=scenes.AlphaMode.BLEND
+        base_color=(0.9, 0.5, 0.1, 0.6),
+        specular_color=(0, 0, 0),
+        emission=1.0,
+        alpha_mode=scenes.AlphaMode.BLEND,
     )
     wall = builder.add_material(base_color=(0.1, 0.3, 0.9), specular_color=(0, 0, 0), emission=1.0)
     for z, material in ((0.0, wall), (1.0, glass)):
@@ -210,7 +224,9 @@ def test_transparent_surfaces_have_the_fog_before_them(gl: rhi.Device, blending:
     rays, through = pixel_directions(camera), []
     for away, color in ((9.0, (0.1, 0.3, 0.9)), (8.0, (0.9, 0.5, 0.1))):
         passing = np.exp(-0.05 * away / -rays[..., 2:])
-        through.append(tone_map(passing * color + (1 - passing) * np.array(inverse_tone_map(builder.fog.color))))
+        through.append(
+            tone_map(passing * color + (1 - passing) * np.array(inverse_tone_map(builder.fog.color)))
+        )
     expected = encode(0.6 * through[1] + 0.4 * through[0])
     assert np.abs(draw(gl, builder.build(), camera=camera, blending=blending) - expected).max() <= 2.0
 
@@ -233,13 +249,17 @@ def test_any_projection_shows_the_fog_of_its_pixels(gl: rhi.Device, projection: 
     sky = (covered == encode(np.array(scene.background)).round()).all(axis=2)
     assert sky.any()
     directions = (
-        np.broadcast_to(camera.forward, (*SIZE[::-1], 3)) if projection == "parallel" else pixel_directions(camera)
+        np.broadcast_to(camera.forward, (*SIZE[::-1], 3))
+        if projection == "parallel"
+        else pixel_directions(camera)
     )
     up = np.maximum(directions[sky][:, 1], 0.0)
     density = FOG.density * np.exp(-FOG.falloff * (3.0 - FOG.base))
     with np.errstate(divide="ignore"):
         passing = np.exp(-density / (FOG.falloff * up))[:, None]
-    light = passing * inverse_tone_map(scene.background) + (1 - passing) * np.array(inverse_tone_map(FOG.color))
+    light = passing * inverse_tone_map(scene.background) + (1 - passing) * np.array(
+        inverse_tone_map(FOG.color)
+    )
     assert np.abs(image[sky] - encode(tone_map(light))).max() <= 1.0
 
 
@@ -249,31 +269,42 @@ def list_events(device: rhi.Device) -> list[str]:
 
 ORDERS: dict[str, tuple[Callable[[], Technique], Blending, list[str]]] = {
     "forward": (Forward, Blending.SORTED, ["forward", "sky", "transparency", "bloom", "tone mapping"]),
-    "weighted": (Forward, Blending.WEIGHTED, ["forward", "sky", "transparency", "blend", "bloom", "tone mapping"]),
+    "weighted": (
+        Forward,
+        Blending.WEIGHTED,
+        ["forward", "sky", "transparency", "blend", "bloom", "tone mapping"],
+    ),
     "samples": (
-        lambda: Forward(4), Blending.SORTED,
+        lambda: Forward(4),
+        Blending.SORTED,
         ["depth", "forward", "sky", "transparency", "resolve", "bloom", "tone mapping"],
     ),
     "samples, weighted": (
-        lambda: Forward(4), Blending.WEIGHTED,
+        lambda: Forward(4),
+        Blending.WEIGHTED,
         ["depth", "forward", "sky", "resolve", "transparency", "blend", "bloom", "tone mapping"],
     ),
     "fxaa": (
-        lambda: FxaaTechnique(Forward()), Blending.SORTED,
+        lambda: FxaaTechnique(Forward()),
+        Blending.SORTED,
         ["forward", "sky", "transparency", "bloom", "tone mapping", "fxaa"],
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ORDERS)
-def test_sky_is_before_transparency_and_bloom_before_what_smooths_the_image(null: rhi.Device, name: str) -> None:
+def test_sky_is_before_transparency_and_bloom_before_what_smooths_the_image(
+    null: rhi.Device, name: str
+) -> None:
     make, blending, expected = ORDERS[name]
     builder = stage(panes=True, emission=12.0)
     builder.fog, builder.bloom = FOG, scenes.Bloom()
     draw(null, builder.build(), make(), blending=blending)
     events = list_events(null)
     # Weighted surfaces may be drawn before the sky, over which they are blended.
-    moved = [event for event in events if event != "transparency"] if blending is Blending.WEIGHTED else events
+    moved = (
+        [event for event in events if event != "transparency"] if blending is Blending.WEIGHTED else events
+    )
     assert moved == [event for event in expected if blending is Blending.SORTED or event != "transparency"]
     assert sorted(events) == sorted(expected)
 

@@ -22,7 +22,9 @@ from rhi.backends.null import NullBackend
 def boxes(*object_positions: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
     """Make a box at each position, the first `mirrored` of them mirrored; no lights."""
     sides = [scaling((-1 if number < mirrored else 1, 1, 1)) for number in range(len(object_positions))]
-    return make_boxes(*(translation(position) @ side for position, side in zip(object_positions, sides, strict=True)))
+    return make_boxes(
+        *(translation(position) @ side for position, side in zip(object_positions, sides, strict=True))
+    )
 
 
 record = partial(record_any, visibility="auto")
@@ -33,9 +35,12 @@ def count(stream: rhi.CommandStream, op: Op) -> int:
 
 
 def list_rows(stream: rhi.CommandStream, draw: rhi.Command) -> list[int]:
-    """Return the rows of the objects that an indirect draw draws, without the draws of nothing that fill it up."""
+    """Return the rows of the objects that an indirect draw draws, without the draws of nothing that fill it
+    up."""
     written = [c for c in stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
-    draws = np.frombuffer(written[-1]["data"], rhi.DRAW)[draw["offset"] // rhi.DRAW.itemsize :][: draw["draws"]]
+    draws = np.frombuffer(written[-1]["data"], rhi.DRAW)[draw["offset"] // rhi.DRAW.itemsize :][
+        : draw["draws"]
+    ]
     return draws["base_instance"][draws["instances"] > 0].tolist()
 
 
@@ -56,7 +61,10 @@ def test_mirrored_objects_are_a_second_call_of_the_other_winding(null: rhi.Devic
 def leaves(*, of_each: int = 2) -> SceneBuilder:
     """Make boxes of all four groups, one after the other, and each of them `of_each` times."""
     builder = SceneBuilder("leaves")
-    mesh, materials = builder.add_mesh(MESHES["box"]()), [builder.add_material(double_sided=two) for two in (0, 1)]
+    mesh, materials = (
+        builder.add_mesh(MESHES["box"]()),
+        [builder.add_material(double_sided=two) for two in (0, 1)],
+    )
     for number in range(4 * of_each):
         turned = scaling((-1 if number % 2 else 1, 1, 1))
         node = builder.add_node(translation((number - 2 * of_each, 0, 0)) @ turned)
@@ -179,7 +187,10 @@ def test_what_a_scene_lacks_is_not_bound(
 
 @pytest.mark.parametrize(
     ("depth", "far", "function"),
-    [(Depth.REVERSED, 0.0, rhi.DepthFunction.GREATER_EQUAL), (Depth.STANDARD, 1.0, rhi.DepthFunction.LESS_EQUAL)],
+    [
+        (Depth.REVERSED, 0.0, rhi.DepthFunction.GREATER_EQUAL),
+        (Depth.STANDARD, 1.0, rhi.DepthFunction.LESS_EQUAL),
+    ],
 )
 def test_the_camera_says_which_way_depth_runs(
     null: rhi.Device, depth: Depth, far: float, function: rhi.DepthFunction

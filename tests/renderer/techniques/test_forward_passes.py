@@ -1,4 +1,5 @@
-"""Forward techniques of several passes, and smooth edges: pixels against the forward technique, and commands."""
+"""Forward techniques of several passes, and smooth edges: pixels against the forward technique, and
+commands."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ def local_lights(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bo
     rng = np.random.default_rng(8)
     grid = [(x, z) for x in range(-2, 3) for z in range(-2, 3)]
     transforms = [
-        translation((2.0 * x, 0, 2.0 * z)) @ scaling((-1 if mirrored and x == z else 1, 1, 1)) for x, z in grid
+        translation((2.0 * x, 0, 2.0 * z)) @ scaling((-1 if mirrored and x == z else 1, 1, 1))
+        for x, z in grid
     ]
     floor = translation((0, -0.6, 0)) @ scaling((14, 0.1, 14))
     look = {"base_color": (0.8, 0.7, 0.6), "specular_color": (0.2, 0.2, 0.2), "shininess": 20.0}
@@ -134,7 +136,9 @@ def test_packed_numbers_are_exact_up_to_the_last_light_and_fill_a_pixel_beyond()
         pixel = np.zeros(4, np.float32)
         for count, number in enumerate(rng.choice(packed[:-2], 9), 1):
             pixel = pixel * np.float32(8) + number.astype(np.float32)
-            assert bool((pixel >= light_indexed.OVERFLOW_VALUE).any()) == (count > light_indexed.LIGHTS_PER_PIXEL)
+            assert bool((pixel >= light_indexed.OVERFLOW_VALUE).any()) == (
+                count > light_indexed.LIGHTS_PER_PIXEL
+            )
 
 
 @pytest.mark.parametrize(
@@ -190,7 +194,9 @@ def test_a_lights_objects_are_drawn_together(null: rhi.Device) -> None:
 
 
 def test_all_lights_are_packed_by_one_draw(null: rhi.Device) -> None:
-    depth, packed, lit = record(null, local_lights(6, 3).build(), LightIndexed(), visibility="frustum").draws()
+    depth, packed, lit = record(
+        null, local_lights(6, 3).build(), LightIndexed(), visibility="frustum"
+    ).draws()
     assert packed["instances"] == 9
     assert depth["draws"] == lit["draws"] == round_up(26)
     assert lit.states[rhi.DepthFunction] is rhi.DepthFunction.GREATER_EQUAL
@@ -213,7 +219,9 @@ def edge() -> Scene:
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("smooth", [lambda: Forward(samples=4), lambda: FxaaTechnique(Forward())])
-def test_edges_are_nearer_to_those_of_many_samples(drawing_device: rhi.Device, smooth: Callable[[], Technique]) -> None:
+def test_edges_are_nearer_to_those_of_many_samples(
+    drawing_device: rhi.Device, smooth: Callable[[], Technique]
+) -> None:
     scene, n = edge(), 8
     large = draw(drawing_device, scene, Forward(), size=(n * SIZE[0], n * SIZE[1]))
     expected = large.reshape(SIZE[1], n, SIZE[0], n, 3).mean((1, 3))
@@ -226,7 +234,9 @@ def test_edges_are_nearer_to_those_of_many_samples(drawing_device: rhi.Device, s
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_fxaa_leaves_what_has_no_edges_as_it_is(drawing_device: rhi.Device) -> None:
     scene = edge()
-    plain, smooth = (draw(drawing_device, scene, technique) for technique in (Forward(), FxaaTechnique(Forward())))
+    plain, smooth = (
+        draw(drawing_device, scene, technique) for technique in (Forward(), FxaaTechnique(Forward()))
+    )
     changed = np.abs(plain - smooth).max(-1) > 0
     neighbours = np.stack([np.roll(plain, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)])
     flat = (neighbours == plain).all((0, -1))
@@ -238,4 +248,7 @@ def test_fxaa_leaves_what_has_no_edges_as_it_is(drawing_device: rhi.Device) -> N
 @pytest.mark.parametrize("technique", [Forward, *TECHNIQUES])
 def test_fxaa_is_one_pass_after_any_technique(null: rhi.Device, technique: Callable[[], Technique]) -> None:
     scene = local_lights(2).build()
-    assert list_passes(null, scene, FxaaTechnique(technique())) == [*list_passes(null, scene, technique()), "fxaa"]
+    assert list_passes(null, scene, FxaaTechnique(technique())) == [
+        *list_passes(null, scene, technique()),
+        "fxaa",
+    ]

@@ -52,7 +52,9 @@ def add_light(builder: SceneBuilder) -> None:
 
 
 def add_spot(builder: SceneBuilder) -> None:
-    builder.lights.add_spot(MIDDLE + np.array([0.5, 2.5, 0.5]), (0.1, -1.0, -0.2), 9.0, 0.2, 0.7, (1.0, 0.6, 0.4), 9.0)
+    builder.lights.add_spot(
+        MIDDLE + np.array([0.5, 2.5, 0.5]), (0.1, -1.0, -0.2), 9.0, 0.2, 0.7, (1.0, 0.6, 0.4), 9.0
+    )
 
 
 def add_haze(builder: SceneBuilder) -> None:
@@ -61,11 +63,20 @@ def add_haze(builder: SceneBuilder) -> None:
 
 @pytest.mark.parametrize(
     "parts",
-    [(), (add_sun,), (add_light,), (add_spot,), (add_haze,), (add_sun, add_sun, add_light, add_spot, add_haze)],
+    [
+        (),
+        (add_sun,),
+        (add_light,),
+        (add_spot,),
+        (add_haze,),
+        (add_sun, add_sun, add_light, add_spot, add_haze),
+    ],
     ids=["ambient", "sun", "point", "spot", "haze", "all"],
 )
 def test_a_lit_plane_is_within_one_level_of_a_float64_evaluation(gl: rhi.Device, parts: Any) -> None:
-    builder = slope(specular_color=(0.3, 0.4, 0.5), shininess=20.0, rim_strength=0.6, rim_power=3.0, emission=0.05)
+    builder = slope(
+        specular_color=(0.3, 0.4, 0.5), shininess=20.0, rim_strength=0.6, rim_power=3.0, emission=0.05
+    )
     for add in parts:
         add(builder)
     scene = builder.build()
@@ -81,7 +92,9 @@ def test_a_normal_stretched_along_with_the_object_would_be_noticed(gl: rhi.Devic
     scene = builder.build()
     along = STRETCH * (1.0, 1.0, 0.0)
     albedo = scene.materials[0]["base_color"][:3].astype(float)
-    wrong = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo, along / np.linalg.norm(along))
+    wrong = shade_plane(
+        scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo, along / np.linalg.norm(along)
+    )
     assert np.abs(draw(gl, scene) - wrong).max() > 20.0
 
 
@@ -185,6 +198,8 @@ def test_lights_that_do_not_reach_an_object_are_left_out_without_a_trace(
     monkeypatch.setattr(resources, "list_lights", list_all)
     everything = [draw(gl, scene, camera=camera) for camera in cameras]
     assert np.array_equal(listed, everything)
-    monkeypatch.setattr(resources, "list_lights", lambda lower, *_: (np.zeros(len(lower) + 1, int), np.zeros(0, int)))
+    monkeypatch.setattr(
+        resources, "list_lights", lambda lower, *_: (np.zeros(len(lower) + 1, int), np.zeros(0, int))
+    )
     nothing = [draw(gl, scene, camera=camera) for camera in cameras]
     assert not np.array_equal(listed, nothing)  # the control: lights are seen

@@ -1,4 +1,5 @@
-"""`FrameBindings`: each name that a frame's shaders bind, what it is refused for, and that nothing else is made."""
+"""`FrameBindings`: each name that a frame's shaders bind, what it is refused for, and that nothing else is
+made."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ LIGHTS = np.array([0.0, 0.0, 6.0])
 
 
 def make_crowded(points: int, spots: int) -> Scene:
-    """Make a box and local lights each of which reaches every cell: the sum of all of them is not too bright."""
+    """Make a box and local lights each of which reaches every cell: the sum of all of them is not too
+    bright."""
     builder, rng = make_boxes((0, 0, 0), (2, 1, -3)), np.random.default_rng(5)
     for position in rng.uniform(-3.0, 3.0, (points, 3)) + LIGHTS:
         builder.lights.add_point(position, 60.0, color=(0.3, 0.2, 0.1), intensity=30.0 / (points + spots))

@@ -41,7 +41,8 @@ PROJECTIONS = {
 
 
 def project(projection: Projection, positions: Floats) -> tuple[Camera, Floats, Floats]:
-    """Return a camera, positions relative to it, and their pixels and depths (n, 3), of `positions` in view space."""
+    """Return a camera, positions relative to it, and their pixels and depths (n, 3), of `positions` in view
+    space."""
     camera = Camera.look_at((3e6, 7.0, -5e6), (3e6 + 2.0, 5.0, -5e6 - 9.0), projection=projection)
     relative = positions @ camera.rotation
     clip = np.concatenate([positions, np.ones((len(positions), 1))], 1) @ projection.matrix.T
@@ -86,7 +87,9 @@ def test_a_position_follows_from_the_pixel_and_the_distance(projection_name: str
     pixels, distances = random.uniform(0, size, (500, 2)), random.uniform(1.0, 300.0, 500)
     positions = evaluate(pixel_position, rays, pixels, distances, dtype=np.float64)
     assert positions @ np.array(rays.forward) == pytest.approx(distances, rel=1e-6)
-    matrix = camera.projection.matrix @ np.block([[camera.rotation, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
+    matrix = camera.projection.matrix @ np.block(
+        [[camera.rotation, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]]
+    )
     clip = np.concatenate([positions, np.ones((500, 1))], 1) @ matrix.T
     x, y = clip[:, 0] / clip[:, 3], clip[:, 1] / clip[:, 3]
     assert (0.5 + 0.5 * x) * size[0] == pytest.approx(pixels[:, 0], abs=2e-4)
@@ -94,7 +97,8 @@ def test_a_position_follows_from_the_pixel_and_the_distance(projection_name: str
 
 
 @pytest.mark.parametrize(
-    ("projection_name", "far"), [("perspective", 3.4e38), ("with a far plane", 2000.0), ("orthographic", 500.0)]
+    ("projection_name", "far"),
+    [("perspective", 3.4e38), ("with a far plane", 2000.0), ("orthographic", 500.0)],
 )
 def test_the_far_plane_is_as_far_as_the_projection_says(projection_name: str, far: float) -> None:
     projection = PROJECTIONS[projection_name](Depth.REVERSED)

@@ -25,7 +25,8 @@ CELL = 149  # 0.3 in sRGB: what cells are of their colour over black
 
 
 def tower(points: int = 0, spots: int = 0) -> Scene:
-    """Make a floor seen from straight above, with lights above its middle, and one that reaches nothing in view."""
+    """Make a floor seen from straight above, with lights above its middle, and one that reaches nothing in
+    view."""
     builder = make_boxes(translation((0, -0.5, 0)) @ scaling((8, 1, 8)), name="tower")
     for _ in range(points):
         builder.lights.add_point((0, 1, 0), 1.5)
@@ -70,7 +71,9 @@ def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
-@pytest.mark.parametrize(("points", "spots", "color"), [(0, 0, (0, 0, 0)), (1, 0, BLUE), (0, 7, BLUE), (5, 3, CYAN)])
+@pytest.mark.parametrize(
+    ("points", "spots", "color"), [(0, 0, (0, 0, 0)), (1, 0, BLUE), (0, 7, BLUE), (5, 3, CYAN)]
+)
 def test_lights_are_counted_where_they_reach(
     drawing_device: rhi.Device, points: int, spots: int, color: tuple[int, int, int]
 ) -> None:
@@ -95,8 +98,20 @@ def test_colours_of_counts_change_where_they_double() -> None:
     black, blue, cyan, green = [0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]
     yellow, red, white = [1, 1, 0], [1, 0, 0], [1, 1, 1]
     assert colors.tolist() == [
-        black, blue, blue, cyan, cyan, green, green, yellow, yellow, red, red, white, white,
-    ]  # fmt: skip
+        black,
+        blue,
+        blue,
+        cyan,
+        cyan,
+        green,
+        green,
+        yellow,
+        yellow,
+        red,
+        red,
+        white,
+        white,
+    ]
 
 
 def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
@@ -129,7 +144,9 @@ def test_cells_are_those_of_the_settings(name: str, tile: int, tmp_path: Any) ->
         assert main([*command, *options, "--settings", str(settings), "--output", str(output)]) == 0
         light.append(find_linear(np.asarray(Image.open(output).convert("RGB"))))
     colors = (light[1] - 0.7 * light[0]) / 0.3
-    edges = (np.abs(np.diff(colors, axis=1)) > 0.08).any((0, 2))  # between the column and the one to its right
+    edges = (np.abs(np.diff(colors, axis=1)) > 0.08).any(
+        (0, 2)
+    )  # between the column and the one to its right
     assert edges[tile - 1 :: tile].sum() >= 4
     inside = np.ones(63, bool)
     inside[tile - 1 :: tile] = inside[::tile] = False
@@ -159,7 +176,9 @@ def test_clusters_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("name", ["tiles", "clusters"])
-def test_the_image_shows_through_cells_and_is_as_it_was_without_lights(drawing_device: rhi.Device, name: str) -> None:
+def test_the_image_shows_through_cells_and_is_as_it_was_without_lights(
+    drawing_device: rhi.Device, name: str
+) -> None:
     lit, (x, y) = tower(1), (SIZE[0] // 2 + 3, SIZE[1] // 2 + 3)  # between lines
     plain, cells = draw(drawing_device, lit, Forward(), size=SIZE), show(drawing_device, lit, name)
     light = find_linear(plain[y, x])

@@ -46,9 +46,13 @@ def square(**material: Any) -> SceneBuilder:
     builder = SceneBuilder("square")
     builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
     positions = [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)]
-    images = {name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)}
+    images = {
+        name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)
+    }
     geometry = make_geometry(positions, [0, 1, 2, 0, 2, 3], uv=[(0, 1), (1, 1), (1, 0), (0, 0)])
-    builder.add_objects(builder.add_node(), builder.add_mesh(geometry), builder.add_material(**{**material, **images}))
+    builder.add_objects(
+        builder.add_node(), builder.add_mesh(geometry), builder.add_material(**{**material, **images})
+    )
     builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
     return builder
 
@@ -89,7 +93,9 @@ def test_backs_are_drawn_of_materials_with_two_sides_alone(gl: rhi.Device, two_s
 
 
 @pytest.mark.parametrize("technique", [Forward, Deferred, TECHNIQUES["deferred_plus"]])
-def test_a_material_that_gets_a_second_side_shows_its_back_from_then_on(gl: rhi.Device, technique: Any) -> None:
+def test_a_material_that_gets_a_second_side_shows_its_back_from_then_on(
+    gl: rhi.Device, technique: Any
+) -> None:
     builder = square(base_color=(1, 1, 1))
     builder.lights.add_directional((0, 0, 1), (1, 1, 1), 3.0)  # lights the back
     behind, scene = Camera.look_at((0, 0, -3), (0, 0, 0)), builder.build()
@@ -101,7 +107,9 @@ def test_a_material_that_gets_a_second_side_shows_its_back_from_then_on(gl: rhi.
     assert seen == [False, True, False]
 
 
-@pytest.mark.parametrize(("texel", "bends"), [((127, 127, 127), False), ((128,) * 3, False), ((131, 128, 128), True)])
+@pytest.mark.parametrize(
+    ("texel", "bends"), [((127, 127, 127), False), ((128,) * 3, False), ((131, 128, 128), True)]
+)
 def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device, texel: Any, bends: bool) -> None:
     texture = np.full((4, 4, 4), (*texel, 255), np.uint8)
     images = []
@@ -114,7 +122,8 @@ def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device, texe
 
 @pytest.mark.parametrize(("texel", "towards"), [((255, 128, 128), (-1, 0, 0)), ((128, 255, 128), (0, -1, 0))])
 def test_red_bends_normals_along_u_and_green_up(gl: rhi.Device, texel: Any, towards: Any) -> None:
-    """Light that comes from where the bent normal points to reaches the square, and from the other side doesn't."""
+    """Light that comes from where the bent normal points to reaches the square, and from the other side
+    doesn't."""
     texture = np.full((4, 4, 4), (*texel, 255), np.uint8)
     lit = []
     for sign in (1.0, -1.0):
@@ -128,7 +137,9 @@ def test_red_bends_normals_along_u_and_green_up(gl: rhi.Device, texel: Any, towa
 
 def test_emissive_texels_multiply_the_emissive_color(gl: rhi.Device) -> None:
     texture = np.full((4, 4, 4), (255, 0, 255, 255), np.uint8)
-    builder = square(base_color=(0, 0, 0), emissive=(0.5, 0.5, 0.0), emissive_texture=texture, specular_color=(0, 0, 0))
+    builder = square(
+        base_color=(0, 0, 0), emissive=(0.5, 0.5, 0.0), emissive_texture=texture, specular_color=(0, 0, 0)
+    )
     red, green, blue = look(gl, builder).reshape(-1, 3).max(0)
     assert red > 150
     assert green == blue == 0
@@ -137,7 +148,9 @@ def test_emissive_texels_multiply_the_emissive_color(gl: rhi.Device) -> None:
 def test_occlusion_darkens_by_its_strength(gl: rhi.Device) -> None:
     texture = np.zeros((4, 4, 4), np.uint8)
     seen = [
-        look(gl, square(base_color=(1, 1, 1), roughness=1.0, occlusion_texture=texture, occlusion_strength=s)).mean()
+        look(
+            gl, square(base_color=(1, 1, 1), roughness=1.0, occlusion_texture=texture, occlusion_strength=s)
+        ).mean()
         for s in (0.0, 0.5, 1.0)
     ]
     assert seen[0] > seen[1] > seen[2] == 0.0
@@ -166,14 +179,20 @@ def test_texture_coordinates_beyond_1_repeat(gl: rhi.Device, uv: tuple[float, fl
 def test_masks_hide_nothing_behind_their_holes(gl: rhi.Device, name: str) -> None:
     scene = build_materials(lights=False)
     camera = scene.views["front"].with_aspect(SIZE[0] / SIZE[1])
-    images = [draw(gl, scene, camera=camera, visibility=algorithm, frames=3, size=SIZE) for algorithm in ("none", name)]
+    images = [
+        draw(gl, scene, camera=camera, visibility=algorithm, frames=3, size=SIZE)
+        for algorithm in ("none", name)
+    ]
     assert np.array_equal(*images)
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("axis", [0, 1])
-def test_images_at_the_second_coordinates_are_filtered_by_their_changes(drawing_device: rhi.Device, axis: int) -> None:
-    """Stripes far narrower than pixels are grey, whichever way the second coordinates change; the first don't."""
+def test_images_at_the_second_coordinates_are_filtered_by_their_changes(
+    drawing_device: rhi.Device, axis: int
+) -> None:
+    """Stripes far narrower than pixels are grey, whichever way the second coordinates change; the first
+    don't."""
     builder = SceneBuilder("stripes")
     builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
     stripes = np.full((16, 16, 4), 255, np.uint8)

@@ -61,7 +61,11 @@ class EmissiveMaterial(MaterialShader):
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_all_techniques_draw_materials_with_shaders_alike(drawing_device: rhi.Device) -> None:
     scene = load_scene(YARD)
-    names = COMPARED if drawing_device.backend_name == "gl" else ("deferred", "deferred_plus", "forward_multipass")
+    names = (
+        COMPARED
+        if drawing_device.backend_name == "gl"
+        else ("deferred", "deferred_plus", "forward_multipass")
+    )
     camera = frames.first_view_camera(scene).with_aspect(4 / 3)
     techniques = (Forward(), *(COMPARED[name]() for name in names))
     expected, *images = frames.draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
@@ -70,7 +74,9 @@ def test_all_techniques_draw_materials_with_shaders_alike(drawing_device: rhi.De
     assert max(off.values()) <= 2, off
 
 
-@pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
+@pytest.mark.parametrize(
+    "name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"]
+)
 def test_all_algorithms_draw_each_object_by_its_shader(drawing_device: rhi.Device, name: str) -> None:
     frames.require_algorithm(drawing_device, name)
     scene = load_scene(YARD)
@@ -111,7 +117,8 @@ def count_calls(device: rhi.Device, scene: Scene, **options: Any) -> tuple[int, 
 
 
 def test_objects_are_drawn_by_shader(null: rhi.Device) -> None:
-    """A call and a program for each shader, however many objects there are, and in whatever order they are."""
+    """A call and a program for each shader, however many objects there are, and in whatever order they
+    are."""
     assert count_calls(null, stand(None, repeats=6)) == (1, 1)
     assert count_calls(null, stand(EmissiveMaterial, repeats=6)) == (1, 1)
     assert count_calls(null, stand(None, EmissiveMaterial, Halves, repeats=6)) == (3, 3)
@@ -119,9 +126,14 @@ def test_objects_are_drawn_by_shader(null: rhi.Device) -> None:
 
 def test_a_scene_without_such_shaders_has_none_of_their_cost(null: rhi.Device) -> None:
     plain, own = stand(None), stand(None, EmissiveMaterial)
-    assert Effect.MATERIAL_SHADERS not in collect_frame_effects(plain, frames.first_view_camera(plain)).enabled
+    assert (
+        Effect.MATERIAL_SHADERS not in collect_frame_effects(plain, frames.first_view_camera(plain)).enabled
+    )
     assert Effect.MATERIAL_SHADERS in collect_frame_effects(own, frames.first_view_camera(own)).enabled
-    assert Effect.MATERIAL_SHADERS not in collect_frame_effects(own, Camera.look_at((0, 0, 10), (0, 0, 20))).enabled
+    assert (
+        Effect.MATERIAL_SHADERS
+        not in collect_frame_effects(own, Camera.look_at((0, 0, 10), (0, 0, 20))).enabled
+    )
     assert "material ids" not in frames.list_passes(null, plain, DeferredPlus())
     assert "material ids" in frames.list_passes(null, own, DeferredPlus())
 
@@ -131,13 +143,17 @@ def test_depth_alone_is_drawn_without_shaders_of_materials(null: rhi.Device) -> 
     for masks, programs in ((AlphaMode.OPAQUE, 1), (AlphaMode.MASK, 2)):
         scene = stand(None, Halves, alpha_mode=masks)
         stream = frames.record(null, scene, DeferredPlus(), frames=1)
-        first = list(stream)[: next(index for index, command in enumerate(stream) if command.op is Op.END_PASS)]
+        first = list(stream)[
+            : next(index for index, command in enumerate(stream) if command.op is Op.END_PASS)
+        ]
         assert len({command["program"] for command in first if command.op is Op.BIND_PROGRAM}) == programs
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_all_that_a_shader_says_is_drawn_by_techniques_that_store_it(drawing_device: rhi.Device) -> None:
-    scene = stand(None, EmissiveMaterial, base_color=(1, 1, 1), metallic=0.5, roughness=0.5, emissive=(0.6, 0.3, 0.1))
+    scene = stand(
+        None, EmissiveMaterial, base_color=(1, 1, 1), metallic=0.5, roughness=0.5, emissive=(0.6, 0.3, 0.1)
+    )
     scene.lights.add_point((0, 2, 3), 8.0, intensity=3.0)
     forward, *others = frames.draw_each(
         drawing_device, scene, Forward(), Deferred(), LightPrePass(), DeferredPlus(), size=SIZE
@@ -180,7 +196,9 @@ def test_transparent_surfaces_have_the_opacity_that_a_shader_says(drawing_device
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_parameters_and_instances_may_change_between_frames(drawing_device: rhi.Device) -> None:
     builder = frames.make_boxes()
-    parent = builder.add_material(shader=material_shaders.Checker, second_color=(1, 0, 0), base_color=(1, 1, 1))
+    parent = builder.add_material(
+        shader=material_shaders.Checker, second_color=(1, 0, 0), base_color=(1, 1, 1)
+    )
     child = builder.add_material(parent=parent)
     builder.add_objects(builder.add_node(), 0, child)
     builder.lights.sky = builder.lights.ground = (1, 1, 1)
@@ -208,10 +226,16 @@ class BoardProbe(material_shaders.Checker):
     def compute(self) -> None:
         i = sl.global_id().x
         at = SurfaceInput(
-            position=sl.vec3(0.0), normal=sl.vec3(0.0, 0.0, 1.0), uv=self.points[2 * i].xy, uv2=sl.vec2(0.0),
-            uv_gradients=self.points[2 * i + 1], uv2_gradients=sl.vec4(0.0), tangent=sl.vec4(1.0),
-            color=sl.vec4(1.0), material=0,
-        )  # fmt: skip
+            position=sl.vec3(0.0),
+            normal=sl.vec3(0.0, 0.0, 1.0),
+            uv=self.points[2 * i].xy,
+            uv2=sl.vec2(0.0),
+            uv_gradients=self.points[2 * i + 1],
+            uv2_gradients=sl.vec4(0.0),
+            tangent=sl.vec4(1.0),
+            color=sl.vec4(1.0),
+            material=0,
+        )
         self.results[i] = self.describe(at).color.r
 
 
@@ -225,9 +249,9 @@ def test_a_checkerboard_is_its_mean_over_the_pixel() -> None:
     board = np.zeros(1, material_shaders.CheckerParameters.dtype)
     board["squares"] = squares
     materials = np.zeros(1, load_scene("grid:mesh=box,count=1").materials.dtype)
-    results = run_compute(BoardProbe, count, points=points, results=count, parameters=board, materials=materials)[
-        "results"
-    ]
+    results = run_compute(
+        BoardProbe, count, points=points, results=count, parameters=board, materials=materials
+    )["results"]
     share = (np.arange(400) + 0.5) / 400 - 0.5
     for index in range(count):
         u, v = ((uv[index, axis] + share * size[index, axis]) * squares[axis] for axis in (0, 1))
@@ -248,16 +272,23 @@ class ReliefProbe(material_shaders.Parallax):
         i = sl.global_id().x
         point = self.points[i]
         at = SurfaceInput(
-            position=point.xyz, normal=sl.vec3(0.0, 0.0, 1.0), uv=sl.vec2(point.w, 0.0), uv2=sl.vec2(0.0),
-            uv_gradients=sl.vec4(0.0), uv2_gradients=sl.vec4(0.0), tangent=sl.vec4(1.0, 0.0, 0.0, 1.0),
-            color=sl.vec4(1.0), material=0,
-        )  # fmt: skip
+            position=point.xyz,
+            normal=sl.vec3(0.0, 0.0, 1.0),
+            uv=sl.vec2(point.w, 0.0),
+            uv2=sl.vec2(0.0),
+            uv_gradients=sl.vec4(0.0),
+            uv2_gradients=sl.vec4(0.0),
+            tangent=sl.vec4(1.0, 0.0, 0.0, 1.0),
+            color=sl.vec4(1.0),
+            material=0,
+        )
         self.results[i] = self.intersect_relief(at, self.parameters[0]).x
 
 
 @pytest.mark.parametrize(("steps", "tolerance"), [(16, 0.012), (64, 0.001), (256, 0.0001)])
 def test_parallax_finds_where_the_ray_meets_the_heights(steps: int, tolerance: float) -> None:
-    """Against 100,000 steps in float64. The last step is linear, so the error falls with the square of the steps."""
+    """Against 100,000 steps in float64. The last step is linear, so the error falls with the square of the
+    steps."""
     rng, count, depth = np.random.default_rng(7), 60, 0.05
     to_eye = np.stack([rng.uniform(-1.2, 1.2, count), rng.uniform(-0.5, 0.5, count), np.ones(count)], axis=1)
     start = rng.random(count)
@@ -308,7 +339,9 @@ def test_marble_goes_through_objects(gl: rhi.Device) -> None:
     for x in (-0.5, 0.5):
         builder.add_objects(builder.add_node(translation((x, 0, 0))), 0, stone)
     wide = frames.make_boxes()
-    whole = wide.add_material(shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0)
+    whole = wide.add_material(
+        shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0
+    )
     wide.add_objects(wide.add_node(scaling((2, 1, 1))), 0, whole)
     for boxes in (builder, wide):
         boxes.lights.sky = boxes.lights.ground = (1, 1, 1)

@@ -67,8 +67,19 @@ def test_contents_of_several_samples_are_not_listed(null: rhi.Device) -> None:
     assert [frame_pass.name for frame_pass in plan.passes] == ["depth", "forward", "resolve", "read back"]
 
 
-def test_render_writes_a_buffer_as_an_image(gl: rhi.Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["render", "grid:count=4,lights=2", "--size", "40x30", "--backend", "gl", "--visibility", "frustum"]
+def test_render_writes_a_buffer_as_an_image(
+    gl: rhi.Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = [
+        "render",
+        "grid:count=4,lights=2",
+        "--size",
+        "40x30",
+        "--backend",
+        "gl",
+        "--visibility",
+        "frustum",
+    ]
     paths = [tmp_path / f"{name}.png" for name in ("material", "image")]
     for path in paths:
         options = ["--technique", "deferred", "--show", path.stem, "--output", str(path)]

@@ -57,7 +57,9 @@ def test_a_scaled_image_is_what_was_drawn_interpolated_in_light(
     assert off.mean() < 0.3
 
 
-def test_an_image_of_twice_the_size_is_shown_as_means_of_four_pixels(drawing_device: rhi.Device, scene: Scene) -> None:
+def test_an_image_of_twice_the_size_is_shown_as_means_of_four_pixels(
+    drawing_device: rhi.Device, scene: Scene
+) -> None:
     with open_scaled(drawing_device, scene, 2.0) as renderer:
         result = renderer.render(scene.views["overview"])
         output, texels = result.image.read()[..., :3], result.targets["image"].read()[..., :3]

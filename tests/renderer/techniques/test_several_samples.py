@@ -1,4 +1,5 @@
-"""Several samples per pixel where lights are listed for cells: pixels against all lights of the scene, and commands."""
+"""Several samples per pixel where lights are listed for cells: pixels against all lights of the scene, and
+commands."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ def test_the_lists_of_cells_lack_no_light_of_any_sample(drawing_device: rhi.Devi
 
 @pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
 def test_what_covers_no_centre_is_lit_by_what_reaches_nothing_else(drawing_device: rhi.Device) -> None:
-    """A wire between two columns of centres, of which depth of one sample knows nothing, and a light beside it."""
+    """A wire between two columns of centres, of which depth of one sample knows nothing, and a light beside
+    it."""
     wall = translation((0, 0, -20)) @ scaling((60, 40, 1))
     builder = make_boxes(scaling((0.1, 20, 0.1)), wall, base_color=(1, 1, 1), specular_color=(0, 0, 0))
     builder.lights.add_point((0.3, 0, 1), 3.0, (1, 1, 1), 4.0)
@@ -69,7 +71,10 @@ def test_what_covers_no_centre_is_lit_by_what_reaches_nothing_else(drawing_devic
     [
         (ForwardPlus, ["depth", "light lists", "depth samples", "forward", "resolve"]),
         (Clustered, ["depth", "light lists", "forward", "resolve"]),
-        (partial(Clustered, depth_first=True), ["depth", "light lists", "depth samples", "forward", "resolve"]),
+        (
+            partial(Clustered, depth_first=True),
+            ["depth", "light lists", "depth samples", "forward", "resolve"],
+        ),
         (TiledDeferred, ["depth", "geometry", "tiles", "resolve"]),
         (ClusteredDeferred, ["depth", "geometry", "light lists", "resolve"]),
         (DeferredPlus, ["depth", "geometry", "light lists", "shading"]),
@@ -91,7 +96,14 @@ def test_geometry_is_drawn_once_for_culling_and_as_often_as_the_technique_says_w
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_settings_refuse_samples_that_a_technique_lacks(null: rhi.Device, name: str) -> None:
     assert TechniqueSettings(name).samples == 1
-    if name in ("forward", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"):
+    if name in (
+        "forward",
+        "forward_plus",
+        "clustered",
+        "tiled_deferred",
+        "clustered_deferred",
+        "deferred_plus",
+    ):
         technique = TechniqueSettings(name, samples=4).make(load_scene("grid:count=1"), null)
         assert (technique.name, vars(technique)["samples"]) == (name, 4)
         return
@@ -109,7 +121,9 @@ class CountedColors(sl.Shader):
         return super().finish(color, position)  # type: ignore[misc, no-any-return]
 
 
-def test_pixels_inside_a_triangle_are_shaded_once(drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pixels_inside_a_triangle_are_shaded_once(
+    drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Forward shading runs a fragment for each surface of a pixel; none of these is hidden."""
     builder = make_boxes(scaling((5, 5, 5)), base_color=(1, 1, 1))
     builder.lights.add_point((0, 8, 8), 30.0)
@@ -137,7 +151,9 @@ THINGS: Final = "bazaar:instances=300,materials=20,meshes=10,lights=16"
 
 
 @pytest.mark.parametrize("name", [AIR, THINGS, "glass"])
-def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(drawing_device: rhi.Device, name: str) -> None:
+def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(
+    drawing_device: rhi.Device, name: str
+) -> None:
     scene = load_scene(name)
     techniques = Forward(4, all_lights=True), *(make(4) for make in DEFERRED)
     camera = next(iter(scene.paths.values())).camera(100)
@@ -145,6 +161,7 @@ def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(drawing
         drawing_device, scene, *techniques, camera=camera, size=SIZE, blending=Blending.WEIGHTED
     )
     assert np.ptp(expected[..., :3]) > 50
-    # A buffer that rounds how texture coordinates change may choose another mip level; without levels 1 is the most.
+    # A buffer that rounds how texture coordinates change may choose another mip level; without levels 1 is
+    # the most.
     assert [max_difference(image, expected) <= 8 for image in drawn] == [True] * len(DEFERRED)
     assert all(np.mean(np.abs(image - expected).max(-1) > 3) < 1e-3 for image in drawn)

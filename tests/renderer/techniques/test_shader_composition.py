@@ -1,7 +1,9 @@
-"""The declared shaders of techniques: `shaders` names all that a technique draws with, and each name leads to a class.
+"""The declared shaders of techniques: `shaders` names all that a technique draws with, and each name leads to
+a class.
 
-A technique's file names its parts: a class that it imports or has, or a table of a part (`*FINISH_SHADERS`) that names
-them in turn. Shadow filters and the shaders of materials are mixed in by `shader_variant`, for every technique alike.
+A technique's file names its parts: a class that it imports or has, or a table of a part (`*FINISH_SHADERS`)
+that names them in turn. Shadow filters and the shaders of materials are mixed in by `shader_variant`, for
+every technique alike.
 """
 
 from __future__ import annotations
@@ -51,12 +53,15 @@ def build_scene(
     mixes_coordinates: bool = False,
     shader: type[MaterialShader] | None = None,
 ) -> Scene:
-    """Build an opaque, a masked and a transparent box, with or without a light of each kind, in fog and with bloom."""
+    """Build an opaque, a masked and a transparent box, with or without a light of each kind, in fog and with
+    bloom."""
     builder = SceneBuilder("boxes")
     box = BUILT_IN["box"]()
     vertices = box.vertices
     colors = np.ones((len(vertices), 4)) if has_colors else None
-    geometry = make_geometry(vertices["position"], box.indices, vertices["normal"], vertices["uv"], color=colors)
+    geometry = make_geometry(
+        vertices["position"], box.indices, vertices["normal"], vertices["uv"], color=colors
+    )
     mesh = builder.add_mesh(geometry)
     image = builder.add_image(np.full((4, 4, 4), 255, np.uint8))
     opaque: dict[str, Any] = {"emission": 2.0} if shader is None else {"emission": 2.0, "shader": shader}
@@ -105,7 +110,8 @@ def collect_parts(shader: type[Any]) -> Iterator[type[Any]]:
 
 
 def draw_all(device: rhi.Device, name: str) -> None:
-    """Draw each scene with each set of the technique's parameters, and with each setting that chooses shaders."""
+    """Draw each scene with each set of the technique's parameters, and with each setting that chooses
+    shaders."""
     for scene in build_scenes():
         with open_renderer(device, scene, size=SIZE) as renderer:
             for options in OPTIONS.get(name, [{}]):
@@ -143,7 +149,8 @@ def parse(module: ModuleType) -> ast.Module:
 
 
 def find_definition(module: ModuleType, name: str) -> tuple[ModuleType, ast.stmt] | None:
-    """Return where a name of a module is defined by a statement, followed through its imports; None if nowhere."""
+    """Return where a name of a module is defined by a statement, followed through its imports; None if
+    nowhere."""
     statements = parse(module).body
     # A shader that is generated for all kinds of lights is declared for type checkers.
     declared = [inner for outer in statements if isinstance(outer, ast.If) for inner in outer.body]

@@ -27,7 +27,9 @@ def fields(dtype: np.dtype[Any]) -> dict[str, tuple[np.dtype[Any], int]]:
         (shaders.SpotLight, RELATIVE_SPOT),
     ],
 )
-def test_a_struct_in_a_storage_buffer_lies_as_the_scenes_array(struct: type[Struct], dtype: np.dtype[Any]) -> None:
+def test_a_struct_in_a_storage_buffer_lies_as_the_scenes_array(
+    struct: type[Struct], dtype: np.dtype[Any]
+) -> None:
     assert fields(struct.dtype) == fields(dtype)
     assert struct.dtype.itemsize == dtype.itemsize
 

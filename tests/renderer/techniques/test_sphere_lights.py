@@ -24,7 +24,9 @@ METAL = {"base_color": (0.5, 0.5, 0.5), "metallic": 1.0}
 def stage(*radii: float, height: float = 1.0, strength: float = 2.0, **material: Any) -> Scene:
     """Make a floor and a ball, dark but for a local light of each radius, all in one place."""
     builder = make_boxes(translation((0, -5, 0)) @ scaling((100, 10, 100)), **material)
-    builder.add_objects(builder.add_node(translation((1.5, 0.6, 0))), builder.add_mesh(BUILT_IN["sphere"]()), 0)
+    builder.add_objects(
+        builder.add_node(translation((1.5, 0.6, 0))), builder.add_mesh(BUILT_IN["sphere"]()), 0
+    )
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
     for radius in radii:
         builder.lights.add_point((-0.3, height, 0), 30.0, (1.0, 0.8, 0.6), strength, source_radius=radius)
@@ -32,11 +34,14 @@ def stage(*radii: float, height: float = 1.0, strength: float = 2.0, **material:
     return builder.build()
 
 
-@pytest.mark.parametrize(("radius", "height"), [(0.5, 1.0), (0.5, 0.3), (0.7, -0.2), (0.02, 0.01), (0.0, 1.0)])
+@pytest.mark.parametrize(
+    ("radius", "height"), [(0.5, 1.0), (0.5, 0.3), (0.7, -0.2), (0.02, 0.01), (0.0, 1.0)]
+)
 def test_scattered_light_is_within_a_level_of_that_of_all_parts_of_the_sphere(
     drawing_device: rhi.Device, radius: float, height: float
 ) -> None:
-    """A level is what rounding takes; the sphere may be cut by the floor, which is then lit inside of it, too."""
+    """A level is what rounding takes; the sphere may be cut by the floor, which is then lit inside of it,
+    too."""
     scene = stage(radius, height=height, **MATT)
     exact = RayTracer(scene).draw(first_view_camera(scene), SIZE)
     assert max_difference(draw(drawing_device, scene, size=SIZE), exact) <= 1
@@ -60,7 +65,8 @@ def measure_light(device: rhi.Device, scene: Scene, size: tuple[int, int] = SIZE
 def test_a_highlight_has_the_energy_of_that_of_all_parts_of_the_sphere(
     drawing_device: rhi.Device, material: dict[str, Any]
 ) -> None:
-    """A representative point is an approximation: a seventh of the energy, half of the peak; a point's is exact."""
+    """A representative point is an approximation: a seventh of the energy, half of the peak; a point's is
+    exact."""
     for radius, least, lowest in ((0.0, 0.995, 0.995), (0.1, 0.86, 0.45), (0.6, 0.86, 0.6)):
         drawn, exact = measure_light(drawing_device, stage(radius, strength=0.04, **material))
         assert least <= drawn.sum() / exact.sum() <= 1.02, radius
@@ -70,7 +76,9 @@ def test_a_highlight_has_the_energy_of_that_of_all_parts_of_the_sphere(
 def test_the_highlight_of_a_mirror_is_as_wide_as_the_sphere(drawing_device: rhi.Device) -> None:
     for radius, pixels in ((0.0, 1), (0.4, 50), (0.8, 200)):
         scene = stage(radius, strength=0.04, shininess=5000.0, **SHINY)
-        drawn, exact = ((light > 0.2 * light.max()).sum() for light in measure_light(drawing_device, scene, (96, 64)))
+        drawn, exact = (
+            (light > 0.2 * light.max()).sum() for light in measure_light(drawing_device, scene, (96, 64))
+        )
         assert exact > pixels
         assert 1.0 <= drawn / exact < 1.2, radius
 

@@ -16,7 +16,16 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
-from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique, inferred
+from renderer.techniques import (
+    TECHNIQUES,
+    Deferred,
+    DeferredPlus,
+    Forward,
+    Inferred,
+    LightPrePass,
+    Technique,
+    inferred,
+)
 from renderer.techniques.technique_settings import TechniqueSettings
 from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
 from tests.renderer.conftest import open_device
@@ -41,11 +50,15 @@ def stage(middle: tuple[float, float, float] = (0, 0, 0), *, textured: bool = Fa
     if textured:
         image = builder.add_image(random.integers(0, 256, (16, 16, 4), np.uint8))
     materials = [
-        builder.add_material(base_color=(0.7, 0.6, 0.5), specular_color=(0.3, 0.2, 0.1), shininess=20.0, texture=image),
+        builder.add_material(
+            base_color=(0.7, 0.6, 0.5), specular_color=(0.3, 0.2, 0.1), shininess=20.0, texture=image
+        ),
         builder.add_material(
             base_color=(0.2, 0.4, 0.9), specular_color=(0.9, 0.9, 0.9), shininess=80.0, rim_strength=0.4
         ),
-        builder.add_material(base_color=(0.9, 0.3, 0.0), specular_color=(0, 0, 0), emission=0.05, texture=image),
+        builder.add_material(
+            base_color=(0.9, 0.3, 0.0), specular_color=(0, 0, 0), emission=0.05, texture=image
+        ),
     ]
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
     at = translation(middle)
@@ -96,7 +109,9 @@ def check_all(
 @pytest.mark.nightly_cases("*-True-*", "*-False-[12]", reason=FEWER_CASES)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("textured", [False, True])
-def test_random_lights_give_the_image_of_forward_shading(drawing_device: rhi.Device, seed: int, textured: bool) -> None:
+def test_random_lights_give_the_image_of_forward_shading(
+    drawing_device: rhi.Device, seed: int, textured: bool
+) -> None:
     builder = stage(textured=textured)
     add_random_lights(builder, 40, seed)
     check_all(drawing_device, builder.build())
@@ -128,13 +143,17 @@ def test_what_every_webgpu_has_suffices_for_all_but_packed_lists(monkeypatch: py
         assert max(max_difference(image, expected) for image in images) <= 3
         assert {"two_pass", "conditional"} == ALGORITHMS.keys() - set(list_algorithms(device))
         with pytest.raises(rhi.DeviceError, match="unblendable_formats"):
-            draw_each(device, scene, TechniqueSettings("light_indexed").make(scene, device), camera=EYE, size=SIZE)
+            draw_each(
+                device, scene, TechniqueSettings("light_indexed").make(scene, device), camera=EYE, size=SIZE
+            )
 
 
 CAMERAS = {
     "standard depth": EYE.with_projection(Perspective(depth=Depth.STANDARD)),
     "a far plane through lights": EYE.with_projection(Perspective(far=11.0)),
-    "a far plane through lights, standard depth": EYE.with_projection(Perspective(far=11.0, depth=Depth.STANDARD)),
+    "a far plane through lights, standard depth": EYE.with_projection(
+        Perspective(far=11.0, depth=Depth.STANDARD)
+    ),
     "a near plane through lights": EYE.with_projection(Perspective(near=8.0)),
     "parallel": EYE.with_projection(Orthographic(9.0, near=0.0, far=40.0)),
     "parallel, from behind the eye, standard depth": EYE.with_projection(
@@ -148,10 +167,16 @@ CAMERAS = {
 
 
 @pytest.mark.nightly_cases(
-    "*-a far plane *", "*-a near plane of a millimetre", "*-a wide field of view", "*-parallel*", reason=FEWER_CASES
+    "*-a far plane *",
+    "*-a near plane of a millimetre",
+    "*-a wide field of view",
+    "*-parallel*",
+    reason=FEWER_CASES,
 )
 @pytest.mark.parametrize("projection", CAMERAS)
-def test_any_projection_gives_the_image_of_forward_shading(drawing_device: rhi.Device, projection: str) -> None:
+def test_any_projection_gives_the_image_of_forward_shading(
+    drawing_device: rhi.Device, projection: str
+) -> None:
     builder = stage()
     add_random_lights(builder, 30, seed=7)
     builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)
@@ -185,10 +210,18 @@ LIGHTS: dict[str, Callable[[SceneBuilder], object]] = {
     "far away and larger": lambda b: b.lights.add_point((3e5, 6e5, 2e5), 1e6, intensity=4e11),
     "that touches a surface": lambda b: b.lights.add_point((0, 0.01, 3), 2.0, intensity=0.5),
     "smaller than a pixel": lambda b: add_sparks(b),
-    "a spot at the eye": lambda b: b.lights.add_spot(EYE_TO_STAGE, (0, -0.3, -1), 20.0, 0.2, 0.4, intensity=50.0),
-    "a spot behind the eye": lambda b: b.lights.add_spot((0, 4, 14), (0, -0.4, -1), 30, 0.3, 0.8, intensity=90.0),
-    "a spot of 0.1 degrees": lambda b: b.lights.add_spot((0, 400, 3), (0, -1, 0), 600, 0.0017, 0.00175, intensity=1e8),
-    "a spot of 90 degrees": lambda b: b.lights.add_spot((0, 2, 1), (0, -1, 0), 6, 1.2, np.pi / 2, intensity=9),
+    "a spot at the eye": lambda b: b.lights.add_spot(
+        EYE_TO_STAGE, (0, -0.3, -1), 20.0, 0.2, 0.4, intensity=50.0
+    ),
+    "a spot behind the eye": lambda b: b.lights.add_spot(
+        (0, 4, 14), (0, -0.4, -1), 30, 0.3, 0.8, intensity=90.0
+    ),
+    "a spot of 0.1 degrees": lambda b: b.lights.add_spot(
+        (0, 400, 3), (0, -1, 0), 600, 0.0017, 0.00175, intensity=1e8
+    ),
+    "a spot of 90 degrees": lambda b: b.lights.add_spot(
+        (0, 2, 1), (0, -1, 0), 6, 1.2, np.pi / 2, intensity=9
+    ),
     "a spot of 120 degrees": lambda b: b.lights.add_spot((0, 2, 1), (0, 1, 0), 6, 1.2, 2.1, intensity=9),
     "a spot of 1,000 km": lambda b: b.lights.add_spot((0, 5, 2), (0, -1, 0), 1e6, 0.4, 0.9, intensity=20),
 }
@@ -210,7 +243,10 @@ def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
     builder.lights.add_point((0, 0.5, 3), 0.0, intensity=1e4)
     builder.lights.add_spot((0, 0.5, 3), (0, -1, 0), 0.0, 0.3, 0.5, intensity=1e4)
     builder.lights.add_point((0, 2.0, 3), 5.0, intensity=9.0)
-    builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)  # the shaders of the test of projections, built already
+    builder.haze, builder.background = (
+        0.05,
+        (0.3, 0.5, 0.7),
+    )  # the shaders of the test of projections, built already
     check_all(drawing_device, builder.build())
 
 
@@ -236,7 +272,9 @@ def test_a_place_far_from_the_origin_is_as_exact(drawing_device: rhi.Device) -> 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("text", ["city:blocks=6", "hall:columns=6,flags=4", "grid:count=9"])
-def test_the_scenes_of_the_library_look_as_with_forward_shading(drawing_device: rhi.Device, text: str) -> None:
+def test_the_scenes_of_the_library_look_as_with_forward_shading(
+    drawing_device: rhi.Device, text: str
+) -> None:
     scene = load_scene(text)
     check_all(drawing_device, scene, scene.paths["ground"].camera(300), (160, 90))
 
@@ -291,20 +329,28 @@ def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -
         lit.lights.add_point((0, 1.5, 3), 2.0, intensity=2.0)
     builder.lights.add_spot((0, 3.5, 3), (0, -1, 0), 5.0, 0.4, 0.8, intensity=6.0)
     (expected,) = draw_each(drawing_device, builder.build(), Forward(), camera=EYE, size=SIZE)
-    images = draw_each(drawing_device, without.build(), *(make() for make in OTHERS.values()), camera=EYE, size=SIZE)
+    images = draw_each(
+        drawing_device, without.build(), *(make() for make in OTHERS.values()), camera=EYE, size=SIZE
+    )
     assert min(max_difference(image, expected) for image in images) > 2
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(drawing_device: rhi.Device) -> None:
+def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(
+    drawing_device: rhi.Device,
+) -> None:
     techniques: list[Technique] = [Forward(), LightPrePass(specular_channels=1), LightPrePass()]
     builder = stage()
     builder.lights.add_point((-3, 2, 3), 9.0, (1.0, 0.2, 0.1), intensity=9.0)
-    expected, one_channel, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
+    expected, one_channel, three = draw_each(
+        drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE
+    )
     assert max_difference(one_channel, expected) <= 2
     assert max_difference(three, expected) <= 2
     builder.lights.add_point((3, 2, 3), 9.0, (0.1, 0.2, 1.0), intensity=9.0)
-    expected, one_channel, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
+    expected, one_channel, three = draw_each(
+        drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE
+    )
     assert max_difference(one_channel, expected) > 2
     assert max_difference(three, expected) <= 2
 

@@ -49,7 +49,9 @@ def add_pane(
 ) -> None:
     """Add a pane before `FRONT`, opaque if the colour has no alpha. It fills the image unless it is small."""
     mode = AlphaMode.BLEND if len(color) == 4 else AlphaMode.OPAQUE
-    material = builder.add_material(base_color=color, alpha_mode=mode, specular_color=(0.3, 0.3, 0.3), shininess=30.0)
+    material = builder.add_material(
+        base_color=color, alpha_mode=mode, specular_color=(0.3, 0.3, 0.3), shininess=30.0
+    )
     turned = scaling((-size if mirrored else size, size, 1.0))
     builder.add_objects(builder.add_node(translation((0, 0, z)) @ turned), builder.add_mesh(PANE), material)
 
@@ -80,12 +82,16 @@ LAYERS: list[tuple[float, Sequence[float]]] = [
 """Depths and colours of panes, not in order; the last one hides all but two."""
 
 
-def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blending: Blending) -> NDArray[np.float64]:
+def composite(
+    scene: Scene, layers: list[tuple[float, Sequence[float]]], blending: Blending
+) -> NDArray[np.float64]:
     """Return the image (h, w, 3), sRGB of 0…255 and not rounded, of panes whose materials are the scene's."""
     seen = []
     for row, (z, color) in enumerate(layers):
         plane, albedo = np.array([0.0, 0.0, 1.0]), np.array(color[:3], np.float32).astype(float)
-        color_before, away = reference_plane_light(scene, FRONT, SIZE, np.array([0, 0, z]), plane, albedo, material=row)
+        color_before, away = reference_plane_light(
+            scene, FRONT, SIZE, np.array([0, 0, z]), plane, albedo, material=row
+        )
         seen.append((z, color[3] if len(color) == 4 else None, color_before, away))
     image = np.broadcast_to(scene.background, (*SIZE[::-1], 3)).astype(float)
     nearest = -np.inf
@@ -100,16 +106,21 @@ def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blendin
             image = alpha * color_before + (1 - alpha) * image
         return encode(image)
     weights = [
-        alpha * np.clip(0.03 / (1e-5 + (away / 200) ** 4), 1e-2, 1e3)[..., None] for _, alpha, _, away in visible
+        alpha * np.clip(0.03 / (1e-5 + (away / 200) ** 4), 1e-2, 1e3)[..., None]
+        for _, alpha, _, away in visible
     ]
-    mean = sum(w * color_before for w, (_, _, color_before, _) in zip(weights, visible, strict=True)) / sum(weights)
+    mean = sum(w * color_before for w, (_, _, color_before, _) in zip(weights, visible, strict=True)) / sum(
+        weights
+    )
     left = np.prod([1 - alpha for _, alpha, _, _ in visible])
     return encode((1 - left) * mean + left * image)
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("blending", Blending)
-def test_panes_are_within_two_levels_of_compositing_in_float64(drawing_device: rhi.Device, blending: Blending) -> None:
+def test_panes_are_within_two_levels_of_compositing_in_float64(
+    drawing_device: rhi.Device, blending: Blending
+) -> None:
     layers = LAYERS[:-1]
     scene = panes(*layers).build()
     expected = composite(scene, layers, blending)
@@ -161,7 +172,9 @@ def glassy(seed: int = 0, *, textured: bool = False) -> Scene:
         )
         size = (-2.0 if number % 4 == 0 else 2.0, 2.0, 0.1 if number % 2 else 1.5)
         position = random.uniform((-5, 0.3, -3), (5, 2, 6))
-        builder.add_objects(builder.add_node(translation(position) @ scaling(size)), meshes[number % 2], glass)
+        builder.add_objects(
+            builder.add_node(translation(position) @ scaling(size)), meshes[number % 2], glass
+        )
     builder.haze, builder.background = 0.02, (0.3, 0.4, 0.5)
     builder.views["eye"] = EYE
     return builder.build()
@@ -228,7 +241,9 @@ def test_stippled_light_is_near_that_of_forward_shading(drawing_device: rhi.Devi
 
 
 @pytest.mark.parametrize("name", sorted({*ALGORITHMS} - {"auto"}))
-def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cover(gl: rhi.Device, name: str) -> None:
+def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cover(
+    gl: rhi.Device, name: str
+) -> None:
     if name not in list_algorithms(gl):
         pytest.skip(f"{name} doesn't run here")
     builder = panes((-3.0, (0.5, 0.5, 0.4)), (2.0, (0.2, 0.5, 0.9, 0.5)))
@@ -270,7 +285,9 @@ def test_a_transparent_object_behind_a_wall_is_culled_where_the_cpu_knows(gl: rh
 
 @pytest.mark.parametrize("blending", Blending)
 @pytest.mark.parametrize("name", TECHNIQUES)
-def test_a_transparent_object_out_of_view_costs_nothing(null: rhi.Device, name: str, blending: Blending) -> None:
+def test_a_transparent_object_out_of_view_costs_nothing(
+    null: rhi.Device, name: str, blending: Blending
+) -> None:
     builder = panes(WALL)
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
     with rhi.create_device("null") as other:
@@ -303,7 +320,9 @@ def test_stippling_is_one_more_pass_where_a_local_light_reaches_something(
     assert len(stream.draws()) == 2
 
 
-def test_transparent_surfaces_write_no_depth_and_are_tested_against_that_of_opaque_ones(null: rhi.Device) -> None:
+def test_transparent_surfaces_write_no_depth_and_are_tested_against_that_of_opaque_ones(
+    null: rhi.Device,
+) -> None:
     with open_renderer(null, panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build()) as renderer:
         result = renderer.render(FRONT)
     opaque, transparent = null.stream.draws()
@@ -350,14 +369,18 @@ def test_objects_are_sorted_by_the_distance_of_their_boxes_centres(
     camera = Camera.look_at((1e7, 1, -1e7), (1e7 + 3, 2, -1e7 + 5), projection=projection(depth=depth))
     rows = random.permutation(200)[:150]
     away = positions - camera.position
-    far = away @ camera.forward if isinstance(camera.projection, Orthographic) else np.linalg.norm(away, axis=1)
+    far = (
+        away @ camera.forward if isinstance(camera.projection, Orthographic) else np.linalg.norm(away, axis=1)
+    )
     order = sort_back_to_front(make_boxes(*positions).build(), camera, rows)
     assert sorted(order.tolist()) == sorted(rows.tolist())
     assert (np.diff(far[order]) < 1e-6).all()
 
 
 @pytest.mark.parametrize("name", ["light_pre_pass", "forward_plus"])
-def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(gl: rhi.Device, name: str) -> None:
+def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(
+    gl: rhi.Device, name: str
+) -> None:
     builder = panes()
     add_pane(builder, 1.0, (0.9, 0.9, 0.9, 0.8), size=1.0)
     scene = builder.build()
@@ -391,10 +414,14 @@ def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
     builder = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)))
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
     scene = builder.build()
-    assert collect_frame_effects(scene, FRONT).explain(Effect.TRANSPARENCY) == "1 of 2 transparent objects is in view"
+    assert (
+        collect_frame_effects(scene, FRONT).explain(Effect.TRANSPARENCY)
+        == "1 of 2 transparent objects is in view"
+    )
     away = Camera.look_at((0, 0, 30), (0, 0, 40))
     assert (
-        collect_frame_effects(scene, away).explain(Effect.TRANSPARENCY) == "none of 2 transparent objects are in view"
+        collect_frame_effects(scene, away).explain(Effect.TRANSPARENCY)
+        == "none of 2 transparent objects are in view"
     )
     assert (
         collect_frame_effects(panes(WALL).build(), FRONT).explain(Effect.TRANSPARENCY)
@@ -419,5 +446,7 @@ def test_a_fragment_reads_its_texture_and_tests_its_mask_once(shader: type[Shade
         .emit("glsl", Stage.FRAGMENT)
         .text
     )
-    assert text.count("sample_base_color(") == text.count("evaluate(") == 2, "where it is defined, and one call"
+    assert text.count("sample_base_color(") == text.count("evaluate(") == 2, (
+        "where it is defined, and one call"
+    )
     assert text.count("discard;") == 1

@@ -1,4 +1,5 @@
-"""Height fields, the keys of their triangles, and which keys a view calls for: with NumPy, apart from the shaders."""
+"""Height fields, the keys of their triangles, and which keys a view calls for: with NumPy, apart from the
+shaders."""
 
 from __future__ import annotations
 
@@ -7,7 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, HeightField, Orthographic, Perspective, Scene, SceneBuilder, make_height_field
+from renderer.scene import (
+    Camera,
+    HeightField,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    make_height_field,
+)
 from renderer.tessellation.kernels import FieldView
 
 HEIGHT = 96
@@ -45,7 +54,9 @@ def list_cameras() -> dict[str, Camera]:
     high = Orthographic(120.0, aspect=2.0, far=900.0)
     return cameras | {
         "below the ground": Camera.look_at((3.0, -60.0, 5.0), (20.0, 0.0, 30.0), projection=projection),
-        "far away": Camera.look_at((1e5, 3e4, -1e5), (0.0, 0.0, 0.0), projection=Perspective(fov=0.002, aspect=2.0)),
+        "far away": Camera.look_at(
+            (1e5, 3e4, -1e5), (0.0, 0.0, 0.0), projection=Perspective(fov=0.002, aspect=2.0)
+        ),
         "straight down": Camera.look_at((1.0, 200.0, 1.0), (1.0, 0.0, 1.0), projection=projection),
         "off the edge": Camera.look_at((140.0, 4.0, 0.0), (300.0, 0.0, 0.0), projection=projection),
         "parallel": Camera.look_at((200.0, 200.0, 200.0), (0.0, 0.0, 0.0), projection=high),
@@ -53,8 +64,8 @@ def list_cameras() -> dict[str, Camera]:
 
 
 def decode(keys: NDArray[np.int64], width: int) -> NDArray[np.int64]:
-    """Return the triangles (k, 3) of keys (k,): 2 and 3 are the halves of the field, and the bits after the second
-    are the children from the root down, 0 the one at the left end of the longest edge."""
+    """Return the triangles (k, 3) of keys (k,): 2 and 3 are the halves of the field, and the bits after the
+    second are the children from the root down, 0 the one at the left end of the longest edge."""
     last = width * width - 1
     roots = np.array([(0, last - width + 1, last), (last, width - 1, 0)])
     depth = np.floor(np.log2(keys)).astype(np.int64) - 1
@@ -64,13 +75,16 @@ def decode(keys: NDArray[np.int64], width: int) -> NDArray[np.int64]:
         goes_right = keys >> np.maximum(depth - level - 1, 0) & 1 == 1
         left, apex, right = triangles.T
         middle = (left + right) // 2
-        children = np.stack([np.where(goes_right, right, apex), middle, np.where(goes_right, apex, left)], axis=1)
+        children = np.stack(
+            [np.where(goes_right, right, apex), middle, np.where(goes_right, apex, left)], axis=1
+        )
         triangles = np.where(deeper[:, None], children, triangles)
     return triangles
 
 
 def compute_keys(field: HeightField, view: FieldView) -> tuple[NDArray[np.int64], bool]:
-    """Return the keys of the triangles that a view calls for, and whether there would be more than the limit."""
+    """Return the keys of the triangles that a view calls for, and whether there would be more than the
+    limit."""
     width = len(field.heights)
     splitting = should_split(field, view)
     keys, leaf_keys = np.array([2, 3]), [np.zeros(0, np.int64)]
@@ -86,7 +100,8 @@ def compute_keys(field: HeightField, view: FieldView) -> tuple[NDArray[np.int64]
 
 
 def should_split(field: HeightField, view: FieldView) -> NDArray[np.bool_]:
-    """Return for each vertex whether the edges that it is the middle of are split, in float32 step by step."""
+    """Return for each vertex whether the edges that it is the middle of are split, in float32 step by
+    step."""
     f32 = np.float32
     width = len(field.heights)
     object_index, column = np.divmod(np.arange(width * width), width)
@@ -115,8 +130,8 @@ def should_split(field: HeightField, view: FieldView) -> NDArray[np.bool_]:
 
 
 def check_conforming(triangles: NDArray[np.int64], width: int) -> None:
-    """Assert that triangles cover a field of `width` × `width` vertices once, without a crack: that every edge inside
-    belongs to exactly two of them, which run along it in opposite directions."""
+    """Assert that triangles cover a field of `width` × `width` vertices once, without a crack: that every
+    edge inside belongs to exactly two of them, which run along it in opposite directions."""
     rows, columns = np.divmod(triangles, width)
     (x, y, z), (u, v, w) = columns.T, rows.T
     areas = (y - x) * (w - u) - (z - x) * (v - u)

@@ -1,4 +1,5 @@
-"""Height fields in frames: every technique, algorithm, shadow map and eye draws the triangles that were chosen."""
+"""Height fields in frames: every technique, algorithm, shadow map and eye draws the triangles that were
+chosen."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ FIRST, SECOND = CAMERAS["random 0"], CAMERAS["random 5"]
 open_renderer = partial(open_any, size=(64, 32), visibility="frustum")
 
 
-def make_scene(field: HeightField, *, is_field: bool = True, light: bool = False, mirrored: bool = False) -> Scene:
+def make_scene(
+    field: HeightField, *, is_field: bool = True, light: bool = False, mirrored: bool = False
+) -> Scene:
     """Make a scene of a height field or of its mesh, and a box on it."""
     builder = SceneBuilder("hills")
     mesh = builder.add_height_field(field) if is_field else builder.add_mesh(field.make_mesh())
@@ -41,9 +44,14 @@ def make_scene(field: HeightField, *, is_field: bool = True, light: bool = False
 
 @pytest.fixture(scope="module")
 def images(device: rhi.Device) -> dict[str, np.ndarray]:
-    """Images of a field all of whose triangles are chosen, of its mirror image, and of the mesh of all of them."""
+    """Images of a field all of whose triangles are chosen, of its mirror image, and of the mesh of all of
+    them."""
     results = {}
-    for name, is_field, mirrored in (("field", True, False), ("mesh", False, False), ("mirrored", True, True)):
+    for name, is_field, mirrored in (
+        ("field", True, False),
+        ("mesh", False, False),
+        ("mirrored", True, True),
+    ):
         scene = make_scene(make_hills(), is_field=is_field, mirrored=mirrored)
         with open_renderer(device, scene) as renderer:
             renderer.tessellator.settings = TessellationSettings(0.01)

@@ -7,7 +7,15 @@ from dataclasses import replace
 import bisection_reference
 import numpy as np
 import pytest
-from bisection_reference import HEIGHT, check_conforming, compute_keys, decode, make_hills, make_scene, should_split
+from bisection_reference import (
+    HEIGHT,
+    check_conforming,
+    compute_keys,
+    decode,
+    make_hills,
+    make_scene,
+    should_split,
+)
 from frames import open_renderer
 from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
@@ -25,7 +33,9 @@ CAMERAS = bisection_reference.list_cameras()
 
 def choose(field: HeightField, camera: Camera, edge_pixels: float = 6.0) -> tuple[NDArray[np.int64], bool]:
     """Return the reference's triangles (k, 3) of a field at the origin, and whether its limit is reached."""
-    keys, is_cut = compute_keys(field, view_field(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT))
+    keys, is_cut = compute_keys(
+        field, view_field(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT)
+    )
     return decode(keys, len(field.heights)), is_cut
 
 
@@ -55,7 +65,10 @@ def test_every_edge_inside_belongs_to_two_triangles(camera: Camera) -> None:
 def test_no_crack_in_two_thousand_views_of_a_large_field() -> None:
     field, rng = make_hills(128), np.random.default_rng(3)
     for _ in range(2000):
-        eye, aim = rng.uniform((-150, -40, -150), (150, 90, 150)), rng.uniform((-128, -20, -128), (128, 20, 128))
+        eye, aim = (
+            rng.uniform((-150, -40, -150), (150, 90, 150)),
+            rng.uniform((-128, -20, -128), (128, 20, 128)),
+        )
         camera = Camera.look_at(eye, aim, projection=Perspective(rng.uniform(0.2, 2.0), aspect=2.0))
         check_conforming(choose(field, camera, rng.uniform(1.0, 30.0))[0], len(field.heights))
 
@@ -160,7 +173,10 @@ def test_small_and_flat_maps(heights: NDArray[np.float64], count: int) -> None:
 
 
 def test_a_device_draws_a_map_of_one_height(device: rhi.Device) -> None:
-    resources, tessellator = SceneResources(device, make_scene(make_height_field([[3.0]], 10.0))), Tessellator(device)
+    resources, tessellator = (
+        SceneResources(device, make_scene(make_height_field([[3.0]], 10.0))),
+        Tessellator(device),
+    )
     tessellator.update(resources, CAMERAS["random 0"], HEIGHT)
     assert tessellator.fields[0].read_count() == 2
     check_conforming(read_triangles(resources, tessellator.fields[0]), 2)

@@ -37,7 +37,9 @@ def table(calls: list[object]) -> CommandTable:
         ("pause", ()),
     ],
 )
-def test_a_line_runs_its_command(table: CommandTable, calls: list[object], line: str, values: tuple[object]) -> None:
+def test_a_line_runs_its_command(
+    table: CommandTable, calls: list[object], line: str, values: tuple[object]
+) -> None:
     assert table.run(line) == "done"
     assert calls == [values]
 
@@ -84,7 +86,9 @@ def test_a_fault_is_refused_in_a_line_and_runs_nothing(
         ("nothing ", []),
     ],
 )
-def test_completion_lists_the_words_of_the_parameter(table: CommandTable, line: str, words: list[str]) -> None:
+def test_completion_lists_the_words_of_the_parameter(
+    table: CommandTable, line: str, words: list[str]
+) -> None:
     assert table.complete(line) == words
 
 

@@ -55,7 +55,9 @@ def test_more_accurate_settings_need_room_in_the_budget() -> None:
 
 def test_what_settings_take_here_counts_more_than_the_pareto_front() -> None:
     budget = FrameBudget(STEPS, 25.0)
-    step_indices = run(budget, (5.0, 26.0, 30.0), 300)  # the second settings take a third more than the front says
+    step_indices = run(
+        budget, (5.0, 26.0, 30.0), 300
+    )  # the second settings take a third more than the front says
     changes = sum(before != after for before, after in pairwise(step_indices))
     assert (step_indices[-1], changes) == (0, 1), "they aren't tried again while the view is the same"
 

@@ -30,7 +30,12 @@ def viewer() -> Iterator[Viewer]:
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with files that are hard to read."""
     monkeypatch.chdir(tmp_path)
-    for name, text in {"list": "[" * 100_000, "object": '{"a":' * 100_000, "zero": "\0", "nan": '{"a": NaN}'}.items():
+    for name, text in {
+        "list": "[" * 100_000,
+        "object": '{"a":' * 100_000,
+        "zero": "\0",
+        "nan": '{"a": NaN}',
+    }.items():
         (tmp_path / f"{name}.json").write_text(text)
     (tmp_path / "bytes.json").write_bytes(b"\xff\0")
     (tmp_path / "folder.json").mkdir()
@@ -40,7 +45,20 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-FILES = ("list", "object", "zero", "nan", "bytes", "folder", "pipe", "large", "\0", "\ud800", "x" * 5000, "missing")
+FILES = (
+    "list",
+    "object",
+    "zero",
+    "nan",
+    "bytes",
+    "folder",
+    "pipe",
+    "large",
+    "\0",
+    "\ud800",
+    "x" * 5000,
+    "missing",
+)
 
 
 @pytest.mark.parametrize("command", ["settings", "play", "camera", "script"])
@@ -55,14 +73,34 @@ def test_a_file_that_can_not_be_read_is_refused(viewer: Viewer, command: str, na
 @pytest.mark.parametrize(
     "line",
     [
-        "\0", "technique \0", "screenshot a\0.png", "save settings a\0.json", "save settings \ud800.json",
+        "\0",
+        "technique \0",
+        "screenshot a\0.png",
+        "save settings a\0.json",
+        "save settings \ud800.json",
         "record a\0.json",
-        f"pick {HUGE},{HUGE}", "pick 99999999999999999999,1", "pick -1,0", "pick 9223372036854775808,0",
-        "camera 1e308,0,0,-1e308,0,0", "camera 1e308,1e308,1e308", "camera 1e39,0,0,1e39,1,0", "camera nan,0,0",
-        "camera inf,0,0,0,0,0", f"camera {HUGE},0,0", "time 1e308", "wait 1e308", "speed 1e308", f"time {HUGE}",
-        "time nan", "screenshot folder.json/a.png/b.png", "save settings folder.json", "show " + HUGE, "'", "\\",
+        f"pick {HUGE},{HUGE}",
+        "pick 99999999999999999999,1",
+        "pick -1,0",
+        "pick 9223372036854775808,0",
+        "camera 1e308,0,0,-1e308,0,0",
+        "camera 1e308,1e308,1e308",
+        "camera 1e39,0,0,1e39,1,0",
+        "camera nan,0,0",
+        "camera inf,0,0,0,0,0",
+        f"camera {HUGE},0,0",
+        "time 1e308",
+        "wait 1e308",
+        "speed 1e308",
+        f"time {HUGE}",
+        "time nan",
+        "screenshot folder.json/a.png/b.png",
+        "save settings folder.json",
+        "show " + HUGE,
+        "'",
+        "\\",
     ],
-)  # fmt: skip
+)
 def test_a_hostile_line_is_refused_and_changes_nothing(viewer: Viewer, line: str) -> None:
     before = viewer.session.camera
     refused_message(viewer.run, line)
@@ -81,7 +119,9 @@ def test_large_numbers_that_can_be_drawn_are_taken(viewer: Viewer, line: str) ->
 def test_while_it_listens_commands_write_below_one_folder_only(
     viewer: Viewer, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer.session, "screenshot", lambda: np.zeros((4, 4, 4), np.uint8))  # the null device has none
+    monkeypatch.setattr(
+        viewer.session, "screenshot", lambda: np.zeros((4, 4, 4), np.uint8)
+    )  # the null device has none
     outside = folder / "outside"
     inside = folder / "inside"
     for each in (outside, inside, inside / "b"):

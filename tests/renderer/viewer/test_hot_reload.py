@@ -1,4 +1,5 @@
-"""What is saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the image."""
+"""What is saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the
+image."""
 
 from __future__ import annotations
 
@@ -249,14 +250,18 @@ def test_without_watchfiles_it_says_what_to_install(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "watchfiles", None)
     viewer_screen = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE)
     line, is_error = viewer_screen.viewer.console.lines[-1]
-    assert ("watchfiles is missing" in line, 'pip install "rhi[viewer]"' in line, is_error) == (True, True, False)
+    assert ("watchfiles is missing" in line, 'pip install "rhi[viewer]"' in line, is_error) == (
+        True,
+        True,
+        False,
+    )
     assert not viewer_screen.viewer.file_reloader.is_watching
     assert viewer_screen.viewer.run("reload on")[1]
     viewer_screen.viewer.draw()
     viewer_screen.close()
 
 
-# -- scenes --------------------------------------------------------------------------------------------------------
+# -- scenes --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -313,7 +318,9 @@ def test_a_scene_with_other_options_is_seen_from_here(model: tuple[Path, Viewer]
     assert (viewer.session.camera.view.tolist(), viewer.session.scene) == (camera, scene)
 
 
-@pytest.mark.parametrize(("scene", "count", "are"), [("grid", 4, 4), ("bazaar", 700, None), ("glass", 5, None)])
+@pytest.mark.parametrize(
+    ("scene", "count", "are"), [("grid", 4, 4), ("bazaar", 700, None), ("glass", 5, None)]
+)
 def test_lights_and_objects_are_counted_and_shown_in_other_numbers(
     model: tuple[Path, Viewer], scene: str, count: int, are: int | None
 ) -> None:
@@ -402,7 +409,10 @@ def test_a_scene_that_cannot_be_shown_leaves_the_old_one(
     settle(viewer, lambda: viewer.file_reloader.faults)
     assert viewer.session.scene is before
     viewer.draw()
-    assert any({"syntax": "blocks.gltf", "device": "ZeroDivisionError"}[fault] in line for line in fault_lines(viewer))
+    assert any(
+        {"syntax": "blocks.gltf", "device": "ZeroDivisionError"}[fault] in line
+        for line in fault_lines(viewer)
+    )
     monkeypatch.undo()
     save(path, good)
     settle(viewer, lambda: viewer.session.scene is not before)
@@ -432,7 +442,7 @@ def test_generated_and_built_scenes_have_no_files(tmp_path: Path) -> None:
     assert load_scene("grid:count=9").files == ()
 
 
-# -- settings ------------------------------------------------------------------------------------------------------
+# -- settings ------------------------------------------------------------------------------------------------
 
 
 def test_settings_are_read_written_and_read_again_when_they_are_saved(viewer: Viewer, tmp_path: Path) -> None:
@@ -445,7 +455,9 @@ def test_settings_are_read_written_and_read_again_when_they_are_saved(viewer: Vi
     line, is_error = viewer.run(f"settings {path}")
     assert (line, is_error) == (f"read {path}: deferred, none", False)
     viewer.draw()
-    changed = RenderSettings.load(path).change("technique.name", "light_pre_pass").change("depth", Depth.STANDARD)
+    changed = (
+        RenderSettings.load(path).change("technique.name", "light_pre_pass").change("depth", Depth.STANDARD)
+    )
     changed.change("textures.anisotropy", 4.0).save(path)
     settle(viewer, lambda: viewer.session.display.technique == "light_pre_pass")
     viewer.draw()
@@ -478,11 +490,16 @@ def test_what_settings_refuses_changes_nothing(
 def test_every_setting_reaches_the_renderer(null: rhi.Device, tmp_path: Path) -> None:
     settings = RenderSettings().change_all(
         {
-            "technique.name": "clustered", "technique.clusters.slices": 7, "algorithm": "none", "shadows.cascades": 2,
-            "tessellation.edge_pixels": 20.0, "blending": Blending.WEIGHTED, "precision": rhi.shading.Precision.EXACT,
+            "technique.name": "clustered",
+            "technique.clusters.slices": 7,
+            "algorithm": "none",
+            "shadows.cascades": 2,
+            "tessellation.edge_pixels": 20.0,
+            "blending": Blending.WEIGHTED,
+            "precision": rhi.shading.Precision.EXACT,
             "depth": Depth.STANDARD,
         }
-    )  # fmt: skip
+    )
     path = tmp_path / "settings.json"
     settings.save(path)
     viewer_screen = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE, settings=path)

@@ -81,7 +81,14 @@ def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
     """The address of a notebook that shows a scene, in a server of its own."""
     if importlib.util.find_spec("jupyterlab") is None:
         pytest.skip("no JupyterLab: pip install jupyterlab")
-    cell = {"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": [], "source": SHOW, "id": "show"}
+    cell = {
+        "cell_type": "code",
+        "execution_count": None,
+        "metadata": {},
+        "outputs": [],
+        "source": SHOW,
+        "id": "show",
+    }
     kernel = {"name": "python3", "display_name": "Python", "language": "python"}
     notebook = {"cells": [cell], "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
     (tmp_path / "view.ipynb").write_text(json.dumps(notebook))
@@ -91,13 +98,22 @@ def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
     (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
     port = free_port()
     command = [
-        sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", f"--ServerApp.port={port}",
-        "--ServerApp.port_retries=0", "--IdentityProvider.token=", f"--ServerApp.root_dir={tmp_path}",
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "jupyterlab",
+        "--no-browser",
+        "--allow-root",
+        f"--ServerApp.port={port}",
+        "--ServerApp.port_retries=0",
+        "--IdentityProvider.token=",
+        f"--ServerApp.root_dir={tmp_path}",
+    ]
     paths = {"JUPYTER_CONFIG_DIR": tmp_path / "config", "JUPYTER_RUNTIME_DIR": tmp_path / "run"}
     paths |= {"IPYTHONDIR": tmp_path / "ipython", "JUPYTERLAB_SETTINGS_DIR": tmp_path / "lab"}
     environment = os.environ | {name: str(path) for name, path in paths.items()} | {"RHI_BACKEND": backend}
-    environment = {name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment = {
+        name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")
+    }
     with (tmp_path / "server.log").open("w") as log:
         server = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
     try:
@@ -118,7 +134,9 @@ def count_colors(widget: Any) -> int:
     return len(np.unique(look(widget).reshape(-1, 3), axis=0))
 
 
-def test_the_widget_is_controlled_by_drags_clicks_and_keys(browser: Any, notebook: str, tmp_path: Path) -> None:
+def test_the_widget_is_controlled_by_drags_clicks_and_keys(
+    browser: Any, notebook: str, tmp_path: Path
+) -> None:
     def seen(kind: str) -> list[Any]:
         path = tmp_path / "seen.jsonl"
         lines = path.read_text().splitlines() if path.exists() else []
@@ -127,8 +145,12 @@ def test_the_widget_is_controlled_by_drags_clicks_and_keys(browser: Any, noteboo
     def find_widget() -> Any:
         for button in browser.find_elements("css selector", ".jp-Dialog .jp-mod-accept"):
             button.click()  # asks for the kernel if that wasn't connected yet
-        elements = browser.find_elements("css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
-        return next((element for element in elements if count_colors(element) > 500), None)  # before, it is plain
+        elements = browser.find_elements(
+            "css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas"
+        )
+        return next(
+            (element for element in elements if count_colors(element) > 500), None
+        )  # before, it is plain
 
     def click_cell() -> bool:
         cells = browser.find_elements("css selector", ".jp-Cell .cm-content")
@@ -145,7 +167,9 @@ def test_the_widget_is_controlled_by_drags_clicks_and_keys(browser: Any, noteboo
     widget = wait_for(find_widget, "the image")
     before = look(widget)
 
-    webdriver.ActionChains(browser).move_to_element(widget).click_and_hold().move_by_offset(120, 0).release().perform()
+    webdriver.ActionChains(browser).move_to_element(widget).click_and_hold().move_by_offset(
+        120, 0
+    ).release().perform()
     dragged = wait_for(lambda: seen("pointer_up"), "the end of the drag")[-1]
     wait_for(lambda: (look(widget) != before).mean() > 0.1, "another image")
     after = look(widget)

@@ -53,7 +53,9 @@ def test_a_triangle_without_an_area_is_not_met() -> None:
     """Its weights are infinite or not numbers, which NumPy must not warn of."""
     line, triangle = [(0, 0, 0), (0, 1, 0), (0, 2, 0)], [(-1, -1, 0), (1, -1, 0), (0, 1, 0)]
     corners = np.array([line, [(0.1, 0, 0)] * 3, [(1, 0, 0), (1, -1, 0.5), (1, -0.3, 1)], triangle], float)
-    distances, _ = intersect_triangles(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0]), corners, both_sides=True)
+    distances, _ = intersect_triangles(
+        np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0]), corners, both_sides=True
+    )
     assert distances.tolist() == [np.inf, np.inf, np.inf, 3.0]
 
 
@@ -81,7 +83,9 @@ def test_a_hole_of_a_mask_is_passed(x: int, is_met: bool) -> None:
     texels[:, 1, 3] = 0  # the right half
     mesh = builder.add_mesh(make_geometry(SQUARE, [0, 1, 2, 0, 2, 3], uv=UV))
     image = TextureMap(builder.add_image(texels))
-    builder.add_objects(builder.add_node(), mesh, builder.add_material(texture=image, alpha_mode=1, alpha_cutoff=0.5))
+    builder.add_objects(
+        builder.add_node(), mesh, builder.add_material(texture=image, alpha_mode=1, alpha_cutoff=0.5)
+    )
     assert (pick(builder.build(), FRONT_CAMERA, x, 32) is not None) is is_met
 
 
@@ -162,7 +166,9 @@ def test_every_pixel_is_as_far_as_the_depth_image_says(drawing_device: rhi.Devic
 def test_a_simulated_object_is_met_where_it_is_drawn() -> None:
     hall = load_scene("hall:fountains=1")
     simulator = hall.make_simulator()
-    row = next(row for row in hall.objects.simulated_indices.tolist() if simulator.read_vertices(row) is not None)
+    row = next(
+        row for row in hall.objects.simulated_indices.tolist() if simulator.read_vertices(row) is not None
+    )
     part = hall.meshes.ranges[hall.objects.mesh[row]]
     corners = hall.meshes.indices[part["first_index"] :][: part["index_count"]][60:63]
     world = hall.nodes.world[hall.objects.node[row]]
@@ -182,8 +188,12 @@ def test_a_simulated_object_is_met_where_it_is_drawn() -> None:
     assert (hit.triangle, hit.distance) == (20, pytest.approx(1e-3, rel=1e-3))
 
 
-@pytest.mark.parametrize(("name", "says"), [("none", "everything is drawn"), ("frustum", "its box is inside the view")])
-def test_the_algorithm_says_why_an_object_is_drawn(null: rhi.Device, city: Scene, name: str, says: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "says"), [("none", "everything is drawn"), ("frustum", "its box is inside the view")]
+)
+def test_the_algorithm_says_why_an_object_is_drawn(
+    null: rhi.Device, city: Scene, name: str, says: str
+) -> None:
     camera = parse_camera("above", city).with_aspect(1.0)
     algorithm = make_visibility(name, city, null)
     small = int(np.argmin(np.linalg.norm(0.5 * (city.objects.lower + city.objects.upper) - 0.0, axis=1)))
@@ -197,14 +207,18 @@ def test_an_object_at_the_edge_of_the_view_is_said_to_cross_it(null: rhi.Device,
     assert explanation == "its box is across the edge of the view"
 
 
-def test_a_walk_of_nodes_says_what_became_of_the_object_s_node(drawing_device: rhi.Device, city: Scene) -> None:
+def test_a_walk_of_nodes_says_what_became_of_the_object_s_node(
+    drawing_device: rhi.Device, city: Scene
+) -> None:
     camera = parse_camera("street", city).with_aspect(SIZE[0] / SIZE[1])
     algorithm = make_visibility("chc_plus_plus", city, drawing_device)
     with Renderer(drawing_device, city, size=SIZE, visibility=algorithm) as renderer:
         for _ in range(3):
             result = renderer.render(camera)
             result.image.read()
-        explanations = {explain_visible(algorithm, city, camera, int(row)).partition("; ")[2] for row in result.visible}
+        explanations = {
+            explain_visible(algorithm, city, camera, int(row)).partition("; ")[2] for row in result.visible
+        }
     algorithm.destroy()
     assert explanations & {
         "a query found something in its node visible",

@@ -27,7 +27,18 @@ from tests.renderer.conftest import open_device
 Events = Iterator[dict[str, Any]]
 SCENE = "hall:fountains=1,columns=3,detail=4,flags=1"
 SIZES = ((64, 36), (40, 50), (65, 37))
-CONSOLE = ("Enter", "Tab", "Backspace", "Delete", "ArrowLeft", "ArrowUp", "ArrowDown", "Home", "End", "Escape")
+CONSOLE = (
+    "Enter",
+    "Tab",
+    "Backspace",
+    "Delete",
+    "ArrowLeft",
+    "ArrowUp",
+    "ArrowDown",
+    "Home",
+    "End",
+    "Escape",
+)
 FILES = ("x.png", "w.json")
 WORDS = ("next", "1", "-1", "nan", "32,18", *FILES, "'", "é", "0,2,5,0,1,0", "0.01", "ground", "off", "#")
 QUIET = {"quit", "listen", "script"}
@@ -75,7 +86,13 @@ class RandomUser:
 
     def _press(self) -> None:
         key = self.choose(
-            *[key for key in KEY_BINDINGS if key != "F12"], *MOVEMENT_KEYS, *"123456789", *CONSOLE, "Shift", "F7", "ß"
+            *[key for key in KEY_BINDINGS if key != "F12"],
+            *MOVEMENT_KEYS,
+            *"123456789",
+            *CONSOLE,
+            "Shift",
+            "F7",
+            "ß",
         )
         modifiers = self.choose((), (), (), ("Shift",), ("Control",))
         for kind in self.choose(("key_down", "key_up"), ("key_down",), ("key_up",)):
@@ -84,14 +101,25 @@ class RandomUser:
     def _point(self) -> None:
         button = int(self._rng.integers(0, 6))
         fingers = int(self._rng.choice([0, 0, 0, 1, 2, 3]))
-        for kind in self.choose(("pointer_down", "pointer_move"), ("pointer_move",), ("pointer_up", "pointer_leave")):
+        for kind in self.choose(
+            ("pointer_down", "pointer_move"), ("pointer_move",), ("pointer_up", "pointer_leave")
+        ):
             x, y = self._rng.uniform(-20, 90, 2).tolist()
-            touches = {n: dict(zip("xy", self._rng.uniform(0, 60, 2).tolist(), strict=True)) for n in range(fingers)}
+            touches = {
+                n: dict(zip("xy", self._rng.uniform(0, 60, 2).tolist(), strict=True)) for n in range(fingers)
+            }
             buttons = (button,) if button and kind != "pointer_up" else ()
             self._viewer.handle(
-                {"event_type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "modifiers": (),
-                 "touches": touches}
-            )  # fmt: skip
+                {
+                    "event_type": kind,
+                    "x": x,
+                    "y": y,
+                    "button": button,
+                    "buttons": buttons,
+                    "modifiers": (),
+                    "touches": touches,
+                }
+            )
 
     def _wheel(self) -> None:
         dx, dy = (100.0 * self._rng.integers(-3, 4, 2)).tolist()
@@ -104,7 +132,9 @@ class RandomUser:
             completions = self._viewer.commands.complete(" ".join([*line, ""]))
             if number < len(command.parameters) and command.parameters[number].name.startswith("FILE"):
                 completions = list(FILES)
-            line.append(self.choose(*(completions or WORDS)) if self._rng.random() < 0.7 else self.choose(*WORDS))
+            line.append(
+                self.choose(*(completions or WORDS)) if self._rng.random() < 0.7 else self.choose(*WORDS)
+            )
         _, is_error = self._viewer.run(" ".join(line))
         if not is_error:
             self.obeyed.add(name)
@@ -182,8 +212,8 @@ class LiveResources(NamedTuple):
     """What there is between two frames.
 
     Attributes:
-        programs: how many were made. blocks: blocks of memory of Python, without what the backend keeps of arrays of
-            draws up to a limit. resources: textures, buffers, meshes.
+        programs: how many were made. blocks: blocks of memory of Python, without what the backend keeps of
+            arrays of draws up to a limit. resources: textures, buffers, meshes.
     """
 
     programs: int
@@ -196,14 +226,18 @@ def count_live_resources(device: rhi.Device) -> LiveResources:
     if rasteriser is not None:
         rasteriser.draws._lists = DrawListCache(rasteriser._prepared)
     gc.collect()
-    resources = sum(isinstance(resource, (rhi.Texture, rhi.Buffer, rhi.Mesh)) for resource in gc.get_objects())
+    resources = sum(
+        isinstance(resource, (rhi.Texture, rhi.Buffer, rhi.Mesh)) for resource in gc.get_objects()
+    )
     return LiveResources(len(list(device._programs.items())), sys.getallocatedblocks(), resources)
 
 
 @pytest.mark.parametrize("seed", [1])
 def test_random_input_ends_nothing(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum", "auto"])
+    monkeypatch.setattr(
+        "renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum", "auto"]
+    )
     with rhi.create_device("null", record=False) as device:
         viewer, *_ = play(device, "grid:count=9,lights=3", 500, seed, lambda: None)
         assert viewer.session.counter.frames == 500 + 20 * 8
@@ -216,17 +250,23 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
     backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RHI_KERNELS", "quick")  # optimising those of all techniques takes longer than the frames
-    monkeypatch.setattr(sys.modules[__name__], "QUIET", QUIET | {"set", "capture"})  # new programs, and further frames
+    monkeypatch.setenv(
+        "RHI_KERNELS", "quick"
+    )  # optimising those of all techniques takes longer than the frames
+    monkeypatch.setattr(
+        sys.modules[__name__], "QUIET", QUIET | {"set", "capture"}
+    )  # new programs, and further frames
     seen: list[LiveResources] = []
     with open_device(backend, record=False) as device:
-        viewer, user, coverage = play(device, SCENE, 10_000, 2, lambda: seen.append(count_live_resources(device)))
+        viewer, user, coverage = play(
+            device, SCENE, 10_000, 2, lambda: seen.append(count_live_resources(device))
+        )
         viewer.close()
     assert set(user.names) - user.obeyed == ({"screenshot"} if backend == "null" else set())
     assert not coverage.missed
-    # A program that is used for the first time stays, with its resources, at some thousand blocks. Where none is new,
-    # nothing of the 500 frames between two checkpoints may stay but new states of known programs, which most stretches
-    # have. What each frame leaves is in all stretches.
+    # A program that is used for the first time stays, with its resources, at some thousand blocks. Where none
+    # is new, nothing of the 500 frames between two checkpoints may stay but new states of known programs,
+    # which most stretches have. What each frame leaves is in all stretches.
     pairs = [(before, after) for before, after in pairwise(seen) if before.programs == after.programs]
     assert len(pairs) >= 3  # which algorithms are tried, and so when programs are new, follows from time
     blocks = [after.blocks - before.blocks for before, after in pairs]

@@ -82,7 +82,7 @@ def drag(viewer: Viewer, x: float, y: float) -> None:
     viewer.handle(event | {"event_type": "pointer_up", "x": 10 + x, "y": 10 + y, "buttons": ()})
 
 
-# -- input and image ---------------------------------------------------------------------------------------------
+# -- input and image -----------------------------------------------------------------------------------------
 
 
 def test_an_event_is_in_the_next_frame(viewer: Viewer, draw: Draw) -> None:
@@ -134,7 +134,9 @@ def test_number_keys_go_to_the_scene_s_cameras(viewer: Viewer, draw: Draw, numbe
     name = list_cameras(viewer.session.scene)[number].partition(" ")[2]
     press(viewer, str(number + 1))
     draw()
-    expected = parse_camera(name, viewer.session.scene, 1)  # of a path: the frame after the first 60th of a second
+    expected = parse_camera(
+        name, viewer.session.scene, 1
+    )  # of a path: the frame after the first 60th of a second
     assert np.allclose(viewer.session.camera.position, expected.position, atol=1e-9)
 
 
@@ -154,7 +156,7 @@ def test_the_size_of_the_next_frame_is_that_of_the_canvas(viewer: Viewer) -> Non
     assert viewer.draw().size == (32, 20)
 
 
-# -- commands ------------------------------------------------------------------------------------------------------
+# -- commands ------------------------------------------------------------------------------------------------
 
 
 def test_every_key_runs_a_command_that_there_is(viewer: Viewer) -> None:
@@ -171,11 +173,15 @@ def test_every_technique_can_be_chosen(viewer: Viewer, draw: Draw, name: str) ->
     assert viewer.session.renderer.technique.name == name
 
 
-@pytest.mark.parametrize("key", ["technique", "visibility", "show", "shadows", "blending", "stereo", "samples"])
+@pytest.mark.parametrize(
+    "key", ["technique", "visibility", "show", "shadows", "blending", "stereo", "samples"]
+)
 def test_next_goes_round_through_all_choices(
     viewer: Viewer, draw: Draw, key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum"])  # others build
+    monkeypatch.setattr(
+        "renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum"]
+    )  # others build
     viewer.run("technique forward")
     begin = getattr(viewer.session.display, key)
     seen = []
@@ -194,7 +200,13 @@ def test_next_goes_round_through_all_choices(
 
 @pytest.mark.parametrize("key", ["fxaa", "overlay", "particles", "grid"])
 def test_a_switch_turns_on_and_off(viewer: Viewer, draw: Draw, key: str) -> None:
-    for line, on in ((key, True), (key, False), (f"{key} on", True), (f"{key} on", True), (f"{key} off", False)):
+    for line, on in (
+        (key, True),
+        (key, False),
+        (f"{key} on", True),
+        (f"{key} on", True),
+        (f"{key} off", False),
+    ):
         assert viewer.run(line) == (f"{key} {'on' if on else 'off'}", False)
         draw()
         assert getattr(viewer.session.display, key) is on
@@ -210,7 +222,10 @@ def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) ->
         assert city.lights.directional["casts_shadow"].tolist() == [expected]
         assert set(city.lights.point["casts_shadow"].tolist()) <= {bool(expected)}
     viewer.run("shadows scene")
-    assert [city.lights.directional["casts_shadow"].tolist(), city.lights.point["casts_shadow"].tolist()] == casts
+    assert [
+        city.lights.directional["casts_shadow"].tolist(),
+        city.lights.point["casts_shadow"].tolist(),
+    ] == casts
     viewer.close()
 
 
@@ -235,7 +250,9 @@ def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) ->
         ("record walk.csv", "ends with .json"),
     ],
 )
-def test_a_fault_is_said_in_a_line_and_changes_nothing(viewer: Viewer, draw: Draw, line: str, says: str) -> None:
+def test_a_fault_is_said_in_a_line_and_changes_nothing(
+    viewer: Viewer, draw: Draw, line: str, says: str
+) -> None:
     display, camera = viewer.session.display, viewer.session.camera
     message = refused_message(viewer.run, line)
     assert says in message
@@ -345,7 +362,7 @@ def test_times_of_frames_and_passes_are_captured(viewer: Viewer, tmp_path: Path,
     draw()
 
 
-# -- the console ---------------------------------------------------------------------------------------------------
+# -- the console ---------------------------------------------------------------------------------------------
 
 
 def test_the_console_takes_the_keys_and_gives_them_back(viewer: Viewer, draw: Draw) -> None:
@@ -383,7 +400,7 @@ def test_a_chord_is_not_typed(viewer: Viewer) -> None:
     assert viewer.console.text == ""
 
 
-# -- picking, images, recordings ---------------------------------------------------------------------------------
+# -- picking, images, recordings -----------------------------------------------------------------------------
 
 
 def test_a_click_picks_what_is_there_and_a_drag_does_not(viewer: Viewer, draw: Draw) -> None:
@@ -478,7 +495,14 @@ def test_the_interface_shows_its_state(viewer: Viewer, draw: Draw, monkeypatch: 
 
 def test_closing_leaves_nothing_on_the_device(null: rhi.Device, scene: Scene, clock: Clock) -> None:
     viewer = Viewer(null, scene, size=SIZE, clock=clock)
-    for line in ("overlay", "technique deferred", "stereo dubois", "particles", "show normals", "visibility none"):
+    for line in (
+        "overlay",
+        "technique deferred",
+        "stereo dubois",
+        "particles",
+        "show normals",
+        "visibility none",
+    ):
         assert viewer.run(line)[1] is False
         viewer.draw()
     viewer.close()
@@ -493,7 +517,9 @@ def test_the_speed_suits_the_scene_and_not_the_plain_around_it() -> None:
     assert 0.5 < hall < 10.0
 
 
-def test_a_clip_is_played_instead_of_what_moves_the_same(null: rhi.Device, tmp_path: Path, clock: Clock) -> None:
+def test_a_clip_is_played_instead_of_what_moves_the_same(
+    null: rhi.Device, tmp_path: Path, clock: Clock
+) -> None:
     document = GltfDocument(nodes=[{"mesh": 0}])
     document.mesh()
     for distance in (2, 8):

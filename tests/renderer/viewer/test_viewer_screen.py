@@ -44,7 +44,15 @@ def tick(viewer_screen: ViewerScreen) -> None:
 
 
 def drag(canvas: Any, x: float, y: float = 10.0) -> None:
-    event = {"x": 10.0, "y": 10.0, "button": 1, "buttons": (1,), "modifiers": (), "ntouches": 0, "touches": {}}
+    event = {
+        "x": 10.0,
+        "y": 10.0,
+        "button": 1,
+        "buttons": (1,),
+        "modifiers": (),
+        "ntouches": 0,
+        "touches": {},
+    }
     canvas.submit_event({**event, "event_type": "pointer_down"})
     canvas.submit_event({**event, "event_type": "pointer_move", "x": x, "y": y})
     canvas.submit_event({**event, "event_type": "pointer_up", "x": x, "y": y, "buttons": ()})
@@ -52,7 +60,8 @@ def drag(canvas: Any, x: float, y: float = 10.0) -> None:
 
 @pytest.mark.usefixtures("gl")
 def test_an_event_is_seen_in_the_frame_after_it() -> None:
-    """From input to image it is one frame: the first one that is shown after the event differs, and shows it all."""
+    """From input to image it is one frame: the first one that is shown after the event differs, and shows it
+    all."""
     viewer_screen = open_viewer(SCENE, "gl", canvas="offscreen", size=SIZE)
     viewer_screen.viewer._interface.is_hidden = True  # whose counter differs in each frame
     images = []
@@ -68,7 +77,9 @@ def test_an_event_is_seen_in_the_frame_after_it() -> None:
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0])
-def test_a_command_sets_the_size_of_the_canvas_in_physical_pixels(viewer_screen: ViewerScreen, ratio: float) -> None:
+def test_a_command_sets_the_size_of_the_canvas_in_physical_pixels(
+    viewer_screen: ViewerScreen, ratio: float
+) -> None:
     viewer_screen.screen.canvas.set_pixel_ratio(ratio)
     assert viewer_screen.viewer.run("size 128x64") == ("128 x 64 pixels", False)
     tick(viewer_screen)
@@ -147,12 +158,14 @@ def test_a_saved_file_asks_the_loop_of_the_screen_for_a_frame(monkeypatch: pytes
 
 
 def test_a_screen_that_exists_can_show_a_viewer(viewer_screen: ViewerScreen) -> None:
-    again = ViewerScreen(viewer_screen.viewer, Screen(viewer_screen.screen.canvas, viewer_screen.screen.device))
+    again = ViewerScreen(
+        viewer_screen.viewer, Screen(viewer_screen.screen.canvas, viewer_screen.screen.device)
+    )
     tick(again)
     assert again.frames == 1
 
 
-# -- notebooks -----------------------------------------------------------------------------------------------------
+# -- notebooks -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::RuntimeWarning")
@@ -190,7 +203,7 @@ def test_a_widget_is_turned_by_the_events_of_its_page() -> None:
     assert viewer.session.renderer.device.closed
 
 
-# -- windows -------------------------------------------------------------------------------------------------------
+# -- windows -------------------------------------------------------------------------------------------------
 
 
 def run_view(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -230,6 +243,8 @@ def test_a_window_shows_the_frames_of_a_script(tmp_path: Path) -> None:
     with open_display(tmp_path) as display:
         done = run_view(display.environment, "--backend", "gl", "--script", str(script), *settings)
     assert (done.returncode, done.stderr) == (0, "")
-    assert RenderSettings.load(saved_path) == RenderSettings.load(settings_path).change("algorithm", "frustum")
+    assert RenderSettings.load(saved_path) == RenderSettings.load(settings_path).change(
+        "algorithm", "frustum"
+    )
     assert image_path.stat().st_size > 1000
     assert main(["render", SCENE, "--backend", "null", "--camera", str(walk), "--json"]) == 0

@@ -43,8 +43,8 @@ DEVICE = ("depth_pyramid", "two_pass")
 
 
 def mirrored_boxes(*, two_sides: bool = False) -> Scene:
-    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides,
-    and lacks a face, so that its inside is seen."""
+    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two
+    sides, and lacks a face, so that its inside is seen."""
     builder = SceneBuilder("mirrored")
     rng, whole = np.random.default_rng(4), box()
     mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
@@ -96,7 +96,9 @@ def cameras(draw: st.DrawFn) -> Camera:
         far = draw(st.sampled_from([np.inf, 60.0]))
         projection = Perspective(draw(st.floats(0.2, 2.4)), near=draw(st.sampled_from([0.1, 1.0])), far=far)
     else:
-        projection = Orthographic(draw(st.floats(2.0, 20.0)), near=draw(st.sampled_from([-5.0, 0.0])), far=40.0)
+        projection = Orthographic(
+            draw(st.floats(2.0, 20.0)), near=draw(st.sampled_from([-5.0, 0.0])), far=40.0
+        )
     return Camera.look_at(eye, aim, projection=projection)
 
 
@@ -104,9 +106,9 @@ def cameras(draw: st.DrawFn) -> Camera:
 class Oracle:
     """Tells the null device which objects show: `visible_objects` holds their rows.
 
-    A draw of the object passes samples then, and so does the box of each node above it. Algorithms of the device run
-    on NumPy, but for what looks at depth: where a box shows, its object is marked; on the small image that two-pass
-    culling guesses with, where it is `guessed`.
+    A draw of the object passes samples then, and so does the box of each node above it. Algorithms of the
+    device run on NumPy, but for what looks at depth: where a box shows, its object is marked; on the small
+    image that two-pass culling guesses with, where it is `guessed`.
     """
 
     device: rhi.Device
@@ -138,7 +140,9 @@ class Oracle:
         if self.name in DEVICE:
             stand_ins = {MarkBoxes: self.guess, MarkListedBoxes: self.mark, CompareBoxes: self.compare}
             backend.run_shaders({self.device.program(program).id: by for program, by in stand_ins.items()})
-            self.helpers = {self.device.program(program).id for program in (MarkBoxes, MarkListedBoxes, WriteDepth)}
+            self.helpers = {
+                self.device.program(program).id for program in (MarkBoxes, MarkListedBoxes, WriteDepth)
+            }
         backend.count_samples(self.count)
 
     def guess(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
@@ -155,7 +159,9 @@ class Oracle:
     def compare(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
         """Stand in for `CompareBoxes`, without reading the pyramid."""
         marks = bound["marks"]
-        shows = np.isin(np.arange(len(marks)), list(self.visible_objects)) & ((marks == HIDDEN) | (marks == DRAWN))
+        shows = np.isin(np.arange(len(marks)), list(self.visible_objects)) & (
+            (marks == HIDDEN) | (marks == DRAWN)
+        )
         bound["was_visible"][:] = shows
         marks[shows & (marks == HIDDEN)] = VISIBLE
 
@@ -180,7 +186,7 @@ def visible(result: FrameResult) -> set[int]:
 
 
 def delay_query_results(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
-    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, until the
-    test ends."""
+    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there,
+    until the test ends."""
     for kind, name, method in delay_methods(looks):
         monkeypatch.setattr(kind, name, method)

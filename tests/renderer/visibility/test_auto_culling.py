@@ -152,7 +152,9 @@ def test_what_is_hopelessly_slow_is_given_up(auto: visibility.AutoCulling, log: 
     assert log == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 3 + ["fast"] * 9
 
 
-def test_the_two_fastest_are_tried_again_when_they_are_close(auto: visibility.AutoCulling, log: list[str]) -> None:
+def test_the_two_fastest_are_tried_again_when_they_are_close(
+    auto: visibility.AutoCulling, log: list[str]
+) -> None:
     auto.candidates["middling"].seconds = 0.0085
     auto.candidates["fast"].seconds = 0.009  # while the machine does something else
     render(auto, look(), 12)
@@ -193,9 +195,16 @@ def test_a_choice_that_changed_is_soon_looked_at_again(null: rhi.Device, city: S
     assert auto._trial._idle == 6
 
 
-@pytest.mark.parametrize(("camera", "tries"), [
-    (look(0.5), False), (look(1000.0), True), (look(dx=0.9), False), (look(dx=1.1), True), (look(dz=1.0), True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("camera", "tries"),
+    [
+        (look(0.5), False),
+        (look(1000.0), True),
+        (look(dx=0.9), False),
+        (look(dx=1.1), True),
+        (look(dz=1.0), True),
+    ],
+)
 def test_another_view_is_another_trial(auto: visibility.AutoCulling, camera: Camera, tries: bool) -> None:
     render(auto, look(), 13)
     render(auto, camera, 1)
@@ -229,7 +238,9 @@ def test_a_device_without_queries_has_one_candidate(null: rhi.Device, city: Scen
 def test_a_candidate_is_created_when_first_tried_and_destroyed_at_the_end(
     null: rhi.Device, city: Scene, log: list[str]
 ) -> None:
-    auto = visibility.AutoCulling(city, null, {name: partial(Sleeper, city, name, log) for name in COSTS}, frames=4)
+    auto = visibility.AutoCulling(
+        city, null, {name: partial(Sleeper, city, name, log) for name in COSTS}, frames=4
+    )
     created = [list(auto.candidates)]
     for _ in range(3):
         render(auto, look(), 4)

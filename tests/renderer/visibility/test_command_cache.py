@@ -38,7 +38,8 @@ CAMERA = make_camera((0.0, 0.0, 30.0), ORIGIN, near=0.1)
 
 
 def count_commands(device: rhi.Device, repeated: CommandCache, *keys: str) -> list[tuple[int, int, int]]:
-    """Return for each key in turn: how often commands were issued, the commands recorded, and the clears executed."""
+    """Return for each key in turn: how often commands were issued, the commands recorded, and the clears
+    executed."""
     counts = []
     buffer = device.storage(float, 4)
     for key in keys:
@@ -115,7 +116,9 @@ def test_dispatches_are_recorded_when_they_come_again_with_the_same_bindings(nul
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_culling_on_the_device_records_once_and_submits_the_same_commands(null: rhi.Device, name: str) -> None:
+def test_culling_on_the_device_records_once_and_submits_the_same_commands(
+    null: rhi.Device, name: str
+) -> None:
     scene = make_cloud()
     oracle = Oracle(null, scene, name)
     algorithm = make_visibility(name, scene, null)
@@ -129,7 +132,12 @@ def test_culling_on_the_device_records_once_and_submits_the_same_commands(null: 
             commands = null.stream[before:]
             waits += len(commands.filter(frozenset({Op.WAIT, Op.READ_BUFFER})))
             executed.append(
-                [c.op for c in commands.filter(frozenset({Op.DISPATCH, Op.DRAW, Op.DRAW_INDIRECT, Op.BEGIN_PASS}))]
+                [
+                    c.op
+                    for c in commands.filter(
+                        frozenset({Op.DISPATCH, Op.DRAW, Op.DRAW_INDIRECT, Op.BEGIN_PASS})
+                    )
+                ]
             )
             recorded.append(null.statistics.recorded_commands - earlier)
     settled = 3 if name == "two_pass" else 2  # its first frame has nothing to reproject
@@ -215,7 +223,9 @@ def test_what_the_frustum_leaves_is_recorded_when_its_number_comes_again(null: r
 
 def test_a_few_objects_more_or_fewer_in_view_record_nothing(null: rhi.Device) -> None:
     scene = make_cloud(400)
-    near = [make_camera((0.0, 0.0, distance), ORIGIN, near=0.1) for distance in (2.0, 2.5, 2.2, 2.6, 3.0, 2.0)]
+    near = [
+        make_camera((0.0, 0.0, distance), ORIGIN, near=0.1) for distance in (2.0, 2.5, 2.2, 2.6, 3.0, 2.0)
+    ]
     with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
         drawn = [len(renderer.render(camera).visible) for camera in near]
     assert all(96 < count <= 128 for count in (*drawn[:4], drawn[5]))
@@ -234,7 +244,9 @@ def test_draws_that_make_up_the_number_are_of_nothing(null: rhi.Device) -> None:
             visible = renderer.render(eye).visible
             (command,) = null.stream.filter(Op.DRAW_INDIRECT)[-1:]
             (buffer,) = [
-                buffer_or_none for buffer_or_none in [renderer.view.batch._buffer] if buffer_or_none is not None
+                buffer_or_none
+                for buffer_or_none in [renderer.view.batch._buffer]
+                if buffer_or_none is not None
             ]
             draws = buffer.read()[: command.values[4]]
             assert len(draws) == -(-len(visible) // 32) * 32
@@ -245,7 +257,9 @@ def test_draws_that_make_up_the_number_are_of_nothing(null: rhi.Device) -> None:
 
 @pytest.mark.parametrize("depth", Depth)
 @pytest.mark.parametrize("name", ["none", "frustum"])
-def test_a_steady_frame_that_is_submitted_changes_no_states(null: rhi.Device, name: str, depth: Depth) -> None:
+def test_a_steady_frame_that_is_submitted_changes_no_states(
+    null: rhi.Device, name: str, depth: Depth
+) -> None:
     scene = make_cloud()
     camera = CAMERA.with_projection(Perspective(near=0.1, far=90.0, depth=depth))
     changes = []
@@ -283,7 +297,9 @@ def test_a_frame_that_is_submitted_draws_the_objects_of_its_own_view(null: rhi.D
             assert renderer.render(views[view]).visible.tolist() == [view]
             null.finish()
             (draw,) = null.stream.draws()
-            draw_bytes = null.backend_as(NullBackend).read_buffer(draw["buffer"], draw["offset"], rhi.DRAW.itemsize)
+            draw_bytes = null.backend_as(NullBackend).read_buffer(
+                draw["buffer"], draw["offset"], rhi.DRAW.itemsize
+            )
             drawn.append(int(np.frombuffer(draw_bytes, rhi.DRAW)["base_instance"][0]))
             null.stream.clear()
     assert drawn == [0, 0, 1, 0]
@@ -293,8 +309,8 @@ def test_a_frame_that_is_submitted_draws_the_objects_of_its_own_view(null: rhi.D
 
 
 def measure_overlap(name: str, *, waits: bool = False) -> float:
-    """Return for how much of the time of the one with less work CPU and GPU worked side by side, in frames that cost
-    both about as much. `waits`: the program waits for the GPU after each frame."""
+    """Return for how much of the time of the one with less work CPU and GPU worked side by side, in frames
+    that cost both about as much. `waits`: the program waits for the GPU after each frame."""
     scene = make_cloud()
     cost = CostModel(command=900.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
     simulation = Simulation(cost, call=1000, submission_latency=10, wake_latency=10, batch=10**6)
@@ -323,9 +339,11 @@ def test_a_frame_is_recorded_while_the_gpu_draws_the_one_before(name: str) -> No
     assert measure_overlap(name) > 0.8
 
 
-def count_early_frames(device: rhi.Device, size: tuple[int, int] = (320, 180), *, waits: bool) -> tuple[int, int]:
-    """Return of how many frames the tree of timers says that the CPU began them before the GPU had ended the one
-    before, and how many were looked at."""
+def count_early_frames(
+    device: rhi.Device, size: tuple[int, int] = (320, 180), *, waits: bool
+) -> tuple[int, int]:
+    """Return of how many frames the tree of timers says that the CPU began them before the GPU had ended the
+    one before, and how many were looked at."""
     scene, trees = load_scene("city:blocks=4,detail=2"), []
     device.timing = True
     with Renderer(device, scene, visibility=NoCulling(scene), size=size) as renderer:
@@ -360,8 +378,8 @@ def test_the_timer_tree_of_a_real_device_shows_it_too(device: rhi.Device) -> Non
         pytest.skip("its timestamps are of no clock that the CPU has")
     early, frames = count_early_frames(device, waits=True)
     assert (early, frames) == (0, 11)
-    # Frames of so many pixels take a device many times as long as recording one: so it is still at work when the next
-    # one begins, also where others keep this thread from running for as long as a small frame takes.
+    # Frames of so many pixels take a device many times as long as recording one: so it is still at work when
+    # the next one begins, also where others keep this thread from running for as long as a small frame takes.
     early, frames = count_early_frames(device, (960, 540), waits=False)
     assert early > 0
 

@@ -17,16 +17,33 @@ import rhi
 from renderer.cli import main
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
-from renderer.lab.visibility_comparison import HISTORY_FREE, ComparedFrame, FrameImage, list_contenders, list_frames
+from renderer.lab.visibility_comparison import (
+    HISTORY_FREE,
+    ComparedFrame,
+    FrameImage,
+    list_contenders,
+    list_frames,
+)
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
 
 ROW = [
-    "algorithm", "milliseconds", "ratio", "triangles", "draws", "queries", "software_state_changes",
-    "hardware_state_changes", "wrong_pixels", "tied_pixels", "stalled_milliseconds", "simulation_steps",
-    "skipped_simulations", "kernels",
-]  # fmt: skip
+    "algorithm",
+    "milliseconds",
+    "ratio",
+    "triangles",
+    "draws",
+    "queries",
+    "software_state_changes",
+    "hardware_state_changes",
+    "wrong_pixels",
+    "tied_pixels",
+    "stalled_milliseconds",
+    "simulation_steps",
+    "skipped_simulations",
+    "kernels",
+]
 COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3"]
 
 
@@ -80,7 +97,10 @@ def test_the_whole_path_is_its_frames_at_a_stride(capsys: pytest.CaptureFixture[
     with rhi.create_device("null") as device, Renderer(device, scene, size=(64, 36)) as renderer:
         renderer.visibility = make_visibility("frustum", scene, device)
         path = scene.paths["ground"]
-        drawn = [renderer.render(path.camera(frame), frame / 60).statistics.draws for frame in range(226, 1800, 450)]
+        drawn = [
+            renderer.render(path.camera(frame), frame / 60).statistics.draws
+            for frame in range(226, 1800, 450)
+        ]
     assert report["rows"][1]["draws"] == round(sum(drawn) / 4)
     assert len(set(drawn)) > 1
 
@@ -105,16 +125,23 @@ def test_what_forgets_draws_a_frame_the_same_after_any_other(gl: rhi.Device, alg
 
 
 @pytest.mark.usefixtures("gl")
-def test_emulated_queries_draw_and_ask_the_same_beside_native_ones(capsys: pytest.CaptureFixture[str]) -> None:
+def test_emulated_queries_draw_and_ask_the_same_beside_native_ones(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     command = [*COMMAND, "--backend", "gl", "--json", "--queries", "emulated,native"]
     assert main([*command, "--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["queries"] == ["native", "emulated"]
     rows = {row["algorithm"]: row for row in report["rows"]}
     assert list(rows) == [
-        "frustum", "stop_and_wait", "chc", "chc_plus_plus",
-        "stop_and_wait (emulated)", "chc (emulated)", "chc_plus_plus (emulated)",
-    ]  # fmt: skip
+        "frustum",
+        "stop_and_wait",
+        "chc",
+        "chc_plus_plus",
+        "stop_and_wait (emulated)",
+        "chc (emulated)",
+        "chc_plus_plus (emulated)",
+    ]
     waits, emulated = rows["stop_and_wait"], rows["stop_and_wait (emulated)"]
     counters = ("triangles", "draws", "queries", "software_state_changes")
     assert [waits[name] for name in counters] == [emulated[name] for name in counters]
@@ -137,11 +164,16 @@ def test_contenders_have_the_kind_of_queries_that_they_are_named_by() -> None:
         "optimized_chc_plus_plus (emulated)": ("chc_plus_plus", 7, True),
     }
     alone = list_contenders(["none", "chc"], VisibilitySettings(), None, [True])
-    assert [(contender.name, contender.settings.emulated) for contender in alone] == [("none", True), ("chc", True)]
+    assert [(contender.name, contender.settings.emulated) for contender in alone] == [
+        ("none", True),
+        ("chc", True),
+    ]
 
 
 @pytest.mark.usefixtures("gl")
-def test_with_emulated_queries_alone_nothing_is_drawn_on_condition(capsys: pytest.CaptureFixture[str]) -> None:
+def test_with_emulated_queries_alone_nothing_is_drawn_on_condition(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     command = [*COMMAND, "--frames", "1", "--backend", "gl", "--queries", "emulated"]
     assert main([*command, "--json"]) == 0
     names = [row["algorithm"] for row in json.loads(capsys.readouterr().out)["rows"]]
@@ -236,7 +268,17 @@ def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:
     delay_query_results(monkeypatch, 0)  # late ones cost triangles: no matter of the algorithms
-    command = ["compare", "visibility", "city", "--camera-path", "ground", "--frames", frames, "--size", "320x180"]
+    command = [
+        "compare",
+        "visibility",
+        "city",
+        "--camera-path",
+        "ground",
+        "--frames",
+        frames,
+        "--size",
+        "320x180",
+    ]
     algorithms = ["--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]
     assert main([*command, *algorithms, "--backend", "gl", "--json"]) == 0
     rows = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}

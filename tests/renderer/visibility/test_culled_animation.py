@@ -13,7 +13,16 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.hall import _Sway
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, scaling, translation
+from renderer.scene import (
+    Camera,
+    Orthographic,
+    Recompute,
+    Scene,
+    SceneBuilder,
+    rotation,
+    scaling,
+    translation,
+)
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.math import multiply
@@ -26,8 +35,8 @@ WRITES = {Op.WRITE_BUFFER}
 
 
 class Bobbing:
-    """Things that go up and down; `requested_members` counts the members whose transforms were asked for, `calls` the
-    calls."""
+    """Things that go up and down; `requested_members` counts the members whose transforms were asked for,
+    `calls` the calls."""
 
     catch_up = Recompute()
     calls = 0
@@ -56,7 +65,9 @@ def make_bobbing(count: int = 40, bounded: bool = True) -> Scene:
     builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
     half = np.array([0.5, 1.5, 0.5])
     builder.animate(
-        nodes, Bobbing(object_positions), (object_positions - half, object_positions + half) if bounded else None
+        nodes,
+        Bobbing(object_positions),
+        (object_positions - half, object_positions + half) if bounded else None,
     )
     scene = builder.build()
     Bobbing.calls = Bobbing.requested_members = 0
@@ -134,7 +145,10 @@ def test_what_is_hidden_is_not_animated(null: rhi.Device, name: str) -> None:
             Bobbing.calls = Bobbing.requested_members = 0
             result = draw_with(renderer, algorithm, camera, frame / 60)
         assert set(result.visible.tolist()) == oracle.visible_objects
-        assert (Bobbing.calls, Bobbing.requested_members) == (2, 3)  # at once, however many batches were drawn
+        assert (Bobbing.calls, Bobbing.requested_members) == (
+            2,
+            3,
+        )  # at once, however many batches were drawn
         oracle.visible_objects = set()
         for frame in range(12, 40):  # until all are asked about again
             Bobbing.calls = 0
@@ -151,7 +165,9 @@ def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Make the hall as if no animation had bounds: everything moves in every frame."""
     animate = SceneBuilder.animate
     with monkeypatch.context() as always:
-        always.setattr(SceneBuilder, "animate", lambda self, nodes, motion, bounds: animate(self, nodes, motion))
+        always.setattr(
+            SceneBuilder, "animate", lambda self, nodes, motion, bounds: animate(self, nodes, motion)
+        )
         return load_scene(HALL)
 
 
@@ -205,7 +221,9 @@ def test_only_what_is_drawn_is_swayed_in_the_hall(null: rhi.Device, monkeypatch:
     assert len(requested_members) == 6
     # A segment's transform depends on those before it, up to the pole.
     part, flag = np.divmod(np.searchsorted(hall.objects.dynamic_indices, flags), 32)
-    assert requested_members[-1] == sum(int(part[flag == flag_index].max()) + 1 for flag_index in np.unique(flag))
+    assert requested_members[-1] == sum(
+        int(part[flag == flag_index].max()) + 1 for flag_index in np.unique(flag)
+    )
 
 
 def test_a_segment_is_where_it_would_be_if_all_were_animated() -> None:
@@ -229,7 +247,10 @@ def test_two_renderers_of_one_scene_show_a_time_each(gl: rhi.Device) -> None:
     camera = look_at_first(6)
     with Renderer(gl, scene, size=(48, 48)) as first_renderer, Renderer(gl, scene, size=(48, 48)) as other:
         for first, second in ((0.1, 0.6), (0.1, 0.7), (0.2, 0.2), (0.9, 0.1)):
-            images = [first_renderer.render(camera, first).image.read(), other.render(camera, second).image.read()]
+            images = [
+                first_renderer.render(camera, first).image.read(),
+                other.render(camera, second).image.read(),
+            ]
             for image, seconds in zip(images, (first, second), strict=True):
                 with Renderer(gl, alone, size=(48, 48)) as fresh:
                     assert (image == fresh.render(camera, seconds).image.read()).all()
@@ -241,7 +262,9 @@ def test_what_carries_a_culled_object_takes_its_bounds_along(gl: rhi.Device) -> 
     cart = builder.add_node(dynamic=True, name="cart")
     wheel = builder.add_node(parent=cart, dynamic=True)
     builder.add_objects(wheel, builder.add_mesh(BUILT_IN["box"]()), builder.add_material(emission=1.0))
-    builder.animate(wheel, lambda seconds: rotation((0, 0, 1), np.array([seconds])), ((-1, -1, -1), (1, 1, 1)))
+    builder.animate(
+        wheel, lambda seconds: rotation((0, 0, 1), np.array([seconds])), ((-1, -1, -1), (1, 1, 1))
+    )
     scene = builder.build()
     away = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 10.0))
     there = Camera.look_at((50.0, 0.0, 5.0), (50.0, 0.0, 0.0))
@@ -345,7 +368,9 @@ def test_bounds_that_do_not_hold_are_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("validation", [True, False])
-def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(null: rhi.Device, validation: bool) -> None:
+def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(
+    null: rhi.Device, validation: bool
+) -> None:
     scene = make_bobbing(6)
     widen(scene, 0.6)
     with Renderer(null, scene, visibility=NoCulling(scene), size=(64, 64), validation=validation) as renderer:
@@ -371,16 +396,22 @@ class NoPolicy:
         return scaling(np.ones((len(members), 3)))
 
 
-@pytest.mark.parametrize(("change", "rule"), [
-    (lambda b, n: b.animate(n, NoResult()), "scene-bad-simulation"),
-    (lambda b, n: b.animate(n, NoPolicy()), "scene-bad-simulation"),
-    (lambda b, n: b.animate([7], lambda seconds: np.eye(4)), "scene-bad-index"),
-    (lambda b, n: [b.animate(n, lambda seconds: np.eye(4)) for _ in range(2)], "scene-shared-node"),
-    (lambda b, n: b.animate(n, lambda s: np.eye(4), ((1, 1, 1), (0, 2, 2))), "visibility-bad-bounds"),
-    (lambda b, n: b.animate(n, lambda s: np.eye(4), ((0, 0), (1, 1))), "visibility-bad-bounds"),
-    (lambda b, n: b.animate(n, lambda s: np.eye(4), ((0, 0, np.nan), (1, 1, 1))), "visibility-bad-bounds"),
-    (lambda b, n: b.animate(n, lambda seconds: np.eye(4), ((0, 0, 0), (1, 1, 1))), None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        (lambda b, n: b.animate(n, NoResult()), "scene-bad-simulation"),
+        (lambda b, n: b.animate(n, NoPolicy()), "scene-bad-simulation"),
+        (lambda b, n: b.animate([7], lambda seconds: np.eye(4)), "scene-bad-index"),
+        (lambda b, n: [b.animate(n, lambda seconds: np.eye(4)) for _ in range(2)], "scene-shared-node"),
+        (lambda b, n: b.animate(n, lambda s: np.eye(4), ((1, 1, 1), (0, 2, 2))), "visibility-bad-bounds"),
+        (lambda b, n: b.animate(n, lambda s: np.eye(4), ((0, 0), (1, 1))), "visibility-bad-bounds"),
+        (
+            lambda b, n: b.animate(n, lambda s: np.eye(4), ((0, 0, np.nan), (1, 1, 1))),
+            "visibility-bad-bounds",
+        ),
+        (lambda b, n: b.animate(n, lambda seconds: np.eye(4), ((0, 0, 0), (1, 1, 1))), None),
+    ],
+)
 def test_what_can_not_be_animated_is_refused(change: object, rule: str | None) -> None:
     builder = SceneBuilder("bad")
     nodes = builder.add_nodes(np.eye(4)[None], dynamic=True)

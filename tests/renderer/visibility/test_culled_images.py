@@ -34,7 +34,8 @@ CAMERA_PROJECTIONS = (
 def through(
     path: str, frames: Iterable[int], *projections: Perspective | Orthographic | None
 ) -> Callable[[Scene], Shots]:
-    """Return a function that finds the cameras of these frames, with projections in turn; None is the path's own."""
+    """Return a function that finds the cameras of these frames, with projections in turn; None is the path's
+    own."""
     return lambda scene: [
         (camera.with_projection(projection) if projection else camera, seconds)
         for (camera, seconds), projection in zip(walk(scene, path, frames), cycle(projections), strict=False)
@@ -48,9 +49,10 @@ def around(_: Scene) -> Shots:
 
 def hall(options: str, frames: range, per_second: int) -> CullingScenario:
     return CullingScenario(
-        0, lambda: load_scene(f"hall:columns=8,rows=2,{options}"),
+        0,
+        lambda: load_scene(f"hall:columns=8,rows=2,{options}"),
         lambda scene: [(scene.paths["ground"].camera(frame), frame / per_second) for frame in frames],
-    )  # fmt: skip
+    )
 
 
 PATHS = {
@@ -65,7 +67,9 @@ MOTIONS = {
 }
 PROJECTIONS = {
     "standard depth": CullingScenario(0, make_city, through("ground", range(700, 724, 4), STANDARD)),
-    "depth that turns round": CullingScenario(0, make_city, through("ground", range(700, 724, 4), None, STANDARD)),
+    "depth that turns round": CullingScenario(
+        0, make_city, through("ground", range(700, 724, 4), None, STANDARD)
+    ),
     "another projection in each frame": CullingScenario(
         0, make_city, through("sky", range(700, 708), *CAMERA_PROJECTIONS)
     ),
@@ -78,8 +82,9 @@ SIZES = {
     f"{size} pixels, {'standard' if projection else 'reversed'} depth": CullingScenario(
         0, make_city, through("ground", range(600, 632, 8), projection), size
     )
-    for size in ((1, 1), (2, 3), (63, 34), (257, 31)) for projection in (None, STANDARD)
-}  # fmt: skip
+    for size in ((1, 1), (2, 3), (63, 34), (257, 31))
+    for projection in (None, STANDARD)
+}
 SCENARIOS = PATHS | MOTIONS | PROJECTIONS | TURNED | SIZES
 
 NIGHTLY = {
@@ -91,9 +96,10 @@ NIGHTLY = {
 
 
 DEFAULT_RUN = [(PATHS, 2, 4), (MOTIONS, 2, 2), (PROJECTIONS, 3, 3), (TURNED, 1, 2), (SIZES, 2, 4)]
-"""Scenarios, and of how many each algorithm has one in the default run, on gl and on cl: another than its neighbours.
-So gl has each scenario with a third of the algorithms at least, and each algorithm with each size and each depth. On
-cl, where only the device's part may differ, an algorithm has one scenario of each kind, and two sizes."""
+"""Scenarios, and of how many each algorithm has one in the default run, on gl and on cl: another than its
+neighbours. So gl has each scenario with a third of the algorithms at least, and each algorithm with each size
+and each depth. On cl, where only the device's part may differ, an algorithm has one scenario of each kind,
+and two sizes."""
 
 
 def parametrize_algorithms() -> list[object]:
@@ -105,7 +111,9 @@ def parametrize_algorithms() -> list[object]:
             for number, scenario_name in enumerate(scenarios):
                 marks = () if (number + number // 2 + turn) % step == 0 else pytest.mark.nightly
                 cases.append(pytest.param(backend, name, scenario_name, marks=marks))
-        cases += [pytest.param(backend, name, scenario_name, marks=pytest.mark.nightly) for scenario_name in NIGHTLY]
+        cases += [
+            pytest.param(backend, name, scenario_name, marks=pytest.mark.nightly) for scenario_name in NIGHTLY
+        ]
     return cases
 
 
@@ -126,7 +134,11 @@ def uncut(device: rhi.Device) -> Iterator[Callable[[str], UnculledFrames]]:
 
 
 @pytest.mark.nightly_cases(
-    "cl-*-what is simulated", "cl-*-all along *", "cl-*-backs of two sides*", "cl-*standard depth", reason=ONLY_KERNELS
+    "cl-*-what is simulated",
+    "cl-*-all along *",
+    "cl-*-backs of two sides*",
+    "cl-*standard depth",
+    reason=ONLY_KERNELS,
 )
 @pytest.mark.nightly_cases(
     "gl-*-a flight",
@@ -162,7 +174,8 @@ def test_compared_images_show_something(device: rhi.Device, uncut: Callable[[str
     blank = {
         scenario_name
         for scenario_name, scenario in SCENARIOS.items()
-        if scenario.size > (2, 3) and not all(np.ptp(frame[..., :3]) > 60 for frame in uncut(scenario_name).frames)
+        if scenario.size > (2, 3)
+        and not all(np.ptp(frame[..., :3]) > 60 for frame in uncut(scenario_name).frames)
     }
     assert blank == set()
 
@@ -174,7 +187,9 @@ def test_a_lost_object_is_seen(gl: rhi.Device) -> None:
     class LeaveOut:
         opens_pass = False
 
-        def render(self, camera: Camera, scene_drawer: visibility.SceneDrawer) -> visibility.VisibilityStatistics:
+        def render(
+            self, camera: Camera, scene_drawer: visibility.SceneDrawer
+        ) -> visibility.VisibilityStatistics:
             all_but_first = visibility.CallbackDrawer(lambda rows: scene_drawer.draw(rows[1:]))
             return visibility.FrustumCulling(city).render(camera, all_but_first)
 

@@ -32,7 +32,9 @@ def cameras(draw, scale):
     if draw(st.booleans()):
         far = draw(st.sampled_from([np.inf, 2.0 * near, 0.5 * scale, 10.0 * scale]))
         fov = draw(st.sampled_from([0.01, 0.6, 1.2, 3.1]))
-        projection = Perspective(fov, draw(st.sampled_from([0.3, 1.0, 2.4])), near, max(far, 1.5 * near), depth)
+        projection = Perspective(
+            fov, draw(st.sampled_from([0.3, 1.0, 2.4])), near, max(far, 1.5 * near), depth
+        )
     else:
         projection = Orthographic(scale * draw(st.sampled_from([1e-4, 0.5])), 1.3, -near, scale, depth)
     return Camera.look_at(eye, eye + forward * scale, projection=projection)
@@ -40,7 +42,8 @@ def cameras(draw, scale):
 
 @st.composite
 def culling_cases(draw):
-    """Draw boxes and a camera of similar size; some boxes are flat, equal, around the camera, or on its planes."""
+    """Draw boxes and a camera of similar size; some boxes are flat, equal, around the camera, or on its
+    planes."""
     scale = 10.0 ** draw(st.sampled_from([-30, -3, 0, 2, 7, 30]))
     camera = draw(cameras(scale))
     count = draw(st.integers(1, 400))
@@ -81,7 +84,9 @@ def test_it_stays_exact_along_a_path_over_many_levels_with_jumps(monkeypatch, wi
         angle = 0.05 * frame + (2.0 if frame > 20 else 0.0)
         projection = Perspective(far=150.0) if frame % 2 else Perspective()  # six planes, five planes
         eye = np.array([3.0 * frame, 0.0, 0.0])
-        camera = Camera.look_at(eye, eye + np.array([np.cos(angle), 0.1, np.sin(angle)]), projection=projection)
+        camera = Camera.look_at(
+            eye, eye + np.array([np.cos(angle), 0.1, np.sin(angle)]), projection=projection
+        )
         planes = camera.frustum.planes
         visible = cull(culler, planes)
         assert visible.tolist() == np.flatnonzero(select_visible(planes, lower, upper)).tolist()
@@ -139,7 +144,8 @@ def test_what_a_far_plane_culled_is_found_by_a_camera_without_one():
     upper = lower + 0.5
     culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)
     planes = [
-        Camera.look_at((0, 0, 1), (0, 0, -1), projection=Perspective(far=far)).frustum.planes for far in (50.5, np.inf)
+        Camera.look_at((0, 0, 1), (0, 0, -1), projection=Perspective(far=far)).frustum.planes
+        for far in (50.5, np.inf)
     ]
     for _ in range(2):
         assert len(cull(culler, planes[0])) == 51

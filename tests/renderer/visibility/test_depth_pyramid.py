@@ -29,7 +29,9 @@ def reduce_once(depths: np.ndarray, direction: Depth) -> np.ndarray:
 
 @pytest.mark.parametrize("direction", Depth)
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (4, 4), (5, 4), (16, 17), (65, 3), (255, 131), (1023, 767)])
-def test_each_level_holds_the_farthest_of_its_pixels(device: Device, size: tuple[int, int], direction: Depth) -> None:
+def test_each_level_holds_the_farthest_of_its_pixels(
+    device: Device, size: tuple[int, int], direction: Depth
+) -> None:
     depths = np.random.default_rng(sum(size)).random(size[::-1], np.float32)
     pyramid = DepthPyramid(device, size)
     pyramid.build(device, create_depth_texture(device, depths), direction)
@@ -69,7 +71,9 @@ def test_no_level_follows_one_of_16_texels_a_side(null: Device) -> None:
 
 @pytest.mark.parametrize("direction", Depth)
 @pytest.mark.parametrize("size", [(1, 1), (63, 34), (1023, 767)])
-def test_a_box_shows_if_it_shows_at_full_resolution(device: Device, size: tuple[int, int], direction: Depth) -> None:
+def test_a_box_shows_if_it_shows_at_full_resolution(
+    device: Device, size: tuple[int, int], direction: Depth
+) -> None:
     rng, count = np.random.default_rng(5), 400
     width, height = size
     coarse = rng.random((height // 30 + 1, width // 30 + 1), np.float32)
@@ -84,10 +88,16 @@ def test_a_box_shows_if_it_shows_at_full_resolution(device: Device, size: tuple[
     pyramid.build(device, texture, direction)
     hidden, was_visible = device.storage(uint, np.zeros(count, np.uint32)), device.storage(uint, count)
     device.dispatch(
-        device.program(depth_variant(CompareBoxes, direction)), -(-count // 64),
-        view=device.uniform(view), pyramid=device.uniform(make_levels(pyramid)), depth=texture,
-        farthest=pyramid.farthest, boxes=device.storage(Occludee, boxes), marks=hidden, was_visible=was_visible,
-    )  # fmt: skip
+        device.program(depth_variant(CompareBoxes, direction)),
+        -(-count // 64),
+        view=device.uniform(view),
+        pyramid=device.uniform(make_levels(pyramid)),
+        depth=texture,
+        farthest=pyramid.farthest,
+        boxes=device.storage(Occludee, boxes),
+        marks=hidden,
+        was_visible=was_visible,
+    )
     is_visible = was_visible.read().astype(bool)
     assert (hidden.read() == is_visible).all()
 
@@ -119,5 +129,7 @@ def test_what_is_seen_again_and_again_is_on_the_first_list(device: Device) -> No
     with Renderer(device, scene, size=(64, 36)) as renderer:
         for _ in range(2):
             draw_with(renderer, algorithm, camera)
-            lists.append([sorted(part.read_object_indices().tolist()) for part in (algorithm.first, algorithm.second)])
+            lists.append(
+                [sorted(part.read_object_indices().tolist()) for part in (algorithm.first, algorithm.second)]
+            )
     assert lists == [[[], [0, 1]], [[0, 1], []]]

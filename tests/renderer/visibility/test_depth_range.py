@@ -67,7 +67,10 @@ def test_the_range_is_that_of_the_samples_in_view(projection: Perspective | Orth
 
 
 def test_what_is_hidden_has_no_range() -> None:
-    scene, camera = make_boxes([(0, 0, -30)], [(2, 2, 2)]), make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.1)
+    scene, camera = (
+        make_boxes([(0, 0, -30)], [(2, 2, 2)]),
+        make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.1),
+    )
     assert compute_depth_range(scene, camera) is not None
     scene.nodes.hide(scene.objects.node[0])
     scene.update()

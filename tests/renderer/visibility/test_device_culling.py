@@ -49,7 +49,9 @@ def whole_city() -> Scene:
 @pytest.mark.parametrize("frames", [3, pytest.param(10, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("path", ["ground", "sky"])
 @pytest.mark.parametrize("name", DEVICE)
-def test_a_walk_through_the_whole_city_loses_no_depth(gl: rhi.Device, name: str, path: str, frames: int) -> None:
+def test_a_walk_through_the_whole_city_loses_no_depth(
+    gl: rhi.Device, name: str, path: str, frames: int
+) -> None:
     # Its pixels of exactly equal depth show the surface drawn first, so it is the depth that is compared.
     whole = whole_city()
     algorithm, none = make(name, whole, gl), visibility.NoCulling(whole)
@@ -97,7 +99,9 @@ def test_what_a_wall_hides_is_not_drawn(device: rhi.Device, name: str) -> None:
     algorithm = make(name, scene, device)
     with Renderer(device, scene, size=SIZE) as renderer:
         drawn = [
-            visible(draw_with(renderer, algorithm, make_camera((0.0, 0.0, 0.0), occlusion_scenes.WALL_POSITION)))
+            visible(
+                draw_with(renderer, algorithm, make_camera((0.0, 0.0, 0.0), occlusion_scenes.WALL_POSITION))
+            )
             for _ in range(3)
         ]
     assert drawn[2] == {0}
@@ -157,7 +161,8 @@ def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
                 oracle.visible_objects, oracle.guessed = seen, _ = now, guessed
                 drawn = visible(draw_with(renderer, algorithm, camera))
                 first, second = (
-                    set(draw_list.read_object_indices().tolist()) for draw_list in (algorithm.first, algorithm.second)
+                    set(draw_list.read_object_indices().tolist())
+                    for draw_list in (algorithm.first, algorithm.second)
                 )
                 assert (first, second) == (likely, seen - likely), name
                 assert drawn == likely | seen
@@ -246,7 +251,11 @@ def test_all_that_a_depth_pyramid_dispatches_is_prepared(
     null: rhi.Device, city: Scene, projection: Perspective | None
 ) -> None:
     """No program is created in the first frame that it culls."""
-    camera = city.views["overview"] if projection is None else replace(city.views["overview"], projection=projection)
+    camera = (
+        city.views["overview"]
+        if projection is None
+        else replace(city.views["overview"], projection=projection)
+    )
     with Renderer(null, city, size=SIZE) as renderer:
         draw_with(renderer, visibility.FrustumCulling(city), camera)
         prepare_depth_pyramid(city, null, camera.projection.depth)
@@ -273,7 +282,10 @@ def test_without_a_counted_indirect_draw_the_others_are_of_no_instance(
 def test_it_can_be_a_candidate_of_auto(device: rhi.Device, city: Scene, name: str) -> None:
     factories = {"frustum": lambda: visibility.FrustumCulling(city), name: lambda: make(name, city, device)}
     auto = visibility.AutoCulling(city, device, factories, frames=3, idle=1)
-    assert occlusion_scenes.count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2))) == [0] * 8
+    assert (
+        occlusion_scenes.count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2)))
+        == [0] * 8
+    )
 
 
 @pytest.mark.parametrize("name", DEVICE)

@@ -56,7 +56,11 @@ def expect(marks: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray, p
 
 
 def check(
-    marks: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray, parts: np.ndarray, after: dict[str, np.ndarray]
+    marks: np.ndarray,
+    object_positions: np.ndarray,
+    boxes: np.ndarray,
+    parts: np.ndarray,
+    after: dict[str, np.ndarray],
 ) -> None:
     count, totals, draws = len(marks), after["totals"], after["listed"]
     for part in range(4):
@@ -92,9 +96,17 @@ def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
     sums = run_compute(PrefixSum, 1, counts=counted["counts"])["counts"]
     assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
     written = run_compute(
-        WriteDraws, groups, object_positions=object_positions, mesh_parts=parts, keys=counted["keys"], sums=sums,
-        listed=4 * count, hidden=count, totals=5, boxes=np.zeros(1, DrawArguments.dtype),
-    )  # fmt: skip
+        WriteDraws,
+        groups,
+        object_positions=object_positions,
+        mesh_parts=parts,
+        keys=counted["keys"],
+        sums=sums,
+        listed=4 * count,
+        hidden=count,
+        totals=5,
+        boxes=np.zeros(1, DrawArguments.dtype),
+    )
     check(marks, object_positions, boxes, parts, counted | written)
 
 
@@ -112,7 +124,10 @@ def test_lists_may_have_more_parts(device: rhi.Device, listed: int) -> None:
     resources = SceneResources(device, scene)
     view = aim(device, scene, resources)
     arrays = resources.scene_arrays(view.buffer)
-    given_places, given_parts = device.storage(ObjectPosition, object_positions), device.storage(MeshPart, parts)
+    given_places, given_parts = (
+        device.storage(ObjectPosition, object_positions),
+        device.storage(MeshPart, parts),
+    )
     lists.list_draws(device, type(arrays)(arrays.view, arrays.objects, given_places, given_parts))
     totals, draws, classes = lists.totals.read(), lists.draws.read(), (KEYS - 2) // listed
     octaves = np.log2(np.maximum(boxes["depth"], 0.125)) + 3.0
@@ -149,15 +164,21 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
     view = aim(device, scene, resources)
     arrays = resources.scene_arrays(view.buffer)
     given_arrays = type(arrays)(
-        arrays.view, arrays.objects, device.storage(ObjectPosition, object_positions), device.storage(MeshPart, parts)
+        arrays.view,
+        arrays.objects,
+        device.storage(ObjectPosition, object_positions),
+        device.storage(MeshPart, parts),
     )
     readings = []
     for _ in range(2):  # the second time nothing is VISIBLE any more
         lists.list_draws(device, given_arrays)
         after = {
-            "marks": occludees.marks.read(), "listed": lists.draws.read(), "totals": lists.totals.read(),
-            "hidden": lists.hidden.read(), "boxes": lists.box_draw.read(),
-        }  # fmt: skip
+            "marks": occludees.marks.read(),
+            "listed": lists.draws.read(),
+            "totals": lists.totals.read(),
+            "hidden": lists.hidden.read(),
+            "boxes": lists.box_draw.read(),
+        }
         check(marks, object_positions, boxes, parts, after)
         rows = [expect(marks, object_positions, boxes, part) for part in range(4)]
         listed = np.concatenate(rows).tolist()

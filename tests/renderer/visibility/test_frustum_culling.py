@@ -6,7 +6,14 @@ import pytest
 from renderer import visibility
 from renderer.content import load_scene
 from renderer.scene import Camera
-from renderer.visibility import CallbackDrawer, FrustumCulling, NoCulling, frustum, list_visible_objects, select_visible
+from renderer.visibility import (
+    CallbackDrawer,
+    FrustumCulling,
+    NoCulling,
+    frustum,
+    list_visible_objects,
+    select_visible,
+)
 from rhi.errors import ValidationError
 
 
@@ -29,7 +36,9 @@ def test_what_brute_force_keeps_is_drawn_along_a_path_and_moving_objects_where_t
     for frame in range(0, 1800, 90):
         hall.update(frame / 60.0)
         camera = hall.paths[path].camera(frame)
-        expected = np.flatnonzero(select_visible(camera.frustum.planes, hall.objects.lower, hall.objects.upper))
+        expected = np.flatnonzero(
+            select_visible(camera.frustum.planes, hall.objects.lower, hall.objects.upper)
+        )
         assert (list_visible_objects(algorithm, camera) == expected).all()
         seen.update(np.intersect1d(expected, hall.objects.dynamic_indices).tolist())
     assert seen
@@ -54,7 +63,9 @@ def test_batches_are_ascending_and_statistics_count_them(hall):
 
 def test_an_object_that_is_alone_in_view_is_a_batch():
     scene = load_scene("grid:count=1")
-    statistics = FrustumCulling(scene).render(next(iter(scene.views.values())), CallbackDrawer(lambda rows: None))
+    statistics = FrustumCulling(scene).render(
+        next(iter(scene.views.values())), CallbackDrawer(lambda rows: None)
+    )
     assert (statistics.visible, statistics.batches) == (1, 1)
 
 

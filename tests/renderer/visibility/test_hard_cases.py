@@ -1,8 +1,9 @@
-"""The hard cases of visibility, beyond what the exam measures: its images show something, random scenes look as
-without culling, and on a null device that is so many commands late, what is seen is drawn.
+"""The hard cases of visibility, beyond what the exam measures: its images show something, random scenes look
+as without culling, and on a null device that is so many commands late, what is seen is drawn.
 
-On the null device, where an oracle says what shows, the algorithms that ask the device, and those that run on it,
-take the exam's images on a GPU whose answers come late, and `WALKS` with them, whose answers no scene would give."""
+On the null device, where an oracle says what shows, the algorithms that ask the device, and those that run on
+it, take the exam's images on a GPU whose answers come late, and `WALKS` with them, whose answers no scene
+would give."""
 
 from __future__ import annotations
 
@@ -69,11 +70,17 @@ def test_random_scenes_from_random_positions_look_as_without_culling(
 ) -> None:
     shots = [(camera, 0.0) for camera in (*eyes, eyes[-1], eyes[0])]
     algorithms = {
-        name: make_visibility(name, scene, drawing_device) for name in list_algorithms(drawing_device) if name in NAMES
+        name: make_visibility(name, scene, drawing_device)
+        for name in list_algorithms(drawing_device)
+        if name in NAMES
     }
-    algorithms["small"] = ChcPlusPlus(scene, drawing_device, VisibilitySettings(batch=batch, persistence=persistence))
+    algorithms["small"] = ChcPlusPlus(
+        scene, drawing_device, VisibilitySettings(batch=batch, persistence=persistence)
+    )
     for name, algorithm in algorithms.items():
-        assert occlusion_scenes.count_wrong_pixels(drawing_device, scene, algorithm, shots) == [0] * len(shots), name
+        assert occlusion_scenes.count_wrong_pixels(drawing_device, scene, algorithm, shots) == [0] * len(
+            shots
+        ), name
         algorithm.destroy()
 
 
@@ -89,11 +96,13 @@ def make_late(latency: int) -> rhi.Device:
 
 
 def interleave(*lists: Iterable[object]) -> list[object]:
-    """All combinations with all latencies; of each but one is taken in the default run, another one than of its
-    neighbours."""
+    """All combinations with all latencies; of each but one is taken in the default run, another one than of
+    its neighbours."""
     turns = len(LATENCIES)
     return [
-        pytest.param(*case, latency, marks=() if (number + number // turns) % turns == turn else pytest.mark.nightly)
+        pytest.param(
+            *case, latency, marks=() if (number + number // turns) % turns == turn else pytest.mark.nightly
+        )
         for number, case in enumerate(itertools.product(*lists))
         for turn, latency in enumerate(LATENCIES)
     ]
@@ -142,8 +151,12 @@ def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, la
 
 
 @pytest.mark.parametrize(("name", "ulps", "latency"), interleave([*OCCLUSION, *DEVICE], [-1, 0, 1]))
-def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(name: str, ulps: int, latency: int) -> None:
-    radius = near_radius(make_camera(ORIGIN, WALL_POSITION, fov=PROJECTION.fov, near=0.1).with_aspect(64 / 36))
+def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(
+    name: str, ulps: int, latency: int
+) -> None:
+    radius = near_radius(
+        make_camera(ORIGIN, WALL_POSITION, fov=PROJECTION.fov, near=0.1).with_aspect(64 / 36)
+    )
     inside = radius * (1.0 + ulps * 2.0**-52) - 1e-3  # padding pulls the near one of two over the radius
     scene = make_boxes([(0.0, 0.0, -inside - 0.5), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0)] * 2)
     with make_late(latency) as device:

@@ -1,5 +1,5 @@
-"""Hidden simulations are paused with every algorithm that reports what it hides; they come back as of their frame, or
-as late as documented."""
+"""Hidden simulations are paused with every algorithm that reports what it hides; they come back as of their
+frame, or as late as documented."""
 
 from __future__ import annotations
 
@@ -32,10 +32,13 @@ def make_scene(*, shadow: bool = False) -> Scene:
     node = builder.add_nodes(transform, dynamic=True)
     builder.add_objects(node, mesh, red)
     reach = np.array([[0.8, 0.8, 0.8]])
-    builder.animate(node, lambda time: transform @ rotation((0, 0, 1), 3.0 * time), bounds=(AIM - reach, AIM + reach))
+    builder.animate(
+        node, lambda time: transform @ rotation((0, 0, 1), 3.0 * time), bounds=(AIM - reach, AIM + reach)
+    )
     spray = builder.add_mesh(make_drops(), "spray", BOUNDS)
     builder.simulate(
-        builder.add_objects(builder.add_node(translation((0.0, -1.0, -5.0))), spray, red), FountainSimulation(1, 5)
+        builder.add_objects(builder.add_node(translation((0.0, -1.0, -5.0))), spray, red),
+        FountainSimulation(1, 5),
     )
     hills = builder.add_height_field(make_height_field(np.cos(np.indices((17, 17)) / 2.0).sum(0) / 4.0, 2.0))
     builder.add_objects(builder.add_node(translation((0.5, -1.0, -5.5))), hills, red)
@@ -46,8 +49,12 @@ def make_scene(*, shadow: bool = False) -> Scene:
 
 
 @pytest.mark.parametrize("name", [*WAITING, *LATE])
-@pytest.mark.parametrize(("what", "shadow"), [("simulation", False), ("tessellation", False), ("tessellation", True)])
-def test_what_is_hidden_dispatches_nothing_and_takes_no_step(null: Device, name: str, what: str, shadow: bool) -> None:
+@pytest.mark.parametrize(
+    ("what", "shadow"), [("simulation", False), ("tessellation", False), ("tessellation", True)]
+)
+def test_what_is_hidden_dispatches_nothing_and_takes_no_step(
+    null: Device, name: str, what: str, shadow: bool
+) -> None:
     """Cloth and terrain; it is seen again from frame 30 on, as of frame 31 if the device decides, or 32 where
     conditions open a node first. Shadows need triangles."""
     scene, wall = (make_flag(), 1) if what == "simulation" else (make_scene(shadow=shadow), WALL_POSITION)
@@ -71,7 +78,8 @@ def test_what_is_hidden_dispatches_nothing_and_takes_no_step(null: Device, name:
 def test_what_comes_out_from_behind_a_wall_is_as_of_its_frame(
     drawing_device: Device, name: str, simulates_hidden: bool
 ) -> None:
-    """Terrain fills its box, and shows with it: so it may be late in a walk. All is where the wall vanishes."""
+    """Terrain fills its box, and shows with it: so it may be late in a walk. All is where the wall
+    vanishes."""
     require_algorithm(drawing_device, name)
     scene, behind = make_scene(), [6.0] * 15
     object_positions = [
@@ -90,9 +98,15 @@ def test_what_comes_out_from_behind_a_wall_is_as_of_its_frame(
         for number, x in enumerate(object_positions + [6.0] * 5):
             if number == len(object_positions):
                 scene.nodes.hide([WALL_POSITION])
-            expected, other = (each.render(make_camera((x, 0.0, 0.0), AIM), number / 60) for each in (true, renderer))
+            expected, other = (
+                each.render(make_camera((x, 0.0, 0.0), AIM), number / 60) for each in (true, renderer)
+            )
             wrong.append(int((expected.image.read() != other.image.read()).any(2).sum()))
-            paused |= set(np.flatnonzero(renderer.resources.hidden.paused).tolist()) if number >= PATIENCE else set()
+            paused |= (
+                set(np.flatnonzero(renderer.resources.hidden.paused).tolist())
+                if number >= PATIENCE
+                else set()
+            )
     assert paused <= MOVES
     assert bool(paused) != simulates_hidden
     assert np.count_nonzero(wrong[: len(object_positions)]) <= 2 * (not simulates_hidden)

@@ -70,7 +70,9 @@ def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("leaf_size", [3, 64])
 @pytest.mark.parametrize("name", occlusion_scenes.OCCLUSION[1:])
-def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, name: str, leaf_size: int) -> None:
+def test_leaves_of_several_objects_change_no_pixel(
+    drawing_device: rhi.Device, name: str, leaf_size: int
+) -> None:
     occlusion_scenes.require_algorithm(drawing_device, name)
     city = load_scene("city:blocks=8,detail=2")
     with occlusion_scenes.UnculledFrames(
@@ -80,18 +82,24 @@ def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, n
 
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
-def test_larger_leaves_ask_less_and_draw_more(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_larger_leaves_ask_less_and_draw_more(
+    gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     occlusion_scenes.delay_query_results(monkeypatch, 0)
     city = load_scene("city:blocks=8,detail=2")
     costs = []
     for leaf_size in (1, 4):
-        algorithm = visibility.make_visibility(name, city, gl, visibility.VisibilitySettings(leaf_size=leaf_size))
+        algorithm = visibility.make_visibility(
+            name, city, gl, visibility.VisibilitySettings(leaf_size=leaf_size)
+        )
         with Renderer(gl, city, size=occlusion_scenes.SIZE) as renderer:
             results = [
                 occlusion_scenes.draw_with(renderer, algorithm, camera)
                 for camera, _ in occlusion_scenes.walk(city, "sky", range(600, 624, 2))
             ]
-        costs.append(np.sum([(result.statistics.queries, result.visibility.visible) for result in results[2:]], axis=0))
+        costs.append(
+            np.sum([(result.statistics.queries, result.visibility.visible) for result in results[2:]], axis=0)
+        )
         algorithm.destroy()
     assert costs[1][0] < 0.6 * costs[0][0]
     assert costs[0][1] < costs[1][1]

@@ -1,7 +1,8 @@
 """Moving objects are culled like static ones: all trees are walked together, front to back.
 
-Images can't show that: an algorithm that asks about moving objects too early draws all of them and still gives the
-right image. So objects and queries are counted, in a scene and in copies of it whose objects are declared as moving.
+Images can't show that: an algorithm that asks about moving objects too early draws all of them and still
+gives the right image. So objects and queries are counted, in a scene and in copies of it whose objects are
+declared as moving.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ WALLS = {"all": [((0.0, 0.0, -20.0), (100.0, 60.0, 0.5))], "half": [((-10.0, 0.0
 SETTLING = 14
 FRAMES = 8
 SPREAD, DETOUR = 0.15, 7
-"""By how much the numbers of queries may differ, as a share and in each frame: the trees differ in their splits. The
-wall's leaf is at the root of a tree by surface area, and log2 of 121 levels below it in a balanced one."""
+"""By how much the numbers of queries may differ, as a share and in each frame: the trees differ in their
+splits. The wall's leaf is at the root of a tree by surface area, and log2 of 121 levels below it in a
+balanced one."""
 
 NAMES = tuple(name for name in ALGORITHMS if name != "auto")  # whose choice depends on the time
 
@@ -59,7 +61,8 @@ def make_walled(wall: str, moving: Collection[int], motion: Callable[[float], ob
 
 
 def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], int]:
-    """Return the objects drawn in each of some frames, when all is settled, and the number of queries in them."""
+    """Return the objects drawn in each of some frames, when all is settled, and the number of queries in
+    them."""
     drawn, queries = [], 0
     algorithm = make_visibility(name, scene, device, VisibilitySettings(batch=4, persistence=4))
     with Renderer(device, scene, size=SIZE) as renderer:
@@ -110,12 +113,16 @@ def walk_all(forest: Forest) -> list[int]:
 
 @settings(max_examples=30)
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), cameras())
-def test_all_trees_are_walked_front_to_back_together(objects: int, seed: int, share: float, camera: Camera) -> None:
+def test_all_trees_are_walked_front_to_back_together(
+    objects: int, seed: int, share: float, camera: Camera
+) -> None:
     # From inside boxes too; with no moving objects, with nothing else, and with boxes at equal distances.
     rng = np.random.default_rng(seed)
     object_positions = rng.integers(-4, 5, (objects, 3)) if seed % 2 else rng.uniform(-8.0, 8.0, (objects, 3))
     moving = np.flatnonzero(rng.uniform(size=objects) < share)
-    forest = Forest(make_boxes(object_positions, rng.uniform(0.05, 5.0, (objects, 3)), stand_still, moving.tolist()))
+    forest = Forest(
+        make_boxes(object_positions, rng.uniform(0.05, 5.0, (objects, 3)), stand_still, moving.tolist())
+    )
     forest.update(camera)
     visited = walk_all(forest)
     assert sorted(visited) == np.flatnonzero(np.frombuffer(forest.status, np.uint8)).tolist()
@@ -124,9 +131,14 @@ def test_all_trees_are_walked_front_to_back_together(objects: int, seed: int, sh
 
 
 def test_of_equally_near_nodes_the_one_with_the_nearer_centre_comes_first() -> None:
-    object_positions, sizes = [(0.0, 0.0, -0.1), (0.0, 0.0, -1.0)], [(1.0, 1.0, 1.0), (4.0, 4.0, 4.0)]  # around the eye
+    object_positions, sizes = (
+        [(0.0, 0.0, -0.1), (0.0, 0.0, -1.0)],
+        [(1.0, 1.0, 1.0), (4.0, 4.0, 4.0)],
+    )  # around the eye
     for order in ([0, 1], [1, 0]):
-        forest = Forest(make_boxes(np.array(object_positions)[order], np.array(sizes)[order], stand_still, (1,)))
+        forest = Forest(
+            make_boxes(np.array(object_positions)[order], np.array(sizes)[order], stand_still, (1,))
+        )
         forest.update(EYE)
         assert [forest.object_index[node] for node in walk_all(forest)] == [order.index(0), order.index(1)]
 

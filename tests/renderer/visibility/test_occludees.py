@@ -1,4 +1,5 @@
-"""Boxes found on the device: each encloses its object with the margin, and is near, outside or to be tested."""
+"""Boxes found on the device: each encloses its object with the margin, and is near, outside or to be
+tested."""
 
 from __future__ import annotations
 
@@ -92,14 +93,22 @@ def test_boxes_of_hard_cases_are_too(device: rhi.Device, case: str) -> None:
 
 
 def test_a_box_behind_the_eye_or_beside_the_view_is_outside(device: rhi.Device) -> None:
-    object_positions = [(0.0, 0.0, 9.0), (30.0, 0.0, -5.0), (0.0, -30.0, -5.0), (0.0, 0.0, -90.0), (0.0, 0.0, -5.0)]
+    object_positions = [
+        (0.0, 0.0, 9.0),
+        (30.0, 0.0, -5.0),
+        (0.0, -30.0, -5.0),
+        (0.0, 0.0, -90.0),
+        (0.0, 0.0, -5.0),
+    ]
     scene = make_boxes(object_positions, np.ones((5, 3)))
     camera = make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), far=50.0)
     assert check(device, scene, camera).tolist() == [OUTSIDE] * 4 + [HIDDEN]
 
 
 @pytest.mark.parametrize(("gap", "mark"), [(0.9, VISIBLE), (1.1, HIDDEN)])
-def test_a_box_is_near_within_the_corners_of_the_near_plane(device: rhi.Device, gap: float, mark: int) -> None:
+def test_a_box_is_near_within_the_corners_of_the_near_plane(
+    device: rhi.Device, gap: float, mark: int
+) -> None:
     # At 60° and 16:9 they are 1.54 near away; the margin is far smaller than the tenth that is tried.
     eye = make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.5)
     radius = near_radius(eye)

@@ -147,7 +147,9 @@ def test_boxes_of_what_moves_turn_with_it() -> None:
 
 def see(scene: Scene, camera: Camera) -> QueryBoxes:
     turned = compute_rotated_boxes(scene, np.arange(len(scene.objects)))
-    return compute_query_boxes(camera, scene.objects.lower, scene.objects.upper, turned, turned.object_indices)
+    return compute_query_boxes(
+        camera, scene.objects.lower, scene.objects.upper, turned, turned.object_indices
+    )
 
 
 def test_a_turned_box_holds_every_corner_of_its_object_and_is_smaller() -> None:
@@ -176,7 +178,8 @@ def test_an_eye_in_the_aligned_box_and_not_in_the_turned_one_asks_for_that() -> 
 
 
 def test_where_only_the_turned_box_is_near_the_aligned_one_is_asked_for() -> None:
-    # The box of a turned ball has corners that the ball's aligned bounds lack, if its mesh's are the tighter ones.
+    # The box of a turned ball has corners that the ball's aligned bounds lack, if its mesh's are the tighter
+    # ones.
     scene = make_boxes([(0.0, 0.0, 0.0)], [(2.0, 2.0, 2.0)], rotations=TURN[None])
     lower, upper = np.full((1, 3), -1.0), np.full((1, 3), 1.0)
     camera = look(Perspective(near=0.01), (1.38, 0.0, 0.0))

@@ -10,14 +10,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from nightly_reasons import FEWER_CASES
-from occlusion_scenes import OCCLUSION, WAITING, Oracle, delay_query_results, draw_with, make_boxes, make_cloud, visible
+from occlusion_scenes import (
+    OCCLUSION,
+    WAITING,
+    Oracle,
+    delay_query_results,
+    draw_with,
+    make_boxes,
+    make_cloud,
+    visible,
+)
 from refusals import refused_rule
 
 import rhi
 from renderer import visibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective
-from renderer.visibility import Chc, ChcPlusPlus, ConditionalCulling, StopAndWait, VisibilitySettings, make_visibility
+from renderer.visibility import (
+    Chc,
+    ChcPlusPlus,
+    ConditionalCulling,
+    StopAndWait,
+    VisibilitySettings,
+    make_visibility,
+)
 from renderer.visibility.boxes.forest import Forest
 from rhi import FixedQueue, Op, QuerySet
 from rhi.device.core import containers
@@ -36,7 +52,9 @@ def renderer(null: rhi.Device) -> Iterator[Renderer]:
         yield created
 
 
-def frames(renderer: Renderer, algorithm: object, oracle: Oracle, *visible_objects: set[int]) -> list[set[int]]:
+def frames(
+    renderer: Renderer, algorithm: object, oracle: Oracle, *visible_objects: set[int]
+) -> list[set[int]]:
     """Return the objects drawn while the oracle sees each of these sets in turn."""
     drawn = []
     for rows in visible_objects:
@@ -125,9 +143,12 @@ def test_chc_pulls_up_visibility_so_hidden_trees_cost_one_query(renderer: Render
 
 
 def test_what_came_into_view_is_asked_for_at_its_leaves_in_the_next_frame(null: rhi.Device) -> None:
-    """Once it has been found, nodes above it are visible too, though what made them so before is out of view."""
+    """Once it has been found, nodes above it are visible too, though what made them so before is out of
+    view."""
     scene = make_boxes(np.array([(x, y, 0.0) for x in (-40.0, 40.0) for y in range(4)]), np.full((8, 3), 0.4))
-    left, right = (Camera.look_at((x, 1.5, 12.0), (x, 1.5, 0.0), projection=Perspective(0.6)) for x in (-40.0, 40.0))
+    left, right = (
+        Camera.look_at((x, 1.5, 12.0), (x, 1.5, 0.0), projection=Perspective(0.6)) for x in (-40.0, 40.0)
+    )
     with Renderer(null, scene, size=(64, 36)) as renderer:
         Oracle(null, scene, visible_objects=set(range(8)))
         algorithm = ChcPlusPlus(scene, null, VisibilitySettings(persistence=1000))
@@ -141,12 +162,16 @@ def test_what_came_into_view_is_asked_for_at_its_leaves_in_the_next_frame(null: 
 def test_chc_plus_plus_draws_in_fewer_batches_and_asks_with_fewer_queries(renderer: Renderer) -> None:
     costs = []
     for make_one in (Chc, ChcPlusPlus):
-        oracle = Oracle(renderer.device, renderer.scene, NAMES[make_one], visible_objects=set(range(0, 60, 4)))
+        oracle = Oracle(
+            renderer.device, renderer.scene, NAMES[make_one], visible_objects=set(range(0, 60, 4))
+        )
         algorithm = make_one(renderer.scene, renderer.device)
         for _ in range(12):
             result = draw_with(renderer, algorithm, EYE)
         assert visible(result) >= oracle.visible_objects
-        costs.append((result.visibility.batches, result.statistics.queries, result.statistics.hardware_state_changes))
+        costs.append(
+            (result.visibility.batches, result.statistics.queries, result.statistics.hardware_state_changes)
+        )
     assert all(new < 0.5 * old for old, new in zip(*costs, strict=True)), costs
 
 
@@ -168,7 +193,9 @@ def test_persistence_of_one_asks_in_every_frame(renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize(("batch", "least", "most"), [(1, 12, 60), (1000, 1, 3)])
-def test_hidden_nodes_gather_until_there_is_a_batch(renderer: Renderer, batch: int, least: int, most: int) -> None:
+def test_hidden_nodes_gather_until_there_is_a_batch(
+    renderer: Renderer, batch: int, least: int, most: int
+) -> None:
     oracle = Oracle(renderer.device, renderer.scene, visible_objects=set(range(0, 60, 3)))
     algorithm = ChcPlusPlus(renderer.scene, renderer.device, VisibilitySettings(batch=batch, persistence=50))
     for _ in range(3):
@@ -230,7 +257,9 @@ def test_conditional_culling_gives_up_what_is_never_answered(
     algorithm = ConditionalCulling(renderer.scene, renderer.device)
     sets = renderer.device.query_set
     set_sizes: list[int] = []
-    monkeypatch.setattr(renderer.device, "query_set", lambda size, emulated: set_sizes.append(size) or sets(size))
+    monkeypatch.setattr(
+        renderer.device, "query_set", lambda size, emulated: set_sizes.append(size) or sets(size)
+    )
     for _ in range(40):
         assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.visible_objects
     assert len(set_sizes) <= 9, "questions that were given up are asked with the same sets"
@@ -341,7 +370,9 @@ def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kin
         last = tracemalloc.take_snapshot().filter_traces([own])
     finally:
         tracemalloc.stop()
-    grown = sum(line.size for line in last.statistics("lineno")) - sum(line.size for line in first.statistics("lineno"))
+    grown = sum(line.size for line in last.statistics("lineno")) - sum(
+        line.size for line in first.statistics("lineno")
+    )
     assert memory() == before
     assert grown <= 32 * len(QUEUES), "a position of each queue, which is a number"
 

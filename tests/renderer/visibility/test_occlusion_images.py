@@ -20,7 +20,9 @@ def city() -> Scene:
 
 
 @pytest.mark.parametrize("name", WAITING)
-def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(gl: rhi.Device, name: str) -> None:
+def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(
+    gl: rhi.Device, name: str
+) -> None:
     # Behind a wall that leans as the beam does, and covers it but for the corners of its aligned box.
     object_positions, sizes = [(0.0, 0.0, -20.0), (0.5, 0.0, -20.5)], [(0.2, 6.0, 12.0), (0.2, 2.0, 8.0)]
     scene = make_boxes(object_positions, sizes, rotations=rotation((0, 1, 0), np.full(2, np.pi / 4)))
@@ -34,7 +36,9 @@ def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(gl:
 
 @pytest.mark.nightly_cases(reason=FEWER_CASES)
 @pytest.mark.slow
-@pytest.mark.parametrize("frames", [range(640, 650, 3), pytest.param(range(640, 700), marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "frames", [range(640, 650, 3), pytest.param(range(640, 700), marks=pytest.mark.nightly)]
+)
 def test_where_two_surfaces_tie_the_depth_is_the_same(gl: rhi.Device, frames: range) -> None:
     # Of two surfaces at exactly one depth either may show; another depth may not.
     whole = load_scene("city")

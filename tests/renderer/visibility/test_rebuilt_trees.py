@@ -30,7 +30,8 @@ SIZE = (64, 36)
 
 
 def make_moving(motion: Callable[[np.ndarray, float], np.ndarray]) -> Scene:
-    """Make boxes that move, `motion(object_positions, seconds)` to places, and a wall that hides the left half."""
+    """Make boxes that move, `motion(object_positions, seconds)` to places, and a wall that hides the left
+    half."""
     rng = np.random.default_rng(5)
     object_positions = rng.uniform((-12.0, -6.0, -60.0), (12.0, 6.0, -30.0), (BOXES, 3))
     sizes = [*rng.uniform(0.2, 0.8, (BOXES, 3)), (20.0, 60.0, 0.5)]
@@ -151,7 +152,9 @@ def test_after_a_shuffle_there_are_no_more_queries_than_with_a_new_tree(
     )
     after = count_queries(gl, make_moving(shuffle), name, [0.0] * 25 + [1.0] * 25)
     assert np.mean(after[-20:]) <= 1.1 * np.mean(fresh[-20:])
-    monkeypatch.setattr("renderer.visibility.boxes.forest.REBUILD_RATIO", np.inf)  # the control: the old tree asks more
+    monkeypatch.setattr(
+        "renderer.visibility.boxes.forest.REBUILD_RATIO", np.inf
+    )  # the control: the old tree asks more
     worn = count_queries(gl, make_moving(shuffle), name, [0.0] * 25 + [1.0] * 25)
     assert np.mean(worn[-20:]) > 1.2 * np.mean(fresh[-20:])
 

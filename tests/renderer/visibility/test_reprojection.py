@@ -93,11 +93,13 @@ def test_a_pixel_goes_where_the_camera_now_sees_it(device: rhi.Device) -> None:
 
 
 def test_a_wall_that_one_passes_is_no_nearer_than_it_is(device: rhi.Device) -> None:
-    # At each pixel it is as far as before, though each of its points has come a metre nearer. Points written where
-    # they were seen before, too, would hide the wall; in the holes, one texel in seven here, they are.
+    # At each pixel it is as far as before, though each of its points has come a metre nearer. Points written
+    # where they were seen before, too, would hide the wall; in the holes, one texel in seven here, they are.
     width = 1600
     projection = Perspective(near=0.5, aspect=width / 16)
-    last, now = (Camera.look_at((0.0, 0.0, z), (0.0, 0.0, z - 1.0), projection=projection) for z in (0.0, -1.0))
+    last, now = (
+        Camera.look_at((0.0, 0.0, z), (0.0, 0.0, z - 1.0), projection=projection) for z in (0.0, -1.0)
+    )
 
     def distances(x: np.ndarray) -> np.ndarray:
         return 8.0 / np.maximum(np.abs(x), 0.01)

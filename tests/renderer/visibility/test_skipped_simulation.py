@@ -75,7 +75,9 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
 
 
 @pytest.mark.parametrize(("count", "steps"), [(22, 0), (23, 23)])
-def test_only_what_an_absence_would_change_is_simulated_while_hidden(null: rhi.Device, count: int, steps: int) -> None:
+def test_only_what_an_absence_would_change_is_simulated_while_hidden(
+    null: rhi.Device, count: int, steps: int
+) -> None:
     """Of 22 fountains each can take the 90 steps that it remembers in the frame in which all return."""
     scene = load_scene(f"hall:columns=18,rows=2,flags=4,fountains={count}")
     away = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
@@ -94,7 +96,8 @@ def test_only_what_an_absence_would_change_is_simulated_while_hidden(null: rhi.D
 def test_a_suspended_flag_comes_back_otherwise_than_one_that_took_its_steps(
     gl: rhi.Device, name: str, hidden: slice
 ) -> None:
-    """The control of exam 77: by default nothing is stepped unseen, and a frame makes up for at most 240 steps."""
+    """The control of exam 77: by default nothing is stepped unseen, and a frame makes up for at most 240
+    steps."""
     scene, films = make_flag(), []
     for is_simulated in (False, True):
         algorithm = make_visibility(name, scene, gl)
@@ -121,7 +124,10 @@ def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> Non
         visible_objects = renderer.render(hall.views["overview"], 1.0).statistics
         again = renderer.render(hall.views["overview"], 1.0).statistics
     spray = hall.meshes.vertices.itemsize * 1080
-    assert visible_objects.upload_bytes - again.upload_bytes >= (12 - visible_objects.skipped_simulations) * spray
+    assert (
+        visible_objects.upload_bytes - again.upload_bytes
+        >= (12 - visible_objects.skipped_simulations) * spray
+    )
     assert again.simulation_steps == 0
 
 

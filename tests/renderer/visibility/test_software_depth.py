@@ -101,14 +101,18 @@ def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Devi
 
 @settings(max_examples=5)
 @given(scenes(), st.lists(cameras(), min_size=1, max_size=3), st.integers(1, 8))
-def test_whatever_occludes_no_pixel_is_lost(cl: rhi.Device, scene: Scene, eyes: list[Camera], occluders: int) -> None:
+def test_whatever_occludes_no_pixel_is_lost(
+    cl: rhi.Device, scene: Scene, eyes: list[Camera], occluders: int
+) -> None:
     algorithm = visibility.SoftwareDepth(scene, None, visibility.VisibilitySettings(occluders=occluders))
     assert not any(count_wrong_pixels(cl, scene, algorithm, [(eye, 0.0) for eye in eyes]))
     algorithm.destroy()
 
 
 @pytest.mark.parametrize(("pixels", "shows"), [(0.9, True), (2.1, False)])
-def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(cl: rhi.Device, pixels: float, shows: bool) -> None:
+def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(
+    cl: rhi.Device, pixels: float, shows: bool
+) -> None:
     # The wall ends at x = 0, between pixels; the box ends so many pixels before that, as the camera sees it.
     scene = make_boxes([(-10.0, 0.0, -5.0)], [(20.0, 40.0, 0.1)])
     camera = make_camera(ORIGIN, WALL_POSITION).with_aspect(2.0)
@@ -137,8 +141,11 @@ def test_a_box_compared_with_fewer_texels_shows_beside_the_end_of_what_hides_it(
 
 
 @pytest.mark.parametrize(("pixels", "expected"), [(1, {0, 2, 3}), (8, {0, 2})])
-def test_occluders_of_fewer_pixels_close_narrow_gaps(null: rhi.Device, pixels: int, expected: set[int]) -> None:
-    # The gap between the walls is one and a half pixels wide; those of a coarse image are 8 wide, and none is in it.
+def test_occluders_of_fewer_pixels_close_narrow_gaps(
+    null: rhi.Device, pixels: int, expected: set[int]
+) -> None:
+    # The gap between the walls is one and a half pixels wide; those of a coarse image are 8 wide, and none is
+    # in it.
     behind_the_eye, behind_the_gap = (0.0, 0.0, 9.0), (0.85, 0.0, -10.0)
     object_positions = [(-9.65, 0.0, -5.0), behind_the_eye, (10.5, 0.0, -5.0), behind_the_gap]
     scene = make_boxes(object_positions, [(20.0, 20.0, 0.02), (0.1,) * 3, (20.0, 20.0, 0.02), (0.5,) * 3])
@@ -187,7 +194,9 @@ def test_what_is_simulated_occludes_nothing() -> None:
     algorithm.destroy()
 
 
-def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null: rhi.Device, city: Scene) -> None:
+def test_a_device_that_draws_nothing_is_given_the_same(
+    device: rhi.Device, null: rhi.Device, city: Scene
+) -> None:
     algorithm, drawn = visibility.SoftwareDepth(city), []
     for each_device in (device, null):
         assert "software_depth" in visibility.list_algorithms(each_device)
@@ -214,7 +223,9 @@ def test_on_a_walk_most_of_what_is_hidden_is_not_drawn(cl: rhi.Device, city: Sce
     counts = []
     with Renderer(cl, city, size=(320, 180)) as renderer:
         for camera, _ in walk(city, "ground", range(300, 320, 5)):
-            counts.append([len(draw_with(renderer, culling, camera).visible) for culling in (algorithm, frustum, none)])
+            counts.append(
+                [len(draw_with(renderer, culling, camera).visible) for culling in (algorithm, frustum, none)]
+            )
     total = np.sum(counts, axis=0)
     assert total[0] < 0.6 * total[1] < 0.6 * total[2]
     algorithm.destroy()

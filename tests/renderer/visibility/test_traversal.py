@@ -38,14 +38,18 @@ def object_indices_of(scene: Scene, traversal: CullingTraversal, outcome: Traver
     """Return the indices of the objects whose boxes are those of nodes of an outcome."""
     indices = set()
     for lower, upper in zip(
-        traversal.lower[traversal.outcome == outcome], traversal.upper[traversal.outcome == outcome], strict=True
+        traversal.lower[traversal.outcome == outcome],
+        traversal.upper[traversal.outcome == outcome],
+        strict=True,
     ):
         same = (scene.objects.lower == lower).all(axis=1) & (scene.objects.upper == upper).all(axis=1)
         indices |= set(np.flatnonzero(same).tolist())
     return indices
 
 
-def count_inside(traversal: CullingTraversal, outcomes: tuple[TraversalOutcome, ...], row: int, scene: Scene) -> int:
+def count_inside(
+    traversal: CullingTraversal, outcomes: tuple[TraversalOutcome, ...], row: int, scene: Scene
+) -> int:
     """Return how many nodes of these outcomes hold an object."""
     inside = (traversal.lower <= scene.objects.lower[row]).all(axis=1)
     inside &= (traversal.upper >= scene.objects.upper[row]).all(axis=1)
@@ -53,7 +57,9 @@ def count_inside(traversal: CullingTraversal, outcomes: tuple[TraversalOutcome, 
 
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
-def test_each_object_is_in_a_node_that_tells_what_became_of_it(null: rhi.Device, scene: Scene, name: str) -> None:
+def test_each_object_is_in_a_node_that_tells_what_became_of_it(
+    null: rhi.Device, scene: Scene, name: str
+) -> None:
     oracle = Oracle(null, scene, name)
     camera = field_camera()
     in_view = FrustumCulling(scene)
@@ -90,7 +96,9 @@ def test_chc_queries_every_visible_leaf_and_chc_plus_plus_few(null: rhi.Device, 
         oracle = Oracle(null, scene, name)
         algorithm = make_visibility(name, scene, null)
         with Renderer(null, scene, size=(64, 36)) as renderer:
-            oracle.visible_objects = set(draw_with(renderer, FrustumCulling(scene), field_camera()).visible.tolist())
+            oracle.visible_objects = set(
+                draw_with(renderer, FrustumCulling(scene), field_camera()).visible.tolist()
+            )
             for _ in range(5):
                 draw_with(renderer, algorithm, field_camera())
             traversal = compute_traversal(algorithm, scene, field_camera().with_aspect(64 / 36), None)
@@ -121,7 +129,9 @@ def test_what_is_outside_of_an_opened_node_shows_even_if_nothing_in_the_node_is_
     with Renderer(null, scene, size=(64, 36)) as renderer:
         for visible_objects in (set(range(len(scene.objects))), set()):
             oracle.visible_objects = visible_objects
-            for _ in range(3 if visible_objects else 1):  # what was visible is opened, and then found to be hidden
+            for _ in range(
+                3 if visible_objects else 1
+            ):  # what was visible is opened, and then found to be hidden
                 draw_with(renderer, algorithm, field_camera())
             traversal = compute_traversal(algorithm, scene, view, None)
             outside = np.concatenate([traversal.lower, traversal.upper], axis=1)[

@@ -26,7 +26,9 @@ def follow(
     with Renderer(device, scene, size=size) as renderer:
         for camera in cameras:
             visible(draw_with(renderer, algorithm, camera))
-            lists.append((set(algorithm.first.read_object_indices()), set(algorithm.second.read_object_indices())))
+            lists.append(
+                (set(algorithm.first.read_object_indices()), set(algorithm.second.read_object_indices()))
+            )
     algorithm.destroy()
     return lists
 
@@ -43,7 +45,8 @@ def position_on_screen(x: float, y: float, distance: float, camera: Camera) -> t
 def test_a_box_that_covers_no_texels_centre_is_on_the_second_list(
     device: rhi.Device, x: float, list_number: int
 ) -> None:
-    # Centres of texels of 4 x 4 pixels are at 2, 6, 10 …; the box covers 2 pixels around x, and 26 is such a row.
+    # Centres of texels of 4 x 4 pixels are at 2, 6, 10 …; the box covers 2 pixels around x, and 26 is such a
+    # row.
     camera = make_camera(EYE, AIM)
     scene = make_boxes(
         [WALL_POSITION[0], position_on_screen(x, 26.0, 10.0, camera)], [WALL_POSITION[1], (0.5, 0.5, 0.1)]
@@ -84,7 +87,9 @@ def test_boxes_are_drawn_in_one_call_each_at_a_quarter_and_at_full_resolution(nu
         draw_with(renderer, algorithm, camera)
         passes = [command["descriptor"] for command in null.stream.filter(Op.BEGIN_PASS)]
         boxes = [
-            command for command in null.stream.draws() if command.resource(command.program).name.startswith("Mark")
+            command
+            for command in null.stream.draws()
+            if command.resource(command.program).name.startswith("Mark")
         ]
     # Reprojected depth, the scene, the boxes that were left, the scene again.
     assert [(render_pass.size, len(render_pass.colors)) for render_pass in passes] == [

@@ -30,9 +30,16 @@ def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
     assert VisibilitySettings.load(tmp_path / "s.json") == VisibilitySettings(batch=9)
 
 
-@pytest.mark.parametrize("text", [
-    "", "[]", "{}", '{"visibility": 3}', '{"visibility": {"bach": 3}}',
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"visibility": 3}',
+        '{"visibility": {"bach": 3}}',
+    ],
+)
 def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "s.json").write_text(text)
     assert refused_rule(lambda: VisibilitySettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
@@ -41,10 +48,18 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
 @pytest.mark.parametrize(
     "value",
     [
-        {"batch": 0}, {"persistence": 0}, {"leaf_size": 0}, {"threshold": -1}, {"batch": 2.5}, {"batch": "2"},
-        {"batch": True}, {"emulated": 1}, {"emulated": "native"}, {"emulated": None},
+        {"batch": 0},
+        {"persistence": 0},
+        {"leaf_size": 0},
+        {"threshold": -1},
+        {"batch": 2.5},
+        {"batch": "2"},
+        {"batch": True},
+        {"emulated": 1},
+        {"emulated": "native"},
+        {"emulated": None},
     ],
-)  # fmt: skip
+)
 def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
     assert refused_rule(lambda: VisibilitySettings(**value)) == "visibility-bad-parameter"
     VisibilitySettings(batch=1, persistence=1, leaf_size=1, threshold=0)
@@ -65,7 +80,9 @@ def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
 
 @pytest.mark.parametrize("emulated", [False, True])
 @pytest.mark.parametrize("name", ["stop_and_wait", "chc", "chc_plus_plus"])
-def test_emulated_queries_are_counters_in_place_of_queries(null: rhi.Device, name: str, emulated: bool) -> None:
+def test_emulated_queries_are_counters_in_place_of_queries(
+    null: rhi.Device, name: str, emulated: bool
+) -> None:
     null.backend_as(NullBackend).count_samples(lambda draw: 100)
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
     algorithm = make_visibility(name, scene, null, VisibilitySettings(emulated=emulated))

@@ -63,17 +63,23 @@ def test_what_is_said_to_be_outside_or_inside_is(scene: Scene, camera: Camera) -
 @given(scene=turned_scenes())
 def test_every_rotated_box_holds_its_object(scene: Scene) -> None:
     boxes = compute_rotated_boxes(scene, np.arange(len(scene.objects)))
-    for row, centre, half, axes in zip(boxes.object_indices, boxes.centre, boxes.half, boxes.axes, strict=True):
+    for row, centre, half, axes in zip(
+        boxes.object_indices, boxes.centre, boxes.half, boxes.axes, strict=True
+    ):
         draw = scene.meshes.ranges[scene.objects.mesh[row]]
         first, count = draw["first_index"], draw["index_count"]
-        local = scene.meshes.vertices["position"][scene.meshes.indices[first : first + count] + draw["base_vertex"]]
+        local = scene.meshes.vertices["position"][
+            scene.meshes.indices[first : first + count] + draw["base_vertex"]
+        ]
         world = scene.nodes.world[scene.objects.node[row]]
         points = local @ world[:3, :3].T + world[:3, 3]
         assert (np.abs((points - centre) @ axes.T) <= half + 1e-12 * (1.0 + np.abs(points))).all()
 
 
 @given(turned_scenes(), cameras())
-def test_boxes_are_culled_as_the_hierarchy_culls_them_but_for_the_margin(scene: Scene, camera: Camera) -> None:
+def test_boxes_are_culled_as_the_hierarchy_culls_them_but_for_the_margin(
+    scene: Scene, camera: Camera
+) -> None:
     objects, planes = scene.objects, camera.frustum.planes
     visible = select_visible(planes, objects.lower, objects.upper)
     side = classify(planes, objects.lower, objects.upper)
@@ -82,11 +88,15 @@ def test_boxes_are_culled_as_the_hierarchy_culls_them_but_for_the_margin(scene: 
     assert (away[~visible & (side != Containment.OUTSIDE)] > -1e-9).all()
 
 
-@pytest.mark.parametrize(("x", "side"), [
-    (-2.001, Containment.OUTSIDE),
-    (-1.999, Containment.CROSSING), (-0.001, Containment.CROSSING),
-    (0.001, Containment.INSIDE),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("x", "side"),
+    [
+        (-2.001, Containment.OUTSIDE),
+        (-1.999, Containment.CROSSING),
+        (-0.001, Containment.CROSSING),
+        (0.001, Containment.INSIDE),
+    ],
+)
 def test_both_sides_of_each_boundary(x: float, side: Containment) -> None:
     planes = np.array([[1.0, 0.0, 0.0, 1.0]])  # x >= -1
     centre = np.array([[x, 3.0, 4.0]])
@@ -99,5 +109,7 @@ def test_many_are_tested_at_once() -> None:
     lower, upper = scene.objects.lower, scene.objects.upper
     whole = classify(planes, lower, upper)
     assert len(set(whole.tolist())) == 3
-    one_by_one = [classify(planes, lower[row : row + 1], upper[row : row + 1])[0] for row in range(len(lower))]
+    one_by_one = [
+        classify(planes, lower[row : row + 1], upper[row : row + 1])[0] for row in range(len(lower))
+    ]
     assert (whole == one_by_one).all()

@@ -1,7 +1,7 @@
 """Where llvmpipe may differ from float64, and the known faults of drivers and backends, by name.
 
-docs/backends-gl.md and docs/backends-cl.md describe each. Here are the draws that meet it, and the smallest program
-that shows it.
+docs/backends-gl.md and docs/backends-cl.md describe each. Here are the draws that meet it, and the smallest
+program that shows it.
 """
 
 from __future__ import annotations
@@ -51,9 +51,14 @@ FAULTS: Final = (
 )
 
 LLVMPIPE: Final = Tolerances(
-    blends_in_format=True, signed_steps=1.0, encode_srgb=1.0, decode_srgb=1.5e-3, clip_margin=2.0, mip_steps=1.0,
+    blends_in_format=True,
+    signed_steps=1.0,
+    encode_srgb=1.0,
+    decode_srgb=1.5e-3,
+    clip_margin=2.0,
+    mip_steps=1.0,
     faults=FAULTS,
-)  # fmt: skip
+)
 
 SPILL, RERUN, EARLY, SIGNED = FAULTS
 _BOX = ((2.0, 2.0), (2.0, 6.0), (6.0, 6.0), (6.0, 2.0))
@@ -67,8 +72,13 @@ _CLIPPED_SHAPE = Shape(
 
 
 def _draw(
-    format: Format, samples: int, shader: ShaderKind, *states: State, query: int | None = None, shape: Shape = _SHAPE
-) -> Program:  # fmt: skip
+    format: Format,
+    samples: int,
+    shader: ShaderKind,
+    *states: State,
+    query: int | None = None,
+    shape: Shape = _SHAPE,
+) -> Program:
     """Return a program that draws a shape once."""
     draw = Draw(shader, 0, (Part(0, shape.elements),), (8, 8), (CullMode.NONE, *states), query=query)
     step = Pass((Subresource(0),), None, (draw,), ((0.75, -0.5, 0.25, 0.5),))
@@ -79,7 +89,9 @@ SMALLEST: Final = {
     SPILL: _draw(Format.RGBA8, 4, ShaderKind.FLAT, Scissor(3, 3, 4, 4)),
     RERUN: _draw(Format.RGBA8, 4, ShaderKind.COUNT, shape=_CLIPPED_SHAPE),
     EARLY: _draw(Format.RGBA8, 1, ShaderKind.DISCARD_EARLY, query=0),
-    SIGNED: _draw(Format.RGBA8_SNORM, 1, ShaderKind.FLAT, BlendFunction(BlendFactor.ONE_MINUS_DESTINATION_COLOR)),
+    SIGNED: _draw(
+        Format.RGBA8_SNORM, 1, ShaderKind.FLAT, BlendFunction(BlendFactor.ONE_MINUS_DESTINATION_COLOR)
+    ),
 }
 """The smallest program that shows each fault of llvmpipe."""
 

@@ -1,4 +1,5 @@
-"""A process whose address space ends (`ulimit -v`): creations are refused, nothing aborts, and the device goes on."""
+"""A process whose address space ends (`ulimit -v`): creations are refused, nothing aborts, and the device
+goes on."""
 
 from __future__ import annotations
 
@@ -79,8 +80,13 @@ KINDS = {"buffers": 400, "textures": 400, "writes": 400, "reads": 400, "records"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_where_the_address_space_ends_a_creation_is_refused_and_the_device_goes_on(kind: str, tmp_path: Path) -> None:
-    command, cache = [sys.executable, "-c", PROGRAM, "cl", kind, str(KINDS[kind])], {"RHI_CACHE": str(tmp_path)}
+def test_where_the_address_space_ends_a_creation_is_refused_and_the_device_goes_on(
+    kind: str, tmp_path: Path
+) -> None:
+    command, cache = (
+        [sys.executable, "-c", PROGRAM, "cl", kind, str(KINDS[kind])],
+        {"RHI_CACHE": str(tmp_path)},
+    )
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=os.environ | cache)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() in ("device-out-of-memory", "MemoryError")

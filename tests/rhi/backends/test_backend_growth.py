@@ -58,9 +58,13 @@ def draw_new_quads(harness: DeviceHarness) -> None:
 
 
 REPEATED = [
-    *CALLS, make_things_to_destroy, dispatch_a_new_program, draw_beside_a_lasting_target, rewrite_indices,
+    *CALLS,
+    make_things_to_destroy,
+    dispatch_a_new_program,
+    draw_beside_a_lasting_target,
+    rewrite_indices,
     draw_new_quads,
-]  # fmt: skip
+]
 COMPILED = {make_things_to_destroy: 4, dispatch_a_new_program: 4}
 """How often, where each time programs are compiled; other calls are repeated `TIMES` times."""
 TIMES = 20
@@ -77,8 +81,9 @@ def harness(request: pytest.FixtureRequest) -> Iterator[DeviceHarness]:
 
 
 def count_reachable(harness: DeviceHarness) -> int:
-    """Return the number of objects that the device keeps alive, those that its front end and backend refer to, and of
-    the elements of its sets; without the marks of rings, of which as many come together as fit into a ring."""
+    """Return the number of objects that the device keeps alive, those that its front end and backend refer
+    to, and of the elements of its sets; without the marks of rings, of which as many come together as fit
+    into a ring."""
     elements = 0
     seen: set[int] = set()
     shared = {id(module.__dict__) for module in list(sys.modules.values()) if hasattr(module, "__dict__")}
@@ -95,7 +100,9 @@ def count_reachable(harness: DeviceHarness) -> int:
 
 
 @pytest.mark.parametrize("call", REPEATED, ids=lambda call: call.__name__)
-def test_repeating_leaves_no_objects_behind(harness: DeviceHarness, call: Callable[[DeviceHarness], None]) -> None:
+def test_repeating_leaves_no_objects_behind(
+    harness: DeviceHarness, call: Callable[[DeviceHarness], None]
+) -> None:
     def repeat(times: int) -> int:
         for _ in range(times):
             call(harness)

@@ -1,7 +1,9 @@
-"""Memory that runs out at any creation, errors in any scope, many devices, and processes that end with everything open.
+"""Memory that runs out at any creation, errors in any scope, many devices, and processes that end with
+everything open.
 
-Afterwards everything is closed, a fixed image is drawn right, and the backend has the resources that it had before
-(`harness_kit`). Memory runs out in front of every `create_…` of the contract, and in the driver behind it.
+Afterwards everything is closed, a fixed image is drawn right, and the backend has the resources that it had
+before (`harness_kit`). Memory runs out in front of every `create_…` of the contract, and in the driver behind
+it.
 """
 
 from __future__ import annotations
@@ -26,8 +28,13 @@ from rhi.backends.gl import gl_textures as gl_textures
 from rhi.errors.rules import DEVICE_MEMORY
 
 CREATIONS = [
-    "create_buffer", "create_texture", "create_sampler", "create_program", "create_vertex_array", "create_query",
-]  # fmt: skip
+    "create_buffer",
+    "create_texture",
+    "create_sampler",
+    "create_program",
+    "create_vertex_array",
+    "create_query",
+]
 MAX_FAILURES = 12
 """Creations of a call that are made to fail."""
 
@@ -138,7 +145,8 @@ def test_a_device_goes_on_when_the_driver_has_no_memory(
 
 
 FIRST_DRAWS = 30
-"""More allocations than the first image of a device makes: bindings, counters, and the pools of the rasteriser."""
+"""More allocations than the first image of a device makes: bindings, counters, and the pools of the
+rasteriser."""
 
 
 @pytest.mark.nightly
@@ -302,7 +310,13 @@ def run_python(text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.nightly_cases(
-    "end-0-null", "end-0-cl", "error-1-cl", "error-1-gl", "exit-3-gl", "exit-3-null", reason=SAME_ON_EACH_BACKEND
+    "end-0-null",
+    "end-0-cl",
+    "error-1-cl",
+    "error-1-gl",
+    "exit-3-gl",
+    "exit-3-null",
+    reason=SAME_ON_EACH_BACKEND,
 )
 @pytest.mark.parametrize("backend", ["gl", "cl", "null"])
 @pytest.mark.parametrize(("how", "status"), [("end", 0), ("exit", 3), ("error", 1)])

@@ -1,8 +1,9 @@
-"""Ctrl-C at any step of any call: the device goes on as if the call had happened or not, and nothing is left behind.
+"""Ctrl-C at any step of any call: the device goes on as if the call had happened or not, and nothing is left
+behind.
 
-Each call is interrupted at each step at which Python could raise `KeyboardInterrupt` (`interrupts_kit`), or quickly at
-a few of them. Afterwards everything is closed, a fixed image is drawn right, queries count right, and the backend has
-the resources that it had before (`harness_kit`).
+Each call is interrupted at each step at which Python could raise `KeyboardInterrupt` (`interrupts_kit`), or
+quickly at a few of them. Afterwards everything is closed, a fixed image is drawn right, queries count right,
+and the backend has the resources that it had before (`harness_kit`).
 """
 
 from __future__ import annotations
@@ -36,12 +37,14 @@ QUICK = 10
 """Steps of each call that the default run tries."""
 
 MAX_STEPS = 1500
-"""Steps of each call that the nightly run tries: all, but only each nth of compiling programs, others each time."""
+"""Steps of each call that the nightly run tries: all, but only each nth of compiling programs, others each
+time."""
 
 
 @pytest.fixture(autouse=True)
 def interrupts() -> Iterator[None]:
-    """Python's own handler, also where this process was started to ignore Ctrl-C, as background jobs of a shell are."""
+    """Python's own handler, also where this process was started to ignore Ctrl-C, as background jobs of a
+    shell are."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -120,7 +123,9 @@ def test_a_device_goes_on_after_an_interrupt(houses: Any, call: Callable[[Device
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
-def test_a_device_goes_on_after_an_interrupt_at_any_step(houses: Any, call: Callable[[DeviceHarness], None]) -> None:
+def test_a_device_goes_on_after_an_interrupt_at_any_step(
+    houses: Any, call: Callable[[DeviceHarness], None]
+) -> None:
     harness = houses()
     if not harness.can(call):
         pytest.skip("nothing is rasterised")
@@ -140,7 +145,8 @@ def test_the_first_pass_of_a_device_may_be_interrupted(backend: str) -> None:
             pass
 
     def begin(at: int) -> int:
-        """Interrupt the first pass at a step, and look that the second one clears; return the number of steps."""
+        """Interrupt the first pass at a step, and look that the second one clears; return the number of
+        steps."""
         with rhi.create_device(backend, record=False) as device:
             image, interrupted = device.texture((4, 4), Format.RGBA8), Interrupt(at)
             with suppress(KeyboardInterrupt), interrupted:
@@ -169,8 +175,11 @@ def make_garbage():
 """
 
 
-def test_the_collector_may_be_interrupted_between_a_call_and_its_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    """CPython borrows the trace function there, which the interrupt removes: it called what came in its place."""
+def test_the_collector_may_be_interrupted_between_a_call_and_its_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """CPython borrows the trace function there, which the interrupt removes: it called what came in its
+    place."""
     names: dict[str, Any] = {}
     exec(compile(GARBAGE, "<garbage>", "exec"), names)
     monkeypatch.setattr(sys, "unraisablehook", lambda _: None)
@@ -229,9 +238,12 @@ def test_a_scope_around_one_whose_interrupt_was_caught_ends_both(null_device: De
     assert states.depth == 0
 
 
-@pytest.mark.parametrize(("kind", "cuts"), [("states", 1), ("event", 1), ("pass", 1), ("states", 2), ("event", 2)])
+@pytest.mark.parametrize(
+    ("kind", "cuts"), [("states", 1), ("event", 1), ("pass", 1), ("states", 2), ("event", 2)]
+)
 def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: str, cuts: int) -> None:
-    """Also one that was entered inside itself: the stack of scopes alone, for each of its places, doesn't hold it."""
+    """Also one that was entered inside itself: the stack of scopes alone, for each of its places, doesn't
+    hold it."""
     image = null_device.texture((4, 4), Format.RGBA8)
     block: Any
     if kind == "states":
@@ -253,7 +265,9 @@ def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: 
 @pytest.mark.parametrize("kind", ["states", "event"])
 def test_a_scope_that_was_withdrawn_can_be_entered_again(null_device: Device, kind: str) -> None:
     """It isn't in the stack any more, so the only reference to it is that of the `with` statement."""
-    blocks: list[Any] = [null_device.states(CullMode.NONE) if kind == "states" else null_device.event("again")]
+    blocks: list[Any] = [
+        null_device.states(CullMode.NONE) if kind == "states" else null_device.event("again")
+    ]
     scopes = null_device._core.scopes
     blocks[0].__enter__()
     scopes.withdraw(blocks[0])  # as the pass around it does when it can't be ended
@@ -448,5 +462,7 @@ next(draws), next(draws)
 @pytest.mark.nightly_cases("cl", "null", reason=SAME_ON_EACH_BACKEND)
 @pytest.mark.parametrize("backend", ["cl", "gl", "null"])
 def test_a_process_ends_silently_with_a_suspended_generator_in_a_pass(backend: str) -> None:
-    done = subprocess.run([sys.executable, "-c", SUSPENDED, backend], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", SUSPENDED, backend], capture_output=True, text=True, timeout=120
+    )
     assert (done.returncode, done.stderr) == (0, "")

@@ -15,7 +15,10 @@ from rhi.contract.texels import decode
 def test_levels_are_means_of_the_ones_before(backend: str, most: float) -> None:
     """Averages in linear light are rounded to nearest on cl; llvmpipe's curve is off by up to 0.4 more."""
     texels = np.random.default_rng(3).integers(0, 256, (64, 64, 4), np.uint8)
-    with rhi.create_device(backend) as device, device.texture(texels, Format.RGBA8_SRGB, levels=None) as image:
+    with (
+        rhi.create_device(backend) as device,
+        device.texture(texels, Format.RGBA8_SRGB, levels=None) as image,
+    ):
         image.generate_mipmaps()
         for level in range(1, image.levels):
             linear = decode(Format.RGBA8_SRGB, image.read(level - 1)).astype(np.float64)

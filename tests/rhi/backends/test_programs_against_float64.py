@@ -1,7 +1,7 @@
 """Random programs of all formats and states do on a device what the interpreter in float64 allows.
 
-Programs of one theme share their pipelines, so a backend that compiles per pipeline compiles little. A program that
-fails is printed as a small one that fails too.
+Programs of one theme share their pipelines, so a backend that compiles per pipeline compiles little. A
+program that fails is printed as a small one that fails too.
 """
 
 from __future__ import annotations
@@ -124,10 +124,17 @@ def test_blending_of_intervals_contains_that_of_their_ends(
 
 SQUARE = Shape(
     rhi.Primitive.QUADS,
-    tuple((x, y, 0.25, 1.0, 0.5, 0.25, 1.0, 0.5) for x, y in ((1.0, 1.0), (1.0, 6.0), (7.0, 6.0), (7.0, 1.0))),
+    tuple(
+        (x, y, 0.25, 1.0, 0.5, 0.25, 1.0, 0.5) for x, y in ((1.0, 1.0), (1.0, 6.0), (7.0, 6.0), (7.0, 1.0))
+    ),
 )
 DRAW = Draw(
-    ShaderKind.FLAT, 0, (Part(0, 4),), (8, 8), (rhi.DepthFunction.LESS, rhi.StencilTest.ON, rhi.CullMode.NONE), query=0
+    ShaderKind.FLAT,
+    0,
+    (Part(0, 4),),
+    (8, 8),
+    (rhi.DepthFunction.LESS, rhi.StencilTest.ON, rhi.CullMode.NONE),
+    query=0,
 )
 PASS = Pass((Subresource(0),), Subresource(1), (DRAW, DRAW), ((0.25, 0.5, 0.0, 1.0),), 0.5, 7)
 IMAGES = (Image((8, 8), rhi.Format.RGBA8), Image((8, 8), rhi.Format.D24S8))
@@ -149,8 +156,11 @@ STATES: list[rhi.State] = [
 
 @pytest.mark.parametrize("state", STATES, ids=str)
 def test_a_state_that_a_device_ignores_is_seen(llvmpipe: rhi.Device, state: rhi.State) -> None:
-    """The results of a program without a state lie outside of what the program with it allows, and the reverse."""
-    around = () if not isinstance(state, rhi.StencilReference) else (rhi.StencilFront(rhi.Comparison.LESS_EQUAL),)
+    """The results of a program without a state lie outside of what the program with it allows, and the
+    reverse."""
+    around = (
+        () if not isinstance(state, rhi.StencilReference) else (rhi.StencilFront(rhi.Comparison.LESS_EQUAL),)
+    )
     facing = () if state is not rhi.CullMode.BACK else (rhi.FrontFace.CLOCKWISE,)
     before = replace(DRAW, states=(*DRAW.states, *around, *facing))
     after = replace(before, states=(*(s for s in before.states if type(s) is not type(state)), state))
@@ -163,7 +173,8 @@ def test_a_state_that_a_device_ignores_is_seen(llvmpipe: rhi.Device, state: rhi.
 
 
 def test_most_texels_have_one_possible_value() -> None:
-    """Else the interpreter would allow anything. Images of integers and of floats are told apart by their widths."""
+    """Else the interpreter would allow anything. Images of integers and of floats are told apart by their
+    widths."""
     sharp = total = 0
     for number in range(12):
         theme = make_theme(number, ALL_FORMATS)
@@ -233,8 +244,11 @@ def test_a_program_is_printed_as_python_that_makes_it() -> None:
 
 
 def test_a_failing_program_is_reduced_to_what_fails() -> None:
-    """Of a program that fails because of one state, one step with one draw of one primitive with that state is left."""
-    guilty = replace(DRAW, states=(rhi.CullMode.NONE, rhi.ColorWrite(red=False)), parts=(Part(0, 4, 3), Part(0, 4)))
+    """Of a program that fails because of one state, one step with one draw of one primitive with that state
+    is left."""
+    guilty = replace(
+        DRAW, states=(rhi.CullMode.NONE, rhi.ColorWrite(red=False)), parts=(Part(0, 4, 3), Part(0, 4))
+    )
     more = Write(Subresource(0), 0, 0, 2, 2, 1)
     program = Program(IMAGES, (SQUARE,), (more, PASS, replace(PASS, draws=(DRAW, guilty)), more), 1)
 

@@ -83,7 +83,9 @@ def test_a_running_counter_counts_what_a_set_counts(device: Device, bars: Mesh) 
             assert queries.wait().tolist() == SAMPLES.tolist()
 
 
-def test_a_counter_that_begins_to_run_between_draws_and_answers_changes_neither(device: Device, bars: Mesh) -> None:
+def test_a_counter_that_begins_to_run_between_draws_and_answers_changes_neither(
+    device: Device, bars: Mesh
+) -> None:
     first, second = device.query_set(16), device.query_set(16)
     with device.texture(SIZE, Format.R8) as image:
         with device.render_pass(image):

@@ -1,4 +1,5 @@
-"""Recorded commands and errors name the line of the user's program, whatever stands between it and the call."""
+"""Recorded commands and errors name the line of the user's program, whatever stands between it and the
+call."""
 
 from __future__ import annotations
 

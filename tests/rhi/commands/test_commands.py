@@ -86,9 +86,14 @@ def test_a_command_gives_its_arguments_by_name(recorder):
     assert command.op is Op.DRAW
     assert command.values == (7, descriptors.Primitive.LINES, 1, 2, 3, 4, 5)
     assert command.arguments == {
-        "vertex_array": 7, "primitive": descriptors.Primitive.LINES, "first": 1, "count": 2, "instances": 3,
-        "base_vertex": 4, "base_instance": 5,
-    }  # fmt: skip
+        "vertex_array": 7,
+        "primitive": descriptors.Primitive.LINES,
+        "first": 1,
+        "count": 2,
+        "instances": 3,
+        "base_vertex": 4,
+        "base_instance": 5,
+    }
     assert command["base_instance"] == 5
 
 
@@ -148,8 +153,15 @@ def test_draws_include_indirect_ones(recorder):
 
 def test_a_command_knows_the_labels_around_it(labelled):
     assert [command.labels for command in labelled] == [
-        (), ("shadows",), ("shadows", "sun"), ("shadows",), ("shadows",), (), (), (),
-    ]  # fmt: skip
+        (),
+        ("shadows",),
+        ("shadows", "sun"),
+        ("shadows",),
+        ("shadows",),
+        (),
+        (),
+        (),
+    ]
 
 
 def test_a_command_knows_its_states_program_and_pass(recorder):
@@ -190,7 +202,9 @@ def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived
             getattr(command, name)
 
 
-STEPS = st.lists(st.sampled_from(["push", "pop", "cull", "draw", "clear", "pause", "resume", "look"]), max_size=60)
+STEPS = st.lists(
+    st.sampled_from(["push", "pop", "cull", "draw", "clear", "pause", "resume", "look"]), max_size=60
+)
 
 
 @given(STEPS, st.randoms(use_true_random=False))
@@ -294,12 +308,20 @@ def test_values_are_shown_as_one_would_write_them(value, text):
 
 def test_states_that_differ_by_target_are_shown_by_target():
     row = (ColorWrite.OFF,) + (ColorWrite.ON,) * 7
-    assert describe(StateChange(ColorWrite, row)).startswith("ColorWrite per target (ColorWrite.OFF, ColorWrite.ON,")
+    assert describe(StateChange(ColorWrite, row)).startswith(
+        "ColorWrite per target (ColorWrite.OFF, ColorWrite.ON,"
+    )
 
 
 def test_a_program_is_shown_by_its_name():
     program = descriptors.ProgramDescriptor(
-        "Lit", frozenset({descriptors.Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: descriptors.StageText("")
+        "Lit",
+        frozenset({descriptors.Stage.VERTEX}),
+        (),
+        (),
+        (),
+        (1, 1, 1),
+        lambda *_: descriptors.StageText(""),
     )
     assert describe_call("create_program", {"program": 1, "descriptor": program}) == (
         "create_program(program=1, descriptor=ProgramDescriptor('Lit'))"

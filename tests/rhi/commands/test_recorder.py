@@ -140,10 +140,12 @@ def test_two_calls_on_one_line_of_a_loop_and_several_lines_of_one_call_are_told_
     first = sys._getframe().f_lineno + 1
     recorder.signal(1)
     recorder.copy_buffer(
-        1, 0,
-        2, 0,
+        1,
+        0,
+        2,
+        0,
         4,
-    )  # fmt: skip
+    )
     for value in range(2):
         recorder.signal(value)
     lines = [command.site.line for command in recorder.stream]

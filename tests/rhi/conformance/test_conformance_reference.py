@@ -15,7 +15,9 @@ POINT = st.tuples(st.integers(-64, 320), st.integers(-64, 320))
 
 
 @given(a=POINT, b=POINT, c=POINT, d=POINT)
-def test_two_triangles_that_share_an_edge_cover_no_texel_twice(a: tuple, b: tuple, c: tuple, d: tuple) -> None:
+def test_two_triangles_that_share_an_edge_cover_no_texel_twice(
+    a: tuple, b: tuple, c: tuple, d: tuple
+) -> None:
     def side(p: tuple) -> int:
         return int(np.sign((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])))
 
@@ -27,7 +29,9 @@ def test_a_square_of_two_triangles_covers_its_texels() -> None:
     a, b, c, d = (np.array(p) * reference.SUBTEXELS for p in ((2, 3), (7, 3), (7, 9), (2, 9)))
     mask = np.zeros((16, 16), bool)
     mask[3:9, 2:7] = True
-    assert np.array_equal(reference.rasterise([a, b, c], 16, 16) | reference.rasterise([a, c, d], 16, 16), mask)
+    assert np.array_equal(
+        reference.rasterise([a, b, c], 16, 16) | reference.rasterise([a, c, d], 16, 16), mask
+    )
 
 
 @given(a=POINT, b=POINT, c=POINT)
@@ -73,7 +77,10 @@ def test_srgb_goes_there_and_back(value: float) -> None:
 
 def test_known_points_of_the_srgb_curve() -> None:
     assert_near(
-        reference.linear_to_srgb([0, 0.0031308, 0.5, 1]), [0, 0.04045, 0.735357, 1], 1e-5, "published to 5 digits"
+        reference.linear_to_srgb([0, 0.0031308, 0.5, 1]),
+        [0, 0.04045, 0.735357, 1],
+        1e-5,
+        "published to 5 digits",
     )
 
 

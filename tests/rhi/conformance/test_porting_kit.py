@@ -92,7 +92,9 @@ def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> 
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_a_new_backend_passes_mypy_strict(mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path) -> None:
+def test_a_new_backend_passes_mypy_strict(
+    mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
+) -> None:
     right, wrong = (write_package(name, tmp_path) / f"rhi_{name}" for name in ("right", "wrong"))
     out, _ = mypy_strict(right)
     assert [line for line in out.splitlines() if "rhi_right" in line] == []
@@ -102,7 +104,9 @@ def test_a_new_backend_passes_mypy_strict(mypy_strict: Callable[..., tuple[str, 
     assert "Incompatible return value type" in out
 
 
-def test_the_command_writes_the_package_and_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_the_package_and_says_where(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["new-backend", "metal", "--folder", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert out.strip() == str(tmp_path / "rhi-metal")
@@ -111,7 +115,9 @@ def test_the_command_writes_the_package_and_says_where(tmp_path: Path, capsys: p
 
 
 @pytest.mark.parametrize("name", ["Metal", "9lives", "a-b", "class", "", "gl"])
-def test_a_name_must_be_free_and_a_module_s(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_name_must_be_free_and_a_module_s(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["new-backend", name, "--folder", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: ")
     assert not list(tmp_path.iterdir())
@@ -242,12 +248,14 @@ def board(*failures: tuple[str, str, str]) -> Board:
 
 
 def test_the_earliest_step_is_next_with_the_methods_that_stop_most() -> None:
-    group_names = describe_next(board(
-        ("operation · depth", "test_a", "set_states"),
-        ("operation · time", "test_b", "signal"),
-        ("operation · time", "test_c", "write_query"),
-        ("operation · recording", "test_d", "write_query"),
-    ))  # fmt: skip
+    group_names = describe_next(
+        board(
+            ("operation · depth", "test_a", "set_states"),
+            ("operation · time", "test_b", "signal"),
+            ("operation · time", "test_c", "write_query"),
+            ("operation · recording", "test_d", "write_query"),
+        )
+    )
     assert group_names == [
         "next: step 3, time and labels (docs/porting.md)",
         "  write write_query: 2 tests stop there",

@@ -49,7 +49,11 @@ def texels_of(format, block):
         return colors_of(block, True)
     if kind in ("BC2", "BC3"):
         alphas = int.from_bytes(block[:8], "little")
-        alpha = [(alphas >> 4 * i & 15) * 17 for i in range(16)] if kind == "BC2" else channel_of(block[:8], False)
+        alpha = (
+            [(alphas >> 4 * i & 15) * 17 for i in range(16)]
+            if kind == "BC2"
+            else channel_of(block[:8], False)
+        )
         return [[*color[:3], a] for color, a in zip(colors_of(block[8:], False), alpha, strict=True)]
     halves = [channel_of(block[i : i + 8], kind.endswith("_SNORM")) for i in range(0, len(block), 8)]
     return [list(texel) for texel in zip(*halves, strict=True)]
@@ -87,7 +91,9 @@ def pack(*fields):
 
 def test_mode_6_of_bc7_has_two_ends_and_16_steps():
     ends = [(0, 127), (127, 0), (64, 64), (127, 127)]  # red, green, blue, alpha of both
-    fields = [(n, 7) for pair in ends for n in pair] + [(0, 1), (1, 1), (7, 3)] + [(i, 4) for i in range(1, 16)]
+    fields = (
+        [(n, 7) for pair in ends for n in pair] + [(0, 1), (1, 1), (7, 3)] + [(i, 4) for i in range(1, 16)]
+    )
     block = pack((1 << 6, 7), *fields)
     texels = decode_blocks(CompressedFormat.BC7, block).reshape(16, 4)
     weights = [0, 4, 9, 13, 17, 21, 26, 30, 34, 38, 43, 47, 51, 55, 60, 64]
@@ -124,12 +130,15 @@ def test_a_reserved_mode_is_black():
         np.testing.assert_array_equal(texels.reshape(16, 4), [(0, 0, 0, 1)] * 16)
 
 
-@pytest.mark.parametrize(("format", "bits", "expected"), [
-    (CompressedFormat.BC6H, 0, 0.0),
-    (CompressedFormat.BC6H, 1023, 65504.0),
-    (CompressedFormat.BC6H_SIGNED, 511, 65504.0),
-    (CompressedFormat.BC6H_SIGNED, 512, -65504.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("format", "bits", "expected"),
+    [
+        (CompressedFormat.BC6H, 0, 0.0),
+        (CompressedFormat.BC6H, 1023, 65504.0),
+        (CompressedFormat.BC6H_SIGNED, 511, 65504.0),
+        (CompressedFormat.BC6H_SIGNED, 512, -65504.0),
+    ],
+)
 def test_mode_3_of_bc6h_stores_both_ends(format, bits, expected):
     texels = decode_blocks(format, pack((3, 5), *[(bits, 10)] * 6)).reshape(16, 4)
     np.testing.assert_array_equal(texels, [(expected, expected, expected, 1)] * 16)
@@ -139,7 +148,9 @@ def test_a_level_is_cut_at_its_edges():
     blocks = RNG.integers(0, 256, (2, 2, 3, 8), np.uint8)
     level = decode_level(CompressedFormat.BC4, blocks, 10, 7)
     assert level.shape == (2, 7, 10, 1)
-    np.testing.assert_array_equal(level[1, 4:7, 8:10], decode_blocks(CompressedFormat.BC4, blocks[1, 1, 2])[:3, :2])
+    np.testing.assert_array_equal(
+        level[1, 4:7, 8:10], decode_blocks(CompressedFormat.BC4, blocks[1, 1, 2])[:3, :2]
+    )
 
 
 def test_formats_with_equal_parts_are_different():

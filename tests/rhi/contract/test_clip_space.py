@@ -48,7 +48,9 @@ def test_reversed_depth_of_a_parallel_projection_is_linear() -> None:
     assert depth(convert_projection(parallel), middle) == pytest.approx(0.5, abs=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [np.eye(3), np.ones(16), np.full((4, 4), np.nan), np.diag((1, 1, 1, np.inf))])
+@pytest.mark.parametrize(
+    "wrong", [np.eye(3), np.ones(16), np.full((4, 4), np.nan), np.diag((1, 1, 1, np.inf))]
+)
 def test_what_is_no_projection_is_refused(wrong: NDArray[np.float64]) -> None:
     with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         convert_projection(wrong)

@@ -23,7 +23,12 @@ def test_a_packed_texel_is_one_number_for_all_channels(format):
     bits = [int(n) for n in letters if n and n.isdigit()]
     assert format.channel_bits == (tuple(bits) if len(bits) == 3 else (bits[0],) * 3 + (bits[1],))
     assert sum(format.channel_bits) == 32
-    assert (format.components, format.dtype, format.transfer_bytes, format.texel_bytes) == (1, np.uint32, 4, 4)
+    assert (format.components, format.dtype, format.transfer_bytes, format.texel_bytes) == (
+        1,
+        np.uint32,
+        4,
+        4,
+    )
     assert format.channels == len(format.channel_bits)
 
 

@@ -32,7 +32,11 @@ BAD = [
     (states.StencilReference, (0, -1), (0, 0)),
     (states.StencilReadMask, (-1,), (0,)),
     (states.StencilWriteMask, (0, 256), (0, 255)),
-    (states.ColorWrite, (True, True, True, True, states.MAX_TARGETS), (True, True, True, True, states.MAX_TARGETS - 1)),
+    (
+        states.ColorWrite,
+        (True, True, True, True, states.MAX_TARGETS),
+        (True, True, True, True, states.MAX_TARGETS - 1),
+    ),
     (states.ColorWrite, (True, True, True, True, -1), (True, True, True, True, 0)),
 ]
 
@@ -90,7 +94,9 @@ def test_choosing_a_target_leaves_the_rest_as_it_was():
     [
         (states.BlendFunction.OFF, True),
         (
-            states.BlendFunction(states.BlendFactor.ONE, states.BlendFactor.ZERO, source_alpha=states.BlendFactor.ONE),
+            states.BlendFunction(
+                states.BlendFactor.ONE, states.BlendFactor.ZERO, source_alpha=states.BlendFactor.ONE
+            ),
             True,
         ),
         (states.BlendFunction(states.BlendFactor.ONE, states.BlendFactor.ONE), False),

@@ -35,7 +35,12 @@ def test_the_ends_of_a_normalized_format_are_exact_and_what_lies_beyond_saturate
     limits = np.iinfo(format.dtype)
     low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
     assert encode_one(format, 1.0) == encode_one(format, 7.0) == encode_one(format, np.inf) == limits.max
-    assert encode_one(format, low) == encode_one(format, -7.0) == encode_one(format, -np.inf) == round(low * limits.max)
+    assert (
+        encode_one(format, low)
+        == encode_one(format, -7.0)
+        == encode_one(format, -np.inf)
+        == round(low * limits.max)
+    )
     assert encode_one(format, np.nan) == 0
 
 
@@ -59,12 +64,16 @@ def test_half_of_an_8_bit_channel_is_128_as_on_hardware():
 
 
 @pytest.mark.parametrize(
-    ("linear", "stored"), [(0.0, 0), (0.0031308, 10), (0.2158605, 128), (0.5, 188), (0.7304608, 222), (1.0, 255)]
+    ("linear", "stored"),
+    [(0.0, 0), (0.0031308, 10), (0.2158605, 128), (0.5, 188), (0.7304608, 222), (1.0, 255)],
 )
 def test_srgb_follows_its_curve_and_leaves_alpha_linear(linear, stored):
     assert encode(Format.RGBA8_SRGB, np.array([linear, linear, linear, linear])).tolist() == [
-        stored, stored, stored, round(linear * 255),
-    ]  # fmt: skip
+        stored,
+        stored,
+        stored,
+        round(linear * 255),
+    ]
 
 
 @pytest.mark.parametrize("format", [f for f in UNPACKED if f.is_integer], **BY_NAME)
@@ -91,7 +100,13 @@ def test_floats_are_rounded_once_and_overflow_to_infinity(format):
 
 @pytest.mark.parametrize(
     ("format", "steps"),
-    [(Format.D16, 65535), (Format.D24, 16777215), (Format.D24S8, 16777215), (Format.D32F, 0), (Format.D32FS8, 0)],
+    [
+        (Format.D16, 65535),
+        (Format.D24, 16777215),
+        (Format.D24S8, 16777215),
+        (Format.D32F, 0),
+        (Format.D32FS8, 0),
+    ],
 )
 def test_depth_is_kept_to_the_steps_of_its_format(format, steps):
     for value in (0.0, 0.1, 1 / 3, 0.5, 0.9999, 1.0):
@@ -191,7 +206,9 @@ def test_small_floats_are_rounded_to_the_nearest(channel):
         every = decode(Format.R11G11B10F, np.arange(1 << 10, dtype=np.uint32)[:, None] << np.uint32(22))[:, 2]
     every = every[np.isfinite(every)]
     rng = np.random.default_rng(1)
-    values = np.concatenate([rng.uniform(0, 2, 500), 2.0 ** rng.uniform(-22, 16, 2000), every, every * (1 + 2.0**-9)])
+    values = np.concatenate(
+        [rng.uniform(0, 2, 500), 2.0 ** rng.uniform(-22, 16, 2000), every, every * (1 + 2.0**-9)]
+    )
     colors = np.zeros((len(values), 3))
     colors[:, channel] = values
     stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, colors))[:, channel]

@@ -1,10 +1,12 @@
-"""A call of every public method, with what each of its parameters takes: laws about all calls are tested over it.
+"""A call of every public method, with what each of its parameters takes: laws about all calls are tested over
+it.
 
-- `SAMPLES` holds for each method a call that works and, for each parameter, the value of that call and a predicate: the
-  values that the documentation allows. The test replaces one value at a time by every value of `WRONG`.
+- `SAMPLES` holds for each method a call that works and, for each parameter, the value of that call and a
+  predicate: the values that the documentation allows. The test replaces one value at a time by every value of
+  `WRONG`.
 - Both follow from the parameter's annotation and default; `EXCEPTIONS` holds what they don't say.
-- A predicate may allow a value that the call refuses for another reason (a texture of another format, an index beyond
-  the end). What it doesn't allow has to be refused.
+- A predicate may allow a value that the call refuses for another reason (a texture of another format, an
+  index beyond the end). What it doesn't allow has to be refused.
 """
 
 from __future__ import annotations
@@ -77,9 +79,17 @@ class CallHarness:
         with device.record() as self.commands:
             pass
         self.resources = [
-            self.program, self.tint, self.tints, self.buffer, self.numbers, self.mesh, self.image, self.depth,
-            self.query, self.queries,
-        ]  # fmt: skip
+            self.program,
+            self.tint,
+            self.tints,
+            self.buffer,
+            self.numbers,
+            self.mesh,
+            self.image,
+            self.depth,
+            self.query,
+            self.queries,
+        ]
 
     @property
     def transient(self) -> rhi.TransientMemory:
@@ -95,24 +105,53 @@ class CallHarness:
 
 
 CLASSES: Final[list[Any]] = [
-    rhi.Device, rhi.CommandBuffer, rhi.TransientMemory, rhi.Buffer, rhi.UniformBuffer, rhi.UniformArray,
-    rhi.StorageBuffer, rhi.Texture, rhi.Mesh, rhi.TransientMesh, rhi.Program, rhi.OcclusionQuery, rhi.QuerySet,
-    rhi.Immediate, rhi.ColorWrite, rhi.BlendFunction,
-]  # fmt: skip
+    rhi.Device,
+    rhi.CommandBuffer,
+    rhi.TransientMemory,
+    rhi.Buffer,
+    rhi.UniformBuffer,
+    rhi.UniformArray,
+    rhi.StorageBuffer,
+    rhi.Texture,
+    rhi.Mesh,
+    rhi.TransientMesh,
+    rhi.Program,
+    rhi.OcclusionQuery,
+    rhi.QuerySet,
+    rhi.Immediate,
+    rhi.ColorWrite,
+    rhi.BlendFunction,
+]
 """The classes whose methods are called."""
 
 VALUES: Final[list[Any]] = [
-    rhi.Region, rhi.SamplerDescriptor, rhi.IndirectDraws, rhi.TextureTarget, rhi.Sampler, rhi.FixedStack,
-    rhi.FixedQueue, rhi.ProgramDescriptor, *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
-]  # fmt: skip
+    rhi.Region,
+    rhi.SamplerDescriptor,
+    rhi.IndirectDraws,
+    rhi.TextureTarget,
+    rhi.Sampler,
+    rhi.FixedStack,
+    rhi.FixedQueue,
+    rhi.ProgramDescriptor,
+    *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
+]
 """The classes whose objects are values, which users create."""
 
 OBJECTS: Final = {
-    "Device": "device", "Buffer": "buffer", "UniformBuffer": "tint", "UniformArray": "tints",
-    "StorageBuffer": "numbers", "Texture": "image", "Mesh": "mesh", "Program": "program", "OcclusionQuery": "query",
-    "QuerySet": "queries", "CommandBuffer": "commands", "TransientMemory": "transient",
+    "Device": "device",
+    "Buffer": "buffer",
+    "UniformBuffer": "tint",
+    "UniformArray": "tints",
+    "StorageBuffer": "numbers",
+    "Texture": "image",
+    "Mesh": "mesh",
+    "Program": "program",
+    "OcclusionQuery": "query",
+    "QuerySet": "queries",
+    "CommandBuffer": "commands",
+    "TransientMemory": "transient",
     "TransientMesh": "transient_mesh",
-}  # fmt: skip
+}
 """The harness's object of each class."""
 
 INTERNAL: Final = {
@@ -121,19 +160,53 @@ INTERNAL: Final = {
     "Mesh": {"create_vertex_array", "offset_draws"},
     "TransientMesh": {"create_vertex_array", "offset_draws"},
     "Program": {
-        "bind", "bind_current", "build", "check", "check_can_dispatch", "check_can_draw", "check_instances",
-        "check_names", "check_unknown", "draw_unprepared", "draw_with", "exchange", "explain", "get_vertex_array",
-        "make_current", "note_retired", "pack_value", "prepare_draw", "take_uniform",
+        "bind",
+        "bind_current",
+        "build",
+        "check",
+        "check_can_dispatch",
+        "check_can_draw",
+        "check_instances",
+        "check_names",
+        "check_unknown",
+        "draw_unprepared",
+        "draw_with",
+        "exchange",
+        "explain",
+        "get_vertex_array",
+        "make_current",
+        "note_retired",
+        "pack_value",
+        "prepare_draw",
+        "take_uniform",
     },
     "OcclusionQuery": {
-        "abandon", "check_ended", "check_usable", "complete", "cut_off", "describe", "discard_result", "get_block",
-        "finish", "mark_submitted", "write_begin", "write_end",
+        "abandon",
+        "check_ended",
+        "check_usable",
+        "complete",
+        "cut_off",
+        "describe",
+        "discard_result",
+        "get_block",
+        "finish",
+        "mark_submitted",
+        "write_begin",
+        "write_end",
     },
     "QuerySet": {
-        "check_conditions", "check_ended", "check_query_indices", "counted", "discard_result", "draw",
-        "draw_conditional", "mark_drawn", "mark_indices_submitted", "mark_submitted",
+        "check_conditions",
+        "check_ended",
+        "check_query_indices",
+        "counted",
+        "discard_result",
+        "draw",
+        "draw_conditional",
+        "mark_drawn",
+        "mark_indices_submitted",
+        "mark_submitted",
     },
-}  # fmt: skip
+}
 """Methods that the package's own modules call on each other."""
 
 
@@ -185,7 +258,9 @@ def array(*dtypes: Any) -> Takes:
 
     def takes(harness: CallHarness, value: Any) -> bool:
         try:
-            return np.asarray(value).ndim > 0 and np.asarray(value).dtype in [np.dtype(each) for each in dtypes]
+            return np.asarray(value).ndim > 0 and np.asarray(value).dtype in [
+                np.dtype(each) for each in dtypes
+            ]
         except (TypeError, ValueError):
             return False
 
@@ -198,7 +273,9 @@ natural = integer(0)
 
 ROWS: Final = np.zeros(6, Corner.dtype)
 DRAWS: Final = array(rhi.DRAW_UNINDEXED)
-MANY: Final = either(natural, array("i8"), lambda harness, value: array("f8")(harness, value) and not len(value))
+MANY: Final = either(
+    natural, array("i8"), lambda harness, value: array("f8")(harness, value) and not len(value)
+)
 ROW: Final = array("f4", "f8", "i8")
 UNENDING: Final = lambda harness, value: isinstance(value, float) and not math.isfinite(value)  # noqa: E731
 WORD, BYTE, TARGET, PORTION = integer(-(2**31), 2**32 - 1), integer(0, 255), integer(0, 7), number(0, 1)
@@ -331,8 +408,8 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("Scissor.width Scissor.height", ..., integer(0, 2**30)),
     **each("LineWidth.width", ..., number(1)),
 }
-"""Values and what is taken where the annotation and the default don't say it (`...`: they do), by parameter, by method
-and parameter, or by class too: the longest name that is found counts."""
+"""Values and what is taken where the annotation and the default don't say it (`...`: they do), by parameter,
+by method and parameter, or by class too: the longest name that is found counts."""
 
 
 def describe(call: str, parameter: inspect.Parameter) -> tuple[Any, Takes]:
@@ -371,7 +448,8 @@ class Sample:
 
     Attributes:
         call: makes the call, given a harness and the arguments by name.
-        parameters: for each parameter its value, or a function of the harness that returns it, and what it takes.
+        parameters: for each parameter its value, or a function of the harness that returns it, and what it
+            takes.
         within: opens what the call needs to be open.
         enters: whether the result is a context manager, which the test enters.
         needs: the capabilities that the device needs for it.
@@ -397,10 +475,14 @@ def call_method(name: str, positional: list[str], harness: CallHarness, **argume
 
 
 def call_encoder(name: str, positional: list[str], harness: CallHarness, **arguments: Any) -> None:
-    """Call a method that devices and command buffers share, or one of a command buffer, where it may be called."""
+    """Call a method that devices and command buffers share, or one of a command buffer, where it may be
+    called."""
     kind, _, method = name.partition(".")
     is_recorded = kind == "CommandBuffer"
-    with harness.device.record() if is_recorded else nullcontext(harness.device) as encoder, ExitStack() as stack:
+    with (
+        harness.device.record() if is_recorded else nullcontext(harness.device) as encoder,
+        ExitStack() as stack,
+    ):
         if method.startswith(("draw", "immediate", "query")) and harness.device._core.render_pass is None:
             stack.enter_context(encoder.render_pass(harness.target))
         if method == "draw_conditional":
@@ -416,7 +498,10 @@ def call_encoder(name: str, positional: list[str], harness: CallHarness, **argum
 
 def call_immediate(name: str, positional: list[str], harness: CallHarness, **arguments: Any) -> None:
     """Call a method of an immediate-mode block."""
-    with harness.device.render_pass(harness.target), harness.device.immediate(harness.plain, Primitive.POINTS) as block:
+    with (
+        harness.device.render_pass(harness.target),
+        harness.device.immediate(harness.plain, Primitive.POINTS) as block,
+    ):
         getattr(block, name.partition(".")[2])(**arguments)
         if name == "Immediate.instances":
             block.vertex(position=(0, 0, 0, 1))
@@ -439,9 +524,11 @@ CALLS: Final[dict[str, Callable[..., Any]]] = {
 """How what isn't a method of the harness's object is called, or what becomes of the result."""
 
 REQUIREMENTS: Final = {
-    "adopt_texture": ("shares_textures",), "native_texture": ("shares_textures",),
-    "conditional": ("conditional_rendering",), "draw_conditional": ("conditional_rendering",),
-}  # fmt: skip
+    "adopt_texture": ("shares_textures",),
+    "native_texture": ("shares_textures",),
+    "conditional": ("conditional_rendering",),
+    "draw_conditional": ("conditional_rendering",),
+}
 """The capabilities that methods need."""
 
 
@@ -457,16 +544,25 @@ def list_signatures() -> Iterator[tuple[str, inspect.Signature]]:
     for kind in VALUES:
         yield kind.__name__, inspect.signature(kind.__init__)
     draw = inspect.signature(Device.draw)  # that of a program is generated
-    yield "Program.draw", draw.replace(parameters=[each for each in draw.parameters.values() if each.name != "program"])
+    yield (
+        "Program.draw",
+        draw.replace(parameters=[each for each in draw.parameters.values() if each.name != "program"]),
+    )
 
 
 def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
     """Return a call of a method or a class, None if it has no parameters."""
     kind, _, method = name.partition(".")
-    parameters = [each for each in signature.parameters.values() if each.name not in ("self", "args", "options")]
-    positional = [each.name for each in parameters if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL)]
+    parameters = [
+        each for each in signature.parameters.values() if each.name not in ("self", "args", "options")
+    ]
+    positional = [
+        each.name for each in parameters if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL)
+    ]
     for rest in [each for each in parameters if each.kind is each.VAR_KEYWORD]:
-        names = ["position", "color"] if rest.name == "fields" else ["numbers" if "dispatch" in name else "tint"]
+        names = (
+            ["position", "color"] if rest.name == "fields" else ["numbers" if "dispatch" in name else "tint"]
+        )
         parameters.remove(rest)
         if name == "UniformBuffer.write":  # fields are given instead of a value; the conformance kit does so
             continue
@@ -491,7 +587,9 @@ def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
 
 
 SAMPLES: Final = {
-    name: sample for name, signature in list_signatures() if (sample := make_sample(name, signature)) is not None
+    name: sample
+    for name, signature in list_signatures()
+    if (sample := make_sample(name, signature)) is not None
 }
 
 

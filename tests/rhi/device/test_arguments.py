@@ -1,4 +1,5 @@
-"""Every parameter of every public method, given every kind of wrong value: refused by a rule, or allowed by the docs.
+"""Every parameter of every public method, given every kind of wrong value: refused by a rule, or allowed by
+the docs.
 
 Nothing else happens: no Python error comes out of the inside or of a backend, and the device draws as before.
 """
@@ -17,19 +18,44 @@ import rhi
 from rhi.conformance.shapes import rectangle
 
 PLAIN: dict[str, Any] = {
-    "1.5": 1.5, "True": True, "None": None, "-1": -1, "2**70": 2**70, "'x'": "x", "nan": float("nan"),
-    "inf": float("inf"), "1e300": 1e300, "an enum's member": NOT_USED, "an enum": enum.Enum, "object()": object(),
-    "[]": [], "[1.5]": [1.5], "[[1], [1, 2]]": [[1], [1, 2]], "{}": {}, "b'x'": b"x", "1j": 1j, "a class": int,
-    "a function": len, "float32": np.float32(0.5), "int64": np.int64(-7), "bool_": np.bool_(True),
-    "array of objects": np.array([object()]), "array of text": np.array(["x"]), "array of nan": np.full(4, np.nan),
-    "array of bools": np.ones(2, bool), "array of 2**70": np.array([2**70]), "range": range(3), "{1: 2}": {1: 2},
+    "1.5": 1.5,
+    "True": True,
+    "None": None,
+    "-1": -1,
+    "2**70": 2**70,
+    "'x'": "x",
+    "nan": float("nan"),
+    "inf": float("inf"),
+    "1e300": 1e300,
+    "an enum's member": NOT_USED,
+    "an enum": enum.Enum,
+    "object()": object(),
+    "[]": [],
+    "[1.5]": [1.5],
+    "[[1], [1, 2]]": [[1], [1, 2]],
+    "{}": {},
+    "b'x'": b"x",
+    "1j": 1j,
+    "a class": int,
+    "a function": len,
+    "float32": np.float32(0.5),
+    "int64": np.int64(-7),
+    "bool_": np.bool_(True),
+    "array of objects": np.array([object()]),
+    "array of text": np.array(["x"]),
+    "array of nan": np.full(4, np.nan),
+    "array of bools": np.ones(2, bool),
+    "array of 2**70": np.array([2**70]),
+    "range": range(3),
+    "{1: 2}": {1: 2},
     "what has no hash": memoryview(np.full(2, 0.5)),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module", params=["null", "gl", "cl"])
 def harness_and_wrong_values(request: pytest.FixtureRequest) -> Iterator[tuple[CallHarness, dict[str, Any]]]:
-    """A harness on each backend, and wrong values: among them objects of another device and destroyed objects."""
+    """A harness on each backend, and wrong values: among them objects of another device and destroyed
+    objects."""
     with rhi.create_device(request.param, record=False) as device, rhi.create_device("null") as other:
         harness, foreign, ruin = CallHarness(device), CallHarness(other), CallHarness(device)
         wrong = dict(PLAIN)
@@ -75,13 +101,26 @@ def test_a_wrong_argument_is_refused_by_a_rule(
 
 
 ODD: dict[str, Any] = {
-    "a NUL": "a\0b", "a surrogate": "\ud800", "0-d": np.array(3), "empty": np.zeros((0, 4), "f4"), "2**31": 1 << 31,
-    "strided": np.zeros((8, 8), "f4")[::2, ::-1], "big endian": np.zeros(4, ">f4"), "complex": np.zeros(4, "c16"),
-    "dates": np.array(["2020-01-01"], "M8[D]"), "masked": np.ma.masked_array([1.0, 2.0], [True, False]),
-    "a generator": (i for i in range(3)), "a set": {1, 2}, "-0.0": -0.0, "2**63 - 1": (1 << 63) - 1, "...": ...,
-    "2**64 - 1": np.uint64(2**64 - 1), "(2**40, 1)": (2**40, 1), "a slice": slice(0, 2),
+    "a NUL": "a\0b",
+    "a surrogate": "\ud800",
+    "0-d": np.array(3),
+    "empty": np.zeros((0, 4), "f4"),
+    "2**31": 1 << 31,
+    "strided": np.zeros((8, 8), "f4")[::2, ::-1],
+    "big endian": np.zeros(4, ">f4"),
+    "complex": np.zeros(4, "c16"),
+    "dates": np.array(["2020-01-01"], "M8[D]"),
+    "masked": np.ma.masked_array([1.0, 2.0], [True, False]),
+    "a generator": (i for i in range(3)),
+    "a set": {1, 2},
+    "-0.0": -0.0,
+    "2**63 - 1": (1 << 63) - 1,
+    "...": ...,
+    "2**64 - 1": np.uint64(2**64 - 1),
+    "(2**40, 1)": (2**40, 1),
+    "a slice": slice(0, 2),
     "{'position': [1]}": {"position": [1]},
-}  # fmt: skip
+}
 """Values that are wrong in a way of their own."""
 
 
@@ -124,7 +163,9 @@ def as_numpy(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_numpys_numbers_are_numbers(harness_and_wrong_values: tuple[CallHarness, dict[str, Any]], name: str) -> None:
+def test_numpys_numbers_are_numbers(
+    harness_and_wrong_values: tuple[CallHarness, dict[str, Any]], name: str
+) -> None:
     harness, sample = harness_and_wrong_values[0], SAMPLES[name]
     if not all(getattr(harness.device.capabilities, need) for need in sample.needs):
         pytest.skip(f"{harness.device.backend_name} lacks {sample.needs}")

@@ -25,7 +25,9 @@ def test_an_array_that_names_its_padding_is_accepted_without_a_copy(kit: Kit) ->
 
 def test_an_array_without_the_padding_is_refused_with_both_layouts(kit: Kit) -> None:
     rows = np.zeros(2, [("position", "f4", 2), ("color", "f4", 4)])
-    with pytest.raises(rhi.ValidationError, match=r"offset\s+expected\s+offset\s+actual[\s\S]*<- offset") as caught:
+    with pytest.raises(
+        rhi.ValidationError, match=r"offset\s+expected\s+offset\s+actual[\s\S]*<- offset"
+    ) as caught:
         kit.device.storage(Light, rows)
     assert caught.value.rule.id == "layout-mismatch"
 
@@ -42,7 +44,7 @@ def test_vectors_are_rows_of_a_plain_array(kit: Kit) -> None:
     assert storage.read().tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
 
 
-# -- vectors of three components ----------------------------------------------------------------------------------
+# -- vectors of three components -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("element", "scalar"), [(vec3, "f4"), (ivec3, "i4"), (uvec3, "u4")])

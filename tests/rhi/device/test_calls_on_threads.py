@@ -1,5 +1,5 @@
-"""Every public call of a device with validation is refused on another thread, in the null device: the check is the
-front end's own, in front of all backends."""
+"""Every public call of a device with validation is refused on another thread, in the null device: the check
+is the front end's own, in front of all backends."""
 
 from __future__ import annotations
 
@@ -14,10 +14,21 @@ import pytest
 import rhi
 
 FREE = {
-    "Device.backend_as", "Device.close", "Device.record", "Device.states", "Texture.at", "Texture.image",
-    "Texture.sampled", "Mesh.draws", "Mesh.view", "TransientMesh.view", "ColorWrite.at", "BlendFunction.at",
-}  # fmt: skip
-"""Calls that any thread may make: they read what never changes. So may a command buffer be recorded on any."""
+    "Device.backend_as",
+    "Device.close",
+    "Device.record",
+    "Device.states",
+    "Texture.at",
+    "Texture.image",
+    "Texture.sampled",
+    "Mesh.draws",
+    "Mesh.view",
+    "TransientMesh.view",
+    "ColorWrite.at",
+    "BlendFunction.at",
+}
+"""Calls that any thread may make: they read what never changes. So may a command buffer be recorded on
+any."""
 
 
 class Unseen(calls.Doubled):
@@ -34,7 +45,9 @@ MORE = [
     f"{kind}.{name}"
     for kind, names in {
         "Device": "finish signal completed timers statistics reset_statistics make_current release_current",
-        **dict.fromkeys(("Buffer", "UniformBuffer", "UniformArray", "StorageBuffer", "Mesh", "Program"), "destroy"),
+        **dict.fromkeys(
+            ("Buffer", "UniformBuffer", "UniformArray", "StorageBuffer", "Mesh", "Program"), "destroy"
+        ),
         "Texture": "generate_mipmaps destroy",
         "OcclusionQuery": f"begin end {QUERY}",
         "QuerySet": QUERY,
@@ -52,15 +65,16 @@ SAFE = {
     "Texture": "at compressed core descriptor destroyed format id image kind label layers levels lock owner sampled "
     "requested sampler samples size texture",
     "Mesh": "base_instance base_vertex buffers core count data draws element_count first index_count indices instances "
-    "instance_count instance_fields is_indexed cache_vertex_array offset_draws create_vertex_array prepared_draws "
+    "instance_count instance_fields is_indexed cache_vertex_array offset_draws create_vertex_array "
+    "prepared_draws "
     "primitive vertex_arrays vertex_count vertices view",
     "Program": "core descriptor destroyed id label name recorded_code uniforms",
     "OcclusionQuery": "core destroyed emulated id ids label",
     "QuerySet": "core destroyed emulated id ids label",
     "TransientMemory": "arguments capacity uniforms",
 }
-"""Members that any thread may use: they read what never changes, or create a block, view or recording that is checked
-when it is used."""
+"""Members that any thread may use: they read what never changes, or create a block, view or recording that is
+checked when it is used."""
 
 
 def test_every_public_member_has_a_call() -> None:
@@ -68,12 +82,16 @@ def test_every_public_member_has_a_call() -> None:
         name = kind.__name__
         if name in SAFE:
             members = {member for member in dir(kind) if not member.startswith("_") and not member.isupper()}
-            called = {each.partition(".")[2] for each in [*calls.SAMPLES, *MORE] if each.startswith(f"{name}.")}
+            called = {
+                each.partition(".")[2] for each in [*calls.SAMPLES, *MORE] if each.startswith(f"{name}.")
+            }
             assert members <= called | {*SAFE[name].split(), *calls.INTERNAL.get(name, ())}, members
 
 
 THREADED = [
-    name for name in calls.SAMPLES if "." in name and name not in FREE and not name.startswith("CommandBuffer.")
+    name
+    for name in calls.SAMPLES
+    if "." in name and name not in FREE and not name.startswith("CommandBuffer.")
 ]
 
 
@@ -89,7 +107,9 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         def call() -> object:
             if name in calls.SAMPLES:
                 right = calls.make_arguments(harness, calls.SAMPLES[name]) | FRESH.get(name, {})
-                return calls.run(harness, replace(calls.SAMPLES[name], within=lambda harness, stack: None), right)
+                return calls.run(
+                    harness, replace(calls.SAMPLES[name], within=lambda harness, stack: None), right
+                )
             kind, _, member = name.partition(".")
             attribute = getattr(getattr(harness, calls.OBJECTS[kind]), member)
             return attribute() if callable(attribute) else attribute

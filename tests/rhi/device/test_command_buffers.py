@@ -22,9 +22,14 @@ from rhi.trace import load, replay, save
 # -- random programs ---------------------------------------------------------------------------------------
 
 STATES = (
-    rhi.CullMode.NONE, rhi.CullMode.FRONT, rhi.DepthBias(-2.0), rhi.ColorWrite(red=False), rhi.BlendFunction.ADDITIVE,
-    rhi.BlendFunction.ALPHA.at(1), rhi.DepthFunction.ALWAYS,
-)  # fmt: skip
+    rhi.CullMode.NONE,
+    rhi.CullMode.FRONT,
+    rhi.DepthBias(-2.0),
+    rhi.ColorWrite(red=False),
+    rhi.BlendFunction.ADDITIVE,
+    rhi.BlendFunction.ALPHA.at(1),
+    rhi.DepthFunction.ALWAYS,
+)
 DRAW = st.tuples(
     st.lists(st.sampled_from(STATES), unique_by=type, max_size=3),
     st.booleans(),
@@ -37,7 +42,11 @@ PASS = st.tuples(st.booleans(), st.booleans(), st.text("ab", max_size=2), st.lis
 def give(encoder: rhi.Encoder, sample_frame: SampleFrame, passes: list[Any]) -> None:
     """A random frame."""
     for clears, shadow, label, draws in passes:
-        target = {"depth": sample_frame.map} if shadow else {"color": sample_frame.image, "depth": sample_frame.depth}
+        target = (
+            {"depth": sample_frame.map}
+            if shadow
+            else {"color": sample_frame.image, "depth": sample_frame.depth}
+        )
         with encoder.event(label), encoder.render_pass(**target, clear_depth=0 if clears else None):
             for states, roof, first, instances in draws:
                 mesh = (sample_frame.roof if roof else sample_frame.walls).view(first)
@@ -46,7 +55,11 @@ def give(encoder: rhi.Encoder, sample_frame: SampleFrame, passes: list[Any]) -> 
                         encoder.draw(sample_frame.shadow, mesh, instances, light=sample_frame.light)
                     else:
                         encoder.draw(
-                            sample_frame.lit, mesh, instances, light=sample_frame.light, tint=sample_frame.tint
+                            sample_frame.lit,
+                            mesh,
+                            instances,
+                            light=sample_frame.light,
+                            tint=sample_frame.tint,
                         )
 
 
@@ -82,9 +95,13 @@ def shadow_pass(encoder: rhi.Encoder, sample_frame: SampleFrame) -> None:
         encoder.states(rhi.CullMode.FRONT),
     ):
         encoder.draw(
-            sample_frame.shadow, sample_frame.walls, light=encoder.transient.uniform(Light(offset=(1, 2, 3, 4)))
+            sample_frame.shadow,
+            sample_frame.walls,
+            light=encoder.transient.uniform(Light(offset=(1, 2, 3, 4))),
         )
-        with encoder.immediate(sample_frame.shadow, rhi.Primitive.TRIANGLES, light=sample_frame.light) as triangles:
+        with encoder.immediate(
+            sample_frame.shadow, rhi.Primitive.TRIANGLES, light=sample_frame.light
+        ) as triangles:
             triangles.vertices(np.zeros(3, Corner.dtype))
 
 
@@ -147,11 +164,23 @@ class Flaky(CommandMethods):
 
 
 @pytest.mark.parametrize("recorded", [False, True], ids=["direct", "recorded"])
-@pytest.mark.parametrize(("method", "after"), [
-    ("create_buffer", 0), ("create_vertex_array", 0), ("create_vertex_array", 1), ("write_buffer", 0),
-    ("bind_uniform", 0), ("draw", 0), ("draw", 1), ("end_pass", 0), ("set_states", 0),
-])  # fmt: skip
-def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(method: str, after: int, recorded: bool) -> None:
+@pytest.mark.parametrize(
+    ("method", "after"),
+    [
+        ("create_buffer", 0),
+        ("create_vertex_array", 0),
+        ("create_vertex_array", 1),
+        ("write_buffer", 0),
+        ("bind_uniform", 0),
+        ("draw", 0),
+        ("draw", 1),
+        ("end_pass", 0),
+        ("set_states", 0),
+    ],
+)
+def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(
+    method: str, after: int, recorded: bool
+) -> None:
     flaky = Flaky()
     with rhi.Device(rhi.Recorder(flaky) if recorded else flaky) as device:
         sample_frame = SampleFrame(device)
@@ -253,7 +282,9 @@ def test_a_buffer_that_was_never_submitted_leaves_nothing_behind(null_device: rh
     del commands
     gc.collect()
     null_device.finish()
-    assert not null_device.stream[before:].filter([rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY, rhi.Op.DESTROY])
+    assert not null_device.stream[before:].filter(
+        [rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY, rhi.Op.DESTROY]
+    )
 
 
 def test_two_buffers_made_before_the_first_submission_serve_one_mesh(null_device: rhi.Device) -> None:

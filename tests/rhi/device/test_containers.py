@@ -45,7 +45,9 @@ def test_a_container_does_what_a_list_does(container, peek, end, capacity, steps
             room.push(step)
             model.append(step)
         else:
-            with pytest.raises(ValidationError, match="container-empty" if step is None else "container-full"):
+            with pytest.raises(
+                ValidationError, match="container-empty" if step is None else "container-full"
+            ):
                 room.pop() if step is None else room.push(step)
         assert list(room) == model
         assert len(room) == len(model)

@@ -21,7 +21,9 @@ def make_device(**capabilities: bool) -> Device:
 
 
 def compute_program() -> ProgramDescriptor:
-    return ProgramDescriptor("compute", frozenset({Stage.COMPUTE}), (), (), (), (1, 1, 1), lambda *_: StageText(""))
+    return ProgramDescriptor(
+        "compute", frozenset({Stage.COMPUTE}), (), (), (), (1, 1, 1), lambda *_: StageText("")
+    )
 
 
 def test_a_program_that_draws_is_refused_without_draws() -> None:

@@ -1,4 +1,5 @@
-"""Warnings about resources that were collected instead of destroyed, and the memory that comes back with them."""
+"""Warnings about resources that were collected instead of destroyed, and the memory that comes back with
+them."""
 
 from __future__ import annotations
 
@@ -71,7 +72,9 @@ def test_a_refused_creation_leaves_nothing_to_warn_of() -> None:
 @pytest.mark.parametrize(("options", "count"), [((), 0), (("-X", "dev"), 1)])
 def test_development_mode_warns_without_validation(options: tuple[str, ...], count: int) -> None:
     source = "import rhi\nwith rhi.create_device('null') as device:\n    device.buffer(4, label='lost')\n"
-    done = subprocess.run([sys.executable, *options, "-c", source], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, *options, "-c", source], capture_output=True, text=True, check=True
+    )
     assert done.stderr.count("ResourceWarning: Buffer('lost') was collected") == count
     assert done.stderr.count("<string>:3") == count
 

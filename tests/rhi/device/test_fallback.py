@@ -1,4 +1,5 @@
-"""Modules of shaders that are at fault at a start are as they were drawn with last, until their files are right."""
+"""Modules of shaders that are at fault at a start are as they were drawn with last, until their files are
+right."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ from rhi.shading import Struct, vec4
 class Paint(Struct):
     color: vec4
 """
-TEXT_OF_STRUCT = TEXT.replace("import paint", "import Paint").replace("paint(1.0)", "Paint(color=vec4(1.0)).color")
+TEXT_OF_STRUCT = TEXT.replace("import paint", "import Paint").replace(
+    "paint(1.0)", "Paint(color=vec4(1.0)).color"
+)
 FAULTS = {
     "syntax": TEXT.replace("paint(1.0)", "paint(1.0"),
     "shader": TEXT.replace("paint(1.0)", "paint(one)"),
@@ -55,7 +58,8 @@ class Unconcerned(FullScreen):
 
 @pytest.fixture
 def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[Reloader, int]]]:
-    """Draws a frame with these files, as a new process does; returns what watches them, and how red a pixel is."""
+    """Draws a frame with these files, as a new process does; returns what watches them, and how red a pixel
+    is."""
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # files are changed within a second
     monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
@@ -134,7 +138,9 @@ def test_without_a_kept_text_a_start_fails(begin: Any, tmp_path: Path, fault: st
         begin(FAULTS[fault])
 
 
-def test_if_the_kept_texts_fail_too_the_first_error_counts(begin: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_if_the_kept_texts_fail_too_the_first_error_counts(
+    begin: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     begin()
     begin(FAULTS["syntax"])
     monkeypatch.setattr(fallback, "execute", lambda *_: 1 / 0)
@@ -142,7 +148,9 @@ def test_if_the_kept_texts_fail_too_the_first_error_counts(begin: Any, monkeypat
         begin(FAULTS["syntax"])
 
 
-@pytest.mark.parametrize(("text", "colors"), [(TEXT, COLORS), (TEXT_OF_STRUCT, STRUCT)], ids=["function", "struct"])
+@pytest.mark.parametrize(
+    ("text", "colors"), [(TEXT, COLORS), (TEXT_OF_STRUCT, STRUCT)], ids=["function", "struct"]
+)
 def test_only_what_a_program_is_made_of_is_kept(begin: Any, text: str, colors: str) -> None:
     begin(text, colors, keeps=False)
     with rhi.create_device("null") as device, Reloader(device) as reloader:
@@ -175,7 +183,9 @@ def test_modules_that_only_go_together_do(begin: Any, tmp_path: Path) -> None:
     assert set(reloader.errors) == paths
 
 
-def test_the_first_update_says_whether_a_module_is_not_as_it_was_drawn_with(begin: Any, tmp_path: Path) -> None:
+def test_the_first_update_says_whether_a_module_is_not_as_it_was_drawn_with(
+    begin: Any, tmp_path: Path
+) -> None:
     seen = []
     for red in ("1.0", "1.0", "0.0", "0.0"):
         reloader, _ = begin(TEXT.replace("1.0", red))

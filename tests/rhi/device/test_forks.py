@@ -1,4 +1,5 @@
-"""Processes that are forked after a device was created: refusals by name instead of calls that never return."""
+"""Processes that are forked after a device was created: refusals by name instead of calls that never
+return."""
 
 from __future__ import annotations
 
@@ -50,9 +51,12 @@ print("parent goes on")
 
 
 def fork(backend: str, other: str) -> list[str]:
-    """Return what a child does with a device of its parent, and with another device, by the rules of refusals."""
+    """Return what a child does with a device of its parent, and with another device, by the rules of
+    refusals."""
     command = [sys.executable, "-c", PROGRAM, backend, other]
-    child, parent = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.splitlines()
+    child, parent = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=True
+    ).stdout.splitlines()
     assert parent == "parent goes on"
     return child.split()
 
@@ -68,9 +72,16 @@ def test_a_child_may_close_its_parents_device_and_nothing_else(backend: str) -> 
 @pytest.mark.parametrize(
     ("backend", "other", "expected"),
     [
-        ("gl", "gl", "device-forked"), ("cl", "cl", "device-forked"), ("gl", "null", "done"), ("cl", "null", "done"),
-        ("null", "null", "done"), ("null", "gl", "done"), ("null", "cl", "done"),
+        ("gl", "gl", "device-forked"),
+        ("cl", "cl", "device-forked"),
+        ("gl", "null", "done"),
+        ("cl", "null", "done"),
+        ("null", "null", "done"),
+        ("null", "gl", "done"),
+        ("null", "cl", "done"),
     ],
-)  # fmt: skip
-def test_a_child_has_devices_whose_drivers_its_parent_had_not(backend: str, other: str, expected: str) -> None:
+)
+def test_a_child_has_devices_whose_drivers_its_parent_had_not(
+    backend: str, other: str, expected: str
+) -> None:
     assert fork(backend, other)[4] == expected

@@ -116,7 +116,9 @@ def test_a_shader_whose_program_was_destroyed_gets_another_that_draws(harness: G
     assert second.id != first.id
 
 
-def test_vertex_arrays_of_two_command_buffers_are_both_destroyed_with_the_program(harness: GrowthHarness) -> None:
+def test_vertex_arrays_of_two_command_buffers_are_both_destroyed_with_the_program(
+    harness: GrowthHarness,
+) -> None:
     device, program = harness.device, harness.device.program(make_shader())
     buffers = []
     for _ in range(2):

@@ -30,7 +30,9 @@ COLORS = RNG.integers(0, 256, (5, 7, 4), np.uint8)
 
 
 @pytest.mark.parametrize("format", [Format.RGBA8, Format.RGBA8_SRGB, Format.R8, Format.R16])
-def test_bytes_come_back_from_a_file_as_they_are(format: Format, gl_device: rhi.Device, tmp_path: Path) -> None:
+def test_bytes_come_back_from_a_file_as_they_are(
+    format: Format, gl_device: rhi.Device, tmp_path: Path
+) -> None:
     largest = np.iinfo(format.dtype).max
     texels = RNG.integers(0, largest + 1, (5, 7, format.channels), format.dtype, endpoint=False)
     texture = gl_device.texture(texels, format)
@@ -44,14 +46,19 @@ def test_bytes_come_back_from_a_file_as_they_are(format: Format, gl_device: rhi.
         assert np.array_equal(read, texels)
 
 
-@pytest.mark.parametrize("format", [Format.RGBA16F, Format.R11G11B10F, Format.RGBA16, Format.RGB10A2, Format.RG8])
+@pytest.mark.parametrize(
+    "format", [Format.RGBA16F, Format.R11G11B10F, Format.RGBA16, Format.RGB10A2, Format.RG8]
+)
 def test_other_formats_are_written_as_a_screen_shows_them(format: Format, gl_device: rhi.Device) -> None:
-    """Floats as sRGB, which the standard's own numbers say: half of the light is 188 of 255; unsigned ones as bytes."""
+    """Floats as sRGB, which the standard's own numbers say: half of the light is 188 of 255; unsigned ones as
+    bytes."""
     light = np.zeros((2, 3, format.channels))
     light[..., :] = 0.5
     light[0, 0] = 7.0 if format.kind.value == "float" else 1.0
     texels = encode(format, light)
-    texture = gl_device.texture(texels if texels.shape[-1] == format.components else texels[..., None], format)
+    texture = gl_device.texture(
+        texels if texels.shape[-1] == format.components else texels[..., None], format
+    )
     png = texture._repr_png_()
     assert png is not None
     image = rhi.load_image(png)
@@ -83,7 +90,9 @@ def test_integers_are_refused_and_show_nothing(null_device: rhi.Device, tmp_path
     assert texture._repr_png_() is None
 
 
-def test_an_ending_says_the_format_and_one_that_is_unknown_is_refused(gl_device: rhi.Device, tmp_path: Path) -> None:
+def test_an_ending_says_the_format_and_one_that_is_unknown_is_refused(
+    gl_device: rhi.Device, tmp_path: Path
+) -> None:
     texture = gl_device.texture(COLORS)
     texture.save(tmp_path / "image.jpg")
     assert (tmp_path / "image.jpg").read_bytes().startswith(b"\xff\xd8\xff")
@@ -107,7 +116,9 @@ def test_a_photo_is_turned_upright_and_grey_is_a_color() -> None:
     assert np.array_equal(rhi.load_image(file.getvalue())[..., :3], np.rot90(COLORS[..., :3], -1))
     file = io.BytesIO()
     Image.fromarray(COLORS[..., 0]).save(file, "png")
-    assert np.array_equal(rhi.load_image(file), np.dstack([*[COLORS[..., 0]] * 3, np.full((5, 7), 255, np.uint8)]))
+    assert np.array_equal(
+        rhi.load_image(file), np.dstack([*[COLORS[..., 0]] * 3, np.full((5, 7), 255, np.uint8)])
+    )
 
 
 @pytest.mark.parametrize(
@@ -134,7 +145,9 @@ def test_a_format_follows_from_an_array(
     assert np.array_equal(texture.read()[..., :2], np.ones(texture.read()[..., :2].shape))
 
 
-@pytest.mark.parametrize(("shape", "dtype"), [((4, 4), "f8"), ((4, 4, 5), "u1"), ((4, 4), "?"), ((4, 4, 3), "i8")])
+@pytest.mark.parametrize(
+    ("shape", "dtype"), [((4, 4), "f8"), ((4, 4, 5), "u1"), ((4, 4), "?"), ((4, 4, 3), "i8")]
+)
 def test_an_array_of_no_format_is_refused_with_those_that_are(
     shape: tuple[int, ...], dtype: str, null_device: rhi.Device
 ) -> None:
@@ -149,7 +162,9 @@ def test_a_size_needs_a_format(null_device: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("mode", ["RGBA", "RGB", "L", "P", "1", "LA"])
-def test_an_image_of_pillow_becomes_colors_with_mip_levels_on_request(mode: str, null_device: rhi.Device) -> None:
+def test_an_image_of_pillow_becomes_colors_with_mip_levels_on_request(
+    mode: str, null_device: rhi.Device
+) -> None:
     image = Image.fromarray(COLORS).convert(mode)
     texture = null_device.texture(image, levels=None)
     assert (texture.format, texture.levels) == (Format.RGBA8, 3)
@@ -167,9 +182,14 @@ def test_a_block_compressed_dds_is_decoded() -> None:
     assert np.array_equal(texels, np.full((4, 4, 4), (255, 0, 0, 255)))
 
 
-def test_pillow_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch, null_device: rhi.Device) -> None:
+def test_pillow_is_named_where_it_is_missing(
+    monkeypatch: pytest.MonkeyPatch, null_device: rhi.Device
+) -> None:
     monkeypatch.setitem(sys.modules, "PIL", None)
-    for call in (lambda: rhi.load_image("a.png"), lambda: null_device.texture((1, 1), Format.R8).save("a.png")):
+    for call in (
+        lambda: rhi.load_image("a.png"),
+        lambda: null_device.texture((1, 1), Format.R8).save("a.png"),
+    ):
         with pytest.raises(DeviceError, match="image-library") as error:
             call()
         assert 'pip install "rhi[images]"' in error.value.tip

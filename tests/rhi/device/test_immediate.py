@@ -50,7 +50,10 @@ def test_an_array_is_drawn_as_it_was_when_it_was_given(kit: Kit) -> None:
 def test_a_vertex_that_was_refused_with_an_array_is_refused_at_the_end_too(kit: Kit, bad: object) -> None:
     """The array after it is refused and the vertex is kept, so that nothing is drawn without it."""
     rows = np.zeros(1, [("position", "<f4", (2,))])
-    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=r"^\[immediate-vertex\]"):
+    with (
+        kit.device.render_pass(kit.image),
+        pytest.raises(rhi.ValidationError, match=r"^\[immediate-vertex\]"),
+    ):
         with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
             points.vertex(position=(bad, 0))
             with pytest.raises(rhi.ValidationError):
@@ -118,7 +121,9 @@ def test_vertex_arrays_of_instances_live_for_a_frame(kit: Kit) -> None:
     assert set(created) - set(gone) == {created[0]}
 
 
-def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(kit: Kit, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(
+    kit: Kit, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("rhi.device.transient.MAX_LAYOUTS", 10)
     rows = np.zeros(3, [("position", "<f4", (2,))])
     for number in range(50):
@@ -136,8 +141,9 @@ def test_transient_constants_are_bound_anew_when_their_ring_has_grown(kit: Kit) 
     memory = kit.device.transient
     with kit.device.render_pass(kit.image):
         for _ in range(600):
-            kit.device.draw(kit.program, kit.mesh, camera=kit.camera,
-                            object=memory.uniform(Object(offset=(0, 0, 0, 0))))  # fmt: skip
+            kit.device.draw(
+                kit.program, kit.mesh, camera=kit.camera, object=memory.uniform(Object(offset=(0, 0, 0, 0)))
+            )
     slots = [(c["buffer"], c["offset"]) for c in kit.ops(Op.BIND_UNIFORM) if c["slot"] == 1]
     assert len(slots) == len(set(slots)) == 600
 

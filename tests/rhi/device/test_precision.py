@@ -74,7 +74,12 @@ def test_shaders_that_say_none_have_the_precision_of_the_device() -> None:
     for requested in (None, EXACT, FAST):
         with rhi.create_device("null", precision=requested) as device:
             assert device.precision is (requested or EXACT)
-            for shader, own in ((Wave, requested or EXACT), (ExactWave, EXACT), (FastWave, FAST), (Heir, FAST)):
+            for shader, own in (
+                (Wave, requested or EXACT),
+                (ExactWave, EXACT),
+                (FastWave, FAST),
+                (Heir, FAST),
+            ):
                 program = device.program(shader)
                 assert program is device.program(shader)
                 assert ("rhi_fast_sin" in kernel(program)) == (own is FAST), (requested, shader)
@@ -82,8 +87,12 @@ def test_shaders_that_say_none_have_the_precision_of_the_device() -> None:
                 assert program.name == shader.__name__
 
 
-@pytest.mark.parametrize(("text", "expected"), [("fast", FAST), ("FAST", FAST), ("exact", EXACT), ("", EXACT)])
-def test_the_environment_names_the_precision(monkeypatch: pytest.MonkeyPatch, text: str, expected: Precision) -> None:
+@pytest.mark.parametrize(
+    ("text", "expected"), [("fast", FAST), ("FAST", FAST), ("exact", EXACT), ("", EXACT)]
+)
+def test_the_environment_names_the_precision(
+    monkeypatch: pytest.MonkeyPatch, text: str, expected: Precision
+) -> None:
     monkeypatch.setenv("RHI_PRECISION", text)
     assert rhi.create_device("null").precision is expected
     assert rhi.create_device("null", precision=EXACT).precision is EXACT
@@ -155,10 +164,18 @@ def test_an_edit_keeps_the_precision(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ids=["exact", "not slow", "another language", "a fast device", "a fast shader", "nothing to gain"],
 )
 def test_slow_frames_name_what_is_computed_exactly_once(
-    caplog: pytest.LogCaptureFixture, shader: Any, precision: Precision, language: str, waited: float, is_logged: bool
+    caplog: pytest.LogCaptureFixture,
+    shader: Any,
+    precision: Precision,
+    language: str,
+    waited: float,
+    is_logged: bool,
 ) -> None:
     shader = type("Own", (shader,), {"__module__": __name__})  # with texts of its own
-    with rhi.create_device("null", precision=precision) as device, caplog.at_level(logging.WARNING, "rhi.device"):
+    with (
+        rhi.create_device("null", precision=precision) as device,
+        caplog.at_level(logging.WARNING, "rhi.device"),
+    ):
         device.program(shader).descriptor.emit(language, Stage.COMPUTE)
         for frame in range(6):
             assert bool(caplog.records) == (is_logged and frame >= FRAMES_BEFORE_PRECISION_LOG)

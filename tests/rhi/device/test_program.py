@@ -41,7 +41,15 @@ def test_a_new_pass_makes_everything_be_sent_again(kit: Kit) -> None:
 
 
 def test_a_value_of_another_type_is_refused_with_the_call_that_creates_one(kit: Kit) -> None:
-    for wrong in (np.eye(4), Object(offset=(0, 0, 0, 0)), 1.0, "1234", b"0123456789abcdef", [0, 0, 0, 0], Camera):
+    for wrong in (
+        np.eye(4),
+        Object(offset=(0, 0, 0, 0)),
+        1.0,
+        "1234",
+        b"0123456789abcdef",
+        [0, 0, 0, 0],
+        Camera,
+    ):
         before = len(kit.device.stream)
         with kit.device.render_pass(kit.image):
             with pytest.raises(rhi.ValidationError) as caught:

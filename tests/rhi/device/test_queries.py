@@ -35,7 +35,13 @@ def test_an_event_entered_again_is_timed_each_time() -> None:
         (between,) = second.children
         (inner,) = between.children
     assert [node.name for node in (first, second, between, inner)] == ["step", "step", "between", "step"]
-    assert 0 < first.gpu_milliseconds < inner.gpu_milliseconds < between.gpu_milliseconds < second.gpu_milliseconds
+    assert (
+        0
+        < first.gpu_milliseconds
+        < inner.gpu_milliseconds
+        < between.gpu_milliseconds
+        < second.gpu_milliseconds
+    )
 
 
 def test_timestamps_are_used_again_by_later_frames() -> None:

@@ -28,7 +28,9 @@ def test_queries_are_begun_and_ended_one_after_the_other(kit: Kit) -> None:
     commands = kit.ops(Op.BEGIN_QUERY, Op.END_QUERY, Op.DRAW)
     begin, draw, end = Op.BEGIN_QUERY, Op.DRAW, Op.END_QUERY
     assert [c.op for c in commands] == [begin, draw, end, begin, draw, draw, end, begin, draw, end]
-    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[query_index] for query_index in (2, 0, 3)]
+    assert [c["query"] for c in commands if c.op is begin] == [
+        queries.ids[query_index] for query_index in (2, 0, 3)
+    ]
     assert all(command.site is not None and command.site.file == __file__ for command in commands)
     assert len(queries.ids) == len(queries) == 5
 
@@ -50,7 +52,9 @@ def test_an_empty_array_of_draws_sends_no_commands(kit: Kit) -> None:
             draws = kit.mesh.draws([], [])
             before = len(kit.device.stream)
             kit.device.draw_counted(kit.program, kit.mesh, draws, queries, **kit.bindings)
-            done = kit.device.stream[before:].filter(frozenset({Op.DRAW, Op.BEGIN_QUERY, Op.WRITE_QUERY, Op.SIGNAL}))
+            done = kit.device.stream[before:].filter(
+                frozenset({Op.DRAW, Op.BEGIN_QUERY, Op.WRITE_QUERY, Op.SIGNAL})
+            )
             assert not len(done)
         assert queries.wait().tolist() == [-1, -1]
 
@@ -159,7 +163,9 @@ def test_conditional_draws_are_one_condition_for_each_run_of_a_query(kit: Kit) -
     begin, draw, end = Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.END_CONDITIONAL
     commands = kit.device.stream[before:].filter(frozenset({begin, draw, end}))
     assert [c.op for c in commands] == [begin, draw, end] * 3
-    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[query_index] for query_index in (3, 0, 2)]
+    assert [c["query"] for c in commands if c.op is begin] == [
+        queries.ids[query_index] for query_index in (3, 0, 2)
+    ]
     assert [c["draws"] for c in commands if c.op is draw] == [2, 1, 2]
     assert all(command.site is not None and command.site.file == __file__ for command in commands)
     assert kit.device.statistics.draws == counted.draws + 3
@@ -173,9 +179,13 @@ def test_arguments_of_conditional_draws_lie_at_multiples_of_a_word(kit: Kit) -> 
     with kit.device.render_pass(kit.image):
         for count in (1, 2, 1, 3):
             kit.device.draw_conditional(
-                kit.program, kit.mesh, kit.mesh.draws(np.zeros(count, int), 3), queries, [0] * count,
+                kit.program,
+                kit.mesh,
+                kit.mesh.draws(np.zeros(count, int), 3),
+                queries,
+                [0] * count,
                 **kit.bindings,
-            )  # fmt: skip
+            )
     offsets = [command["offset"] for command in kit.ops(Op.DRAW_INDIRECT)]
     assert len(offsets) == 4
     assert [offset % 4 for offset in offsets] == [0] * 4

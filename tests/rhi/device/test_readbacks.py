@@ -166,7 +166,9 @@ def test_elements_that_the_device_cannot_copy_are_read_at_once() -> None:
 
 
 def test_rows_are_as_far_apart_as_the_device_needs() -> None:
-    profile = rhi.Capabilities("null", "rows", "1", shading=False, texture_buffer_copies=True, copy_row_alignment=256)
+    profile = rhi.Capabilities(
+        "null", "rows", "1", shading=False, texture_buffer_copies=True, copy_row_alignment=256
+    )
     data = np.random.default_rng(0).integers(0, 256, (5, 7, 4), np.uint8)
     with rhi.create_device("null", profile=profile) as device:
         texture = device.texture(data, Format.RGBA8)

@@ -82,4 +82,10 @@ def test_the_front_end_refuses_through_its_device() -> None:
     direct = re.compile(r"(?<![\w.])(?<!def )refuse\(|raise (Validation|Device|Shader)Error\(")
     paths = [path for path in package.rglob("*.py") if direct.search(path.read_text())]
     files = {path.relative_to(package).as_posix() for path in paths}
-    assert files == {"registry.py", "reloading.py", "core/containers.py", "core/refusals.py", "resources/images.py"}
+    assert files == {
+        "registry.py",
+        "reloading.py",
+        "core/containers.py",
+        "core/refusals.py",
+        "resources/images.py",
+    }

@@ -91,7 +91,11 @@ def report_of(name: str, device: str | None = None) -> BackendReport:
         ("", [report_of("gl"), report_of("cl", "a CPU")], "cl"),
         ("", [report_of("gl")], "nothing; see the reasons above"),
         ("cl", [report_of("gl", "a GPU"), report_of("cl", "a CPU")], "cl, as RHI_BACKEND says"),
-        ("cl", [report_of("gl", "a GPU"), report_of("cl")], "nothing: RHI_BACKEND names cl, which can't be used"),
+        (
+            "cl",
+            [report_of("gl", "a GPU"), report_of("cl")],
+            "nothing: RHI_BACKEND names cl, which can't be used",
+        ),
         ("", [report_of("gl", "llvmpipe"), report_of("cl")], "gl"),
         (
             "",
@@ -141,20 +145,44 @@ def imported(code: str) -> set[str]:
     return set(run.stdout.split())
 
 
-@pytest.mark.parametrize("code", ["import rhi", "import rhi.shading", "import rhi\nrhi.create_device('null').close()"])
+@pytest.mark.parametrize(
+    "code", ["import rhi", "import rhi.shading", "import rhi\nrhi.create_device('null').close()"]
+)
 def test_importing_the_package_leaves_out_what_a_first_frame_does_not_need(code: str) -> None:
-    """Each of these takes part of the first second: languages that no device has asked for, tools, and modules of the
-    standard library and NumPy that only errors or rare features need."""
+    """Each of these takes part of the first second: languages that no device has asked for, tools, and
+    modules of the standard library and NumPy that only errors or rare features need."""
     modules = imported(code)
     packages = {
-        "rhi.testing.accuracy", "rhi.backends.cl", "rhi.backends.gl", "rhi.conformance", "rhi.shading.evaluation",
-        "rhi.shading.lowering", "rhi.shading.numpy", "rhi.shading.opencl", "rhi.testing", "rhi.trace",
-    }  # fmt: skip
+        "rhi.testing.accuracy",
+        "rhi.backends.cl",
+        "rhi.backends.gl",
+        "rhi.conformance",
+        "rhi.shading.evaluation",
+        "rhi.shading.lowering",
+        "rhi.shading.numpy",
+        "rhi.shading.opencl",
+        "rhi.testing",
+        "rhi.trace",
+    }
     others = {
-        "asyncio", "difflib", "glcontext", "hashlib", "moderngl", "multiprocessing", "numpy.fft", "numpy.ma",
-        "numpy.polynomial", "numpy.random", "numpy.testing", "pyopencl", "rhi.shading.glsl.spirv",
-        "rhi.shading.glsl.vulkan", "sqlite3", "subprocess", "unittest",
-    }  # fmt: skip
+        "asyncio",
+        "difflib",
+        "glcontext",
+        "hashlib",
+        "moderngl",
+        "multiprocessing",
+        "numpy.fft",
+        "numpy.ma",
+        "numpy.polynomial",
+        "numpy.random",
+        "numpy.testing",
+        "pyopencl",
+        "rhi.shading.glsl.spirv",
+        "rhi.shading.glsl.vulkan",
+        "sqlite3",
+        "subprocess",
+        "unittest",
+    }
     assert "rhi.device.device" in modules or "rhi.shading.compile" in modules
     assert modules & (packages | others) == set()
 
@@ -182,7 +210,9 @@ with rhi.create_device(NAME) as device:
 
 
 @pytest.mark.nightly_cases("gl-pyopencl-moderngl", reason=CHEAPER_TEST)
-@pytest.mark.parametrize(("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")])
+@pytest.mark.parametrize(
+    ("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")]
+)
 def test_a_device_needs_and_imports_the_package_of_its_own_driver(name: str, other: str, own: str) -> None:
     """As after `pip install --no-deps rhi`: the other backend's package isn't there."""
     if name not in [each.name for each in rhi.report() if each.usable]:

@@ -124,7 +124,9 @@ def test_an_edit_is_seen_and_a_faulty_one_isnt(backend: str, shaders: Any) -> No
 
 
 def glsl(program: Any) -> str:
-    return "".join(program.descriptor.emit("glsl", stage).text for stage in sorted(program.descriptor.stages, key=str))
+    return "".join(
+        program.descriptor.emit("glsl", stage).text for stage in sorted(program.descriptor.stages, key=str)
+    )
 
 
 @pytest.mark.parametrize(
@@ -159,7 +161,9 @@ def test_classes_derived_elsewhere_change_too(device: rhi.Device, shaders: Any) 
         gain = 0.125
 
     program: Any = device.program(Derived)
-    text = TEXT.replace("* SHARE", "* SHARE * 0.375").replace("gain = 1.0", "gain = 4.0\n    more: Uniform[float]")
+    text = TEXT.replace("* SHARE", "* SHARE * 0.375").replace(
+        "gain = 1.0", "gain = 4.0\n    more: Uniform[float]"
+    )
     text = text.replace("* self.gain", "* self.gain * self.more")
     assert Reloader(device).reload(shaders, text) == 1
     assert "0.375" in glsl(program)
@@ -203,7 +207,9 @@ def test_what_didnt_change_is_not_exchanged(device: rhi.Device, shaders: Any) ->
 def test_new_bindings_are_asked_for_by_the_next_draw(device: rhi.Device, shaders: Any) -> None:
     drawer = FlatDrawer(device, shaders)
     drawer.draw()
-    text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
+    text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace(
+        "* SHARE", "* self.more"
+    )
     Reloader(device).reload(shaders, text)
     with pytest.raises(ValidationError, match=r"^\[binding-missing\]"):
         drawer.draw()
@@ -211,8 +217,11 @@ def test_new_bindings_are_asked_for_by_the_next_draw(device: rhi.Device, shaders
 
 
 def test_lines_that_are_commented_out_are_a_warning_once(device: rhi.Device, import_text: Any) -> None:
-    """First what reads a binding, then its declaration too: the same draws go on, by the device and by the program."""
-    text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
+    """First what reads a binding, then its declaration too: the same draws go on, by the device and by the
+    program."""
+    text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace(
+        "* SHARE", "* self.more"
+    )
     shaders = import_text(text)
     drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
     drawer.draw(more=0.5)
@@ -229,7 +238,10 @@ def test_lines_that_are_commented_out_are_a_warning_once(device: rhi.Device, imp
         drawer.program.draw(drawer.mesh, tint=drawer.tint, more=0.5)
     assert len(device.stream.filter(Op.DRAW)) == 5
     for bindings in ({"tint": drawer.tint, "moer": 0.5}, {"more": 0.5}):
-        with device.render_pass(drawer.image), pytest.raises(ValidationError, match=r"binding-(unknown|missing)"):
+        with (
+            device.render_pass(drawer.image),
+            pytest.raises(ValidationError, match=r"binding-(unknown|missing)"),
+        ):
             drawer.program.draw(drawer.mesh, **bindings)
 
 
@@ -260,7 +272,11 @@ def test_what_ran_on_the_cpu_runs_as_edited(device: rhi.Device, shaders: Any) ->
         ]
 
     assert run() == [1.0, 1.0, 0.5, 1.0]
-    text = text.replace("color * 1.0", "color * 0.5").replace("0.5, 1.0)", "0.25, 1.0)").replace("x] = 1.0", "x] = 2.0")
+    text = (
+        text.replace("color * 1.0", "color * 0.5")
+        .replace("0.5, 1.0)", "0.25, 1.0)")
+        .replace("x] = 1.0", "x] = 2.0")
+    )
     reloader.reload(shaders, text)
     assert run() == [0.5, 2.0, 0.25, 0.5]
 
@@ -268,14 +284,20 @@ def test_what_ran_on_the_cpu_runs_as_edited(device: rhi.Device, shaders: Any) ->
 def test_methods_name_the_class_that_they_are_put_into(device: rhi.Device, shaders: Any) -> None:
     """`__class__`, at which `super()` begins, is the class that exists, not the one that the text made."""
     cls = shaders.Flat
-    text = TEXT.replace("gain = 1.0\n", "gain = 2.0\n\n    @staticmethod\n    def whose():\n        return __class__\n")
+    text = TEXT.replace(
+        "gain = 1.0\n", "gain = 2.0\n\n    @staticmethod\n    def whose():\n        return __class__\n"
+    )
     Reloader(device).reload(shaders, text)
     assert shaders.Flat is cls
     assert cls.whose() is cls
 
 
 FAULTS = {
-    "syntax": ("def fragment(self, v: Varying) -> vec4:", "def fragment(self, v: Varying -> vec4:", "shading-text"),
+    "syntax": (
+        "def fragment(self, v: Varying) -> vec4:",
+        "def fragment(self, v: Varying -> vec4:",
+        "shading-text",
+    ),
     "exit": ("SHARE = 1.0", "raise SystemExit(3)", "shading-text"),
     "exception": ("SHARE = 1.0", "SHARE = 1.0 / 0", "shading-text"),
     "name": ("weaken(v.color)", "waeken(v.color)", "shading-unknown-name"),
@@ -287,19 +309,25 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_faulty_edit_names_its_line_and_changes_nothing(device: rhi.Device, shaders: Any, fault: str) -> None:
+def test_a_faulty_edit_names_its_line_and_changes_nothing(
+    device: rhi.Device, shaders: Any, fault: str
+) -> None:
     old, new, rule = FAULTS[fault]
     drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
     drawer.draw()
     number, declared = drawer.program.id, dict(shaders.Flat._declared)
-    text = TEXT.replace(old, new).replace("gain = 1.0", "gain = 0.375").replace("color * 1.0", "color * 0.375")
+    text = (
+        TEXT.replace(old, new).replace("gain = 1.0", "gain = 0.375").replace("color * 1.0", "color * 0.375")
+    )
     with pytest.raises(RhiError, match=rf"^\[{rule}\]") as error:
         reloader.reload(shaders, text)
     site = error.value.site
     assert site is not None
     if fault != "binding":  # whose line is not known before the class exists
         assert site.file == shaders.__file__
-        expected = next(n for n, line in enumerate(text.splitlines(), 1) if new.split("\n")[0].strip() in line)
+        expected = next(
+            n for n, line in enumerate(text.splitlines(), 1) if new.split("\n")[0].strip() in line
+        )
         assert abs(site.line - expected) <= 1
     assert drawer.program.id == number
     assert shaders.Flat._declared == declared
@@ -366,7 +394,9 @@ def test_command_buffers_of_an_exchanged_program_are_stale(device: rhi.Device, s
     with pytest.raises(ValidationError, match=r"^\[resource-destroyed\]"):
         device.submit(commands)
     device.submit(record())
-    assert device.stream.filter(Op.DRAW)[-1]["vertex_array"] != device.stream.filter(Op.DRAW)[0]["vertex_array"]
+    assert (
+        device.stream.filter(Op.DRAW)[-1]["vertex_array"] != device.stream.filter(Op.DRAW)[0]["vertex_array"]
+    )
 
 
 def test_what_was_exchanged_is_destroyed(device: rhi.Device, shaders: Any) -> None:
@@ -378,13 +408,15 @@ def test_what_was_exchanged_is_destroyed(device: rhi.Device, shaders: Any) -> No
     device.finish()
     creations = device.stream.filter(Op.CREATE_PROGRAM)
     gone = {command["resource"] for command in device.stream.filter(Op.DESTROY)}
-    assert [command["program"] for command in creations if command["program"] not in gone] == [drawer.program.id]
+    assert [command["program"] for command in creations if command["program"] not in gone] == [
+        drawer.program.id
+    ]
     arrays = {command["vertex_array"] for command in device.stream.filter(Op.CREATE_VERTEX_ARRAY)}
     assert len(arrays - gone) == 1
     assert device.statistics.draws == 6
 
 
-# -- files ---------------------------------------------------------------------------------------------------------
+# -- files ---------------------------------------------------------------------------------------------------
 
 
 def update(reloader: Reloader) -> bool:
@@ -421,7 +453,9 @@ def test_a_saved_module_is_exchanged_by_update(device: rhi.Device, shaders: Any,
 
 
 @pytest.mark.parametrize("replaces", [True, False])
-def test_an_error_of_a_saved_module_lasts_until_it_is_mended(device: rhi.Device, shaders: Any, replaces: bool) -> None:
+def test_an_error_of_a_saved_module_lasts_until_it_is_mended(
+    device: rhi.Device, shaders: Any, replaces: bool
+) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
     device.program(shaders.Flat)
     errors: list[Exception] = []
@@ -537,7 +571,9 @@ def test_what_does_not_draw_is_put_back(device: rhi.Device, shaders: Any) -> Non
     with Reloader(device, on_error=errors.append) as reloader:
         reloader.watch(shaders)
         assert not reloader.roll_back(ValueError("of something else"))
-        text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
+        text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace(
+            "* SHARE", "* self.more"
+        )
         save(path, text, replaces=True)
         assert update(reloader)
         with pytest.raises(ValidationError) as error:
@@ -569,7 +605,7 @@ def test_each_file_at_fault_has_its_error(
             assert (reloader.error is None) == (left == 0)
 
 
-# -- growth --------------------------------------------------------------------------------------------------------
+# -- growth --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
@@ -601,7 +637,9 @@ def test_500_edits_leave_memory_where_it_was(shaders: Any, backend: str) -> None
 
         def edit(first: int, count: int) -> int:
             for number in range(first, first + count):
-                assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = {number}.0 / 1000.0")) == 1
+                assert (
+                    reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = {number}.0 / 1000.0")) == 1
+                )
                 assert abs(drawer.draw()[0] - 0.255 * number) < 1
             device.finish()
             gc.collect()

@@ -147,7 +147,10 @@ def test_a_missing_capability_refuses_the_state_but_not_its_default():
     cache = StateCache(replace(ANY_DEVICE, alpha_test=False))
     with cache.scope((AlphaTest.OFF,)):
         pass
-    with pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught, cache.scope((AlphaTest.ON,)):
+    with (
+        pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught,
+        cache.scope((AlphaTest.ON,)),
+    ):
         pass
     assert "alpha_test" in caught.value.allowed
 
@@ -158,7 +161,10 @@ def test_a_line_is_as_wide_as_the_device_allows_and_no_wider(maximum, wider):
     for cache in (StateCache(limits), StateCache(limits).fresh()):
         with cache.scope((LineWidth(maximum),)):
             pass
-        with pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught, cache.scope((LineWidth(wider),)):
+        with (
+            pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught,
+            cache.scope((LineWidth(wider),)),
+        ):
             pass
         assert f"max_line_width, {maximum:g}" in caught.value.allowed
 

@@ -19,7 +19,9 @@ def test_a_whole_number_becomes_an_int(value: Any) -> None:
     assert type(CHECK.integer("n", value, 3, 3)) is int
 
 
-@pytest.mark.parametrize("value", [3.0, True, np.bool_(True), "3", None, np.array([3]), np.float64(3), 2, 4], ids=repr)
+@pytest.mark.parametrize(
+    "value", [3.0, True, np.bool_(True), "3", None, np.array([3]), np.float64(3), 2, 4], ids=repr
+)
 def test_anything_else_is_no_whole_number(value: Any) -> None:
     with pytest.raises(ValidationError) as caught:
         CHECK.integer("n", value, 3, 3)
@@ -37,7 +39,9 @@ def test_a_number_becomes_a_float_or_stays_an_int(value: Any, expected: float) -
 
 
 @pytest.mark.parametrize(
-    "value", [True, "0.5", 1j, None, float("nan"), float("inf"), 1e39, 10**400, -0.1, 1.1], ids=lambda v: repr(v)[:8]
+    "value",
+    [True, "0.5", 1j, None, float("nan"), float("inf"), 1e39, 10**400, -0.1, 1.1],
+    ids=lambda v: repr(v)[:8],
 )
 def test_anything_else_is_no_number(value: Any) -> None:
     with pytest.raises(ValidationError):

@@ -7,7 +7,17 @@ from hypothesis import strategies as st
 
 import rhi
 from rhi.errors import ValidationError
-from rhi.math import Camera, Depth, FrustumPlane, Orthographic, Perspective, look_at, orbit, orthographic, perspective
+from rhi.math import (
+    Camera,
+    Depth,
+    FrustumPlane,
+    Orthographic,
+    Perspective,
+    look_at,
+    orbit,
+    orthographic,
+    perspective,
+)
 
 
 def clip_depth(projection, distance):
@@ -155,11 +165,14 @@ def test_values_at_the_edge_of_their_range_are_taken():
     Orthographic(height=1e-6, near=0.0)
 
 
-# -- the functions, against points in space whose images are known -------------------------------------------------
+# -- the functions, against points in space whose images are known -------------------------------------------
 
 
 @given(
-    fov=st.floats(0.05, 3.0), aspect=st.floats(0.2, 5.0), near=st.floats(1e-3, 10.0), depth=st.sampled_from(list(Depth))
+    fov=st.floats(0.05, 3.0),
+    aspect=st.floats(0.2, 5.0),
+    near=st.floats(1e-3, 10.0),
+    depth=st.sampled_from(list(Depth)),
 )
 @settings(max_examples=40)
 def test_a_perspective_shows_the_corners_of_its_near_plane_in_those_of_the_image(fov, aspect, near, depth):
@@ -223,7 +236,9 @@ def test_the_module_is_there_without_an_import_of_its_own():
     assert not hasattr(rhi, "maths")
 
 
-@pytest.mark.parametrize("name", ["right", "forward", "view", "view_projection", "relative_view_projection", "frustum"])
+@pytest.mark.parametrize(
+    "name", ["right", "forward", "view", "view_projection", "relative_view_projection", "frustum"]
+)
 def test_what_follows_from_a_camera_is_computed_once_and_cannot_be_written_to(name):
     camera = Camera.look_at((1.0, 2.0, 3.0), (4.0, 5.0, 7.0))
     value = getattr(camera, name)

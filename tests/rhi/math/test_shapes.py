@@ -10,7 +10,8 @@ from rhi.math import make_cube, make_sphere
 
 @pytest.mark.parametrize("shape", ["cube", "sphere"])
 def test_a_shape_is_closed_and_its_faces_look_outwards(shape: str) -> None:
-    """The volume that signed tetrahedra to the origin sum up to is the shape's own, and each edge has two faces."""
+    """The volume that signed tetrahedra to the origin sum up to is the shape's own, and each edge has two
+    faces."""
     positions, indices = make_sphere(48) if shape == "sphere" else (make_cube()[0], make_cube()[3])
     corners = positions.astype(float)[indices.reshape(-1, 3)]
     volume = np.linalg.det(corners).sum() / 6.0

@@ -1,5 +1,5 @@
-"""Fixtures that run compute shaders on a bare OpenGL context, on OpenCL and on NumPy, using no part of rhi but the
-shading language."""
+"""Fixtures that run compute shaders on a bare OpenGL context, on OpenCL and on NumPy, using no part of rhi
+but the shading language."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ Run = Callable[..., dict[str, Any]]
 
 @pytest.fixture
 def run(context: moderngl.Context) -> Run:
-    """`run(shader, groups=1, name=array_or_count_or_struct…)` returns each writable buffer's contents afterwards."""
+    """`run(shader, groups=1, name=array_or_count_or_struct…)` returns each writable buffer's contents
+    afterwards."""
 
     return partial(run_glsl, context)
 

@@ -55,7 +55,9 @@ class GlslBuffers:
         return results
 
 
-def run_glsl(context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any) -> dict[str, Any]:
+def run_glsl(
+    context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any
+) -> dict[str, Any]:
     """Run a compute shader on OpenGL and return the contents of each writable buffer afterwards."""
     compute = context.compute_shader(compile_shader(shader).emit("glsl", Stage.COMPUTE).text)
     buffers = GlslBuffers(context, shader, values)

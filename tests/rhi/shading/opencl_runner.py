@@ -1,4 +1,5 @@
-"""Runs compute shaders through pyopencl, using only rhi's shading language, its way of building and a driver."""
+"""Runs compute shaders through pyopencl, using only rhi's shading language, its way of building and a
+driver."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_globa
 
 @cache
 def queue() -> cl.CommandQueue:
-    """Return a queue on the first device that does build and run a kernel; without one the test is skipped."""
+    """Return a queue on the first device that does build and run a kernel; without one the test is
+    skipped."""
     try:
         platforms = cl.get_platforms()
     except cl.LogicError:  # no platform at all
@@ -59,15 +61,17 @@ def build(text: str, shader: type[Shader]) -> cl.Program:
 
 
 def build_text(text: str, options: Sequence[str] = ()) -> cl.Program:
-    """Build a program, as the OpenCL backend does: without the driver's header where it can do without, and quickly if
-    that is wanted."""
+    """Build a program, as the OpenCL backend does: without the driver's header where it can do without, and
+    quickly if that is wanted."""
     device = queue().device
     if os.environ.get(KERNELS_ENVIRONMENT) == "quick":
         options = (*options, *QUICK)
     cache = KernelCache(None, "", declares=caches_kernels(device) and declares_kernels(device))
     source, options = cache.request(text, ["-w", *options]).write()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", cl.CompilerWarning)  # some drivers log what they think of register use
+        warnings.simplefilter(
+            "ignore", cl.CompilerWarning
+        )  # some drivers log what they think of register use
         return cl.Program(queue().context, source).build(list(options))
 
 
@@ -87,8 +91,8 @@ def built(shader: type[Shader], width: int) -> Built:
 def built_together(shaders: Iterable[type[Shader]], width: int) -> Iterator[None]:
     """Build the kernels of several shaders as one program; inside this block they run from it.
 
-    To PoCL a program costs processor time before the first kernel, whatever is in it. The texts stay as they are, but
-    for the kernels' names and for functions that a text before had already.
+    To PoCL a program costs processor time before the first kernel, whatever is in it. The texts stay as they
+    are, but for the kernels' names and for functions that a text before had already.
     """
     shaders = list(dict.fromkeys(shaders))
     texts = [opencl_kernel(shader, width) for shader in shaders]
@@ -98,7 +102,10 @@ def built_together(shaders: Iterable[type[Shader]], width: int) -> Iterator[None
         for part in split_functions(text.text):
             parts.setdefault(part.replace("kernel void compute(", f"kernel void {name}("))
     program = build("\n".join(parts), shaders[0])
-    kernels = {(shader, width): (text, program, name) for shader, text, name in zip(shaders, texts, names, strict=True)}
+    kernels = {
+        (shader, width): (text, program, name)
+        for shader, text, name in zip(shaders, texts, names, strict=True)
+    }
     _together.update(kernels)
     try:
         yield
@@ -203,7 +210,8 @@ class Kernel:
 
 
 def texture_memory(texture: HostTexture) -> tuple[Any, Any]:
-    """Return a texture's levels as bytes, with padding in rows and columns that must not be read, and its words."""
+    """Return a texture's levels as bytes, with padding in rows and columns that must not be read, and its
+    words."""
     parts, levels = [], []
     for texels in texture.levels:
         layers, height, width, channels = texels.shape

@@ -1,8 +1,9 @@
-"""Runs a shader's vertex and fragment stages on plain arrays, without rasterising: on 16 lanes through pyopencl, as a
-rasteriser does; with NumPy; and as GLSL, capturing vertices and drawing a triangle over all pixels.
+"""Runs a shader's vertex and fragment stages on plain arrays, without rasterising: on 16 lanes through
+pyopencl, as a rasteriser does; with NumPy; and as GLSL, capturing vertices and drawing a triangle over all
+pixels.
 
-All runners take the same arguments and return the same results: "position" (n, 4) and each varying (n, …) for vertices;
-each output (height, width, components), "depth" and "kept" for fragments; and each writable buffer.
+All runners take the same arguments and return the same results: "position" (n, 4) and each varying (n, …) for
+vertices; each output (height, width, components), "depth" and "kept" for fragments; and each writable buffer.
 """
 
 from __future__ import annotations
@@ -253,9 +254,15 @@ def run_fragment_numpy(
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     rest = (np.broadcast_to(depth, shape), np.broadcast_to(w, shape))
     run = run_fragment(
-        shader, varyings, covered=np.broadcast_to(mask, shape), front_facing=front, primitive_index=primitive,
-        fragment_coordinate=np.stack([columns + 0.5, rows + 0.5, *rest], axis=-1), dtype=dtype, **bindings,
-    )  # fmt: skip
+        shader,
+        varyings,
+        covered=np.broadcast_to(mask, shape),
+        front_facing=front,
+        primitive_index=primitive,
+        fragment_coordinate=np.stack([columns + 0.5, rows + 0.5, *rest], axis=-1),
+        dtype=dtype,
+        **bindings,
+    )
     outputs = {name: value.reshape(*shape, -1) for name, value in run.outputs.items()}
     return {"depth": run.depth, "coverage": run.coverage, **outputs, **run.memory}
 
@@ -287,7 +294,9 @@ def run_vertex_glsl(
     for attribute in descriptor.attributes:
         name = f"in_{attribute.name}"
         words = as_words(attributes[attribute.name], count)
-        kind = {"float": "f4", "int": "i4", "uint": "u4"}[getattr(attribute.type, "scalar", attribute.type).name]
+        kind = {"float": "f4", "int": "i4", "uint": "u4"}[
+            getattr(attribute.type, "scalar", attribute.type).name
+        ]
         used.append(context.buffer(words.tobytes()))
         if name in program:
             content.append((used[-1], f"{words.shape[1]}{kind}", name))
@@ -369,7 +378,9 @@ def run_fragment_glsl(
     context.depth_func = "1"
     order = [0, 1, 2] if front else [0, 2, 1]
     index = context.buffer(np.array(order, np.uint32).tobytes())
-    array = context.vertex_array(program, [item for item in content if item[2] in program], index_buffer=index)
+    array = context.vertex_array(
+        program, [item for item in content if item[2] in program], index_buffer=index
+    )
     array.render(moderngl.TRIANGLES)
     context.finish()
     depth_image = np.frombuffer(depths.read(), np.float32).reshape(height, width)

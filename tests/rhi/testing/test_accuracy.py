@@ -1,4 +1,5 @@
-"""`python -m rhi shading accuracy`: measurements of error and time, the table, the plot, and broken bounds."""
+"""`python -m rhi shading accuracy`: measurements of error and time, the table, the plot, and broken
+bounds."""
 
 import json
 from dataclasses import replace
@@ -70,10 +71,15 @@ def test_a_sample_that_is_off_by_more_than_is_stated_is_marked(monkeypatch, caps
 def test_the_command_prints_json_and_draws(tmp_path, capsys):
     chart_path = tmp_path / "accuracy.png"
     assert (
-        accuracy.main(["accuracy", "--json", "--backend", "numpy", "--builtin", "sqrt", "--plot", str(chart_path)]) == 0
+        accuracy.main(
+            ["accuracy", "--json", "--backend", "numpy", "--builtin", "sqrt", "--plot", str(chart_path)]
+        )
+        == 0
     )
     (row,) = json.loads(capsys.readouterr().out)["rows"]
-    assert {"builtin", "backend", "precision", "median_ulp", "max_ulp", "worst_input", "nanoseconds"} <= set(row)
+    assert {"builtin", "backend", "precision", "median_ulp", "max_ulp", "worst_input", "nanoseconds"} <= set(
+        row
+    )
     assert chart_path.read_bytes()[:4] == b"\x89PNG"
 
 
@@ -81,7 +87,9 @@ def test_a_bound_that_is_broken_is_marked_and_fails_the_command(monkeypatch, cap
     monkeypatch.setattr(accuracy, "all_probes", lambda: [probe_with(ErrorBound(numpy=0.25))])
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sqrt"]) == 1
     assert "**broken**" in capsys.readouterr().out
-    monkeypatch.setattr(accuracy, "all_probes", lambda: [probe_with(ErrorBound(numpy=0.5, domain=((0, 1e6),)))])
+    monkeypatch.setattr(
+        accuracy, "all_probes", lambda: [probe_with(ErrorBound(numpy=0.5, domain=((0, 1e6),)))]
+    )
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sqrt"]) == 0
 
 

@@ -1,4 +1,5 @@
-"""Patterns of effects: what belongs to them, that a stream is free of it, and that two streams are the same."""
+"""Patterns of effects: what belongs to them, that a stream is free of it, and that two streams are the
+same."""
 
 from __future__ import annotations
 
@@ -68,9 +69,9 @@ def test_commands_that_have_a_part_of_an_effect_belong_to_it(sample_frame: Sampl
     expectation = expect(sample_frame.device).of(effect).at_least(1)
     assert {command.op for command in expectation} == ops
     assert len(expectation) < len(sample_frame.device.stream)
-    assert [part for command in expectation for part, _ in effect.match_parts(command)].count(effect.parts[0]) >= len(
-        expectation
-    )
+    assert [part for command in expectation for part, _ in effect.match_parts(command)].count(
+        effect.parts[0]
+    ) >= len(expectation)
 
 
 NONE = {
@@ -82,7 +83,9 @@ NONE = {
     "event": EffectPattern("it", events=("caster", "ast")),
     "state": EffectPattern("it", states=(DepthBias(-2.5), CullMode.NONE)),
     "kind": EffectPattern("it", ops=(Op.DISPATCH,)),
-    "predicate": EffectPattern("it", where={"five of them": lambda command: command.arguments.get("instances") == 5}),
+    "predicate": EffectPattern(
+        "it", where={"five of them": lambda command: command.arguments.get("instances") == 5}
+    ),
 }
 
 
@@ -97,13 +100,20 @@ def test_names_that_are_parts_of_others_are_others(sample_frame: SampleFrame, ki
 
 def test_what_makes_and_writes_and_destroys_a_resource_belongs_to_it(null_device: rhi.Device) -> None:
     effect = EffectPattern("it", resources=("bloom",))
-    bloom, other = (null_device.uniform(Light(offset=(0, 0, 0, 0)), label=label) for label in ("bloom", "other"))
+    bloom, other = (
+        null_device.uniform(Light(offset=(0, 0, 0, 0)), label=label) for label in ("bloom", "other")
+    )
     bloom.write(Light(offset=(1, 0, 0, 0)))
     for resource in (bloom, other):
         resource.destroy()
     null_device.finish()
     expectation = expect(null_device).of(effect).exactly(4)
-    assert [command.op for command in expectation] == [Op.CREATE_BUFFER, Op.WRITE_BUFFER, Op.WRITE_BUFFER, Op.DESTROY]
+    assert [command.op for command in expectation] == [
+        Op.CREATE_BUFFER,
+        Op.WRITE_BUFFER,
+        Op.WRITE_BUFFER,
+        Op.DESTROY,
+    ]
 
 
 def test_a_frame_without_an_effect_is_free_of_it(sample_frame: SampleFrame) -> None:
@@ -123,7 +133,8 @@ def test_a_failure_says_what_the_effect_costs_and_where(sample_frame: SampleFram
     first, cost, *lines = message.splitlines()
     assert first == f"expected nothing of shadows, found 15 among {len(sample_frame.device.stream)} commands"
     assert cost == (
-        "events: 2, passes: 1, programs: 1, resources: 2, uploads: 1, bindings: 2, draws: 3, others: 1, bytes: 16"
+        "events: 2, passes: 1, programs: 1, resources: 2, uploads: 1, bindings: 2, draws: 3, others: 1, "
+        "bytes: 16"
     )
     where = next(line for line in lines if "write_buffer" in line)
     assert Path(__file__).name in where
@@ -134,7 +145,9 @@ def test_a_failure_says_what_the_effect_costs_and_where(sample_frame: SampleFram
 
 def test_programs_are_named_by_what_they_have(null_device: rhi.Device) -> None:
     null_device.program(Lit)
-    message = failure(lambda: assert_free(EffectPattern("tints", words=("Tint",), bindings=("tint",)), null_device))
+    message = failure(
+        lambda: assert_free(EffectPattern("tints", words=("Tint",), bindings=("tint",)), null_device)
+    )
     assert "Tint in the text of Lit; binding tint of Lit" in message
 
 

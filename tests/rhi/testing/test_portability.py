@@ -24,7 +24,9 @@ def deferred_frame(device):
     with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(BlendFunction.ADDITIVE.at(0)):
         device.draw(program, mesh, camera=camera, object=objects[1])
     if device.capabilities.compute:
-        compute = dataclasses.replace(hand_made_program(), stages=frozenset({Stage.COMPUTE}), attributes=(), outputs=())
+        compute = dataclasses.replace(
+            hand_made_program(), stages=frozenset({Stage.COMPUTE}), attributes=(), outputs=()
+        )
         device.program(compute)
 
 
@@ -32,7 +34,10 @@ def test_a_frame_is_told_everything_that_stops_it_with_lines():
     report = check_portability(deferred_frame)
     first = inspect.getsourcelines(deferred_frame)[1]
     features = {
-        name: [(obstacle.capability, obstacle.error.rule.id, obstacle.error.site.line - first) for obstacle in each]
+        name: [
+            (obstacle.capability, obstacle.error.rule.id, obstacle.error.site.line - first)
+            for obstacle in each
+        ]
         for name, each in report.obstacles.items()
     }
     assert features == {
@@ -57,7 +62,10 @@ def scattered_frame(device, changed=frozenset()):
     device.texture((4, 4 if 8 in changed else 4000), Format.R8)
     image.sampled(SamplerDescriptor(max_anisotropy=1 if 9 in changed else 8))
     with device.record() as commands, commands.render_pass(image):
-        with commands.states(PolygonOffset(1, 0 if 11 in changed else 0.5)), commands.states(PolygonOffset(1, 0)):
+        with (
+            commands.states(PolygonOffset(1, 0 if 11 in changed else 0.5)),
+            commands.states(PolygonOffset(1, 0)),
+        ):
             pass
         with commands.states(PolygonOffset(1, 0 if 13 in changed else 0.5)):
             pass
@@ -117,7 +125,9 @@ class TooMuch(Shader):
 def test_shared_memory_is_a_limit_of_a_profile(limit, fits):
     profile = dataclasses.replace(get_profile("gl-4.5"), max_shared_bytes=limit)
     report = check_portability(lambda device: device.program(TooMuch), {"own": profile})
-    assert [features.capability for features in report.obstacles["own"]] == ([] if fits else ["max_shared_bytes"])
+    assert [features.capability for features in report.obstacles["own"]] == (
+        [] if fits else ["max_shared_bytes"]
+    )
     assert compile_shader(TooMuch).shared_bytes == 40_000
 
 
@@ -134,7 +144,9 @@ def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
 
 
 def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():
-    text = str(check_portability(deferred_frame, {"small": get_profile("gl-3.3"), "all": get_profile("everything")}))
+    text = str(
+        check_portability(deferred_frame, {"small": get_profile("gl-3.3"), "all": get_profile("everything")})
+    )
     assert text.splitlines()[0] == "small: stopped by 2"
     assert "max_texture_size" in text
     assert "1500" in text

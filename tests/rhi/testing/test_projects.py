@@ -1,4 +1,5 @@
-"""`python -m rhi new`: what is written is named, refused in time, and passes its own checks as it is (nightly)."""
+"""`python -m rhi new`: what is written is named, refused in time, and passes its own checks as it is
+(nightly)."""
 
 from __future__ import annotations
 
@@ -19,14 +20,21 @@ from rhi.testing.projects import KINDS, write_project
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_project_has_the_name_that_it_is_given(kind: str, tmp_path: Path) -> None:
     root = write_project(kind, "kite", tmp_path)
-    assert sorted(path.name for path in root.iterdir()) == ["README.md", "kite.py", "pyproject.toml", "test_kite.py"]
+    assert sorted(path.name for path in root.iterdir()) == [
+        "README.md",
+        "kite.py",
+        "pyproject.toml",
+        "test_kite.py",
+    ]
     assert tomllib.loads((root / "pyproject.toml").read_text())["project"]["name"] == "kite"
     assert not [path for path in root.iterdir() if "NAME" in path.read_text()]
     assert "from kite import" in (root / "test_kite.py").read_text()
 
 
 @pytest.mark.parametrize("name", ["two words", "Kite", "class", "numpy", "json", "../kite", ""])
-def test_a_name_that_is_no_modules_or_anothers_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
+def test_a_name_that_is_no_modules_or_anothers_is_refused_and_nothing_is_written(
+    name: str, tmp_path: Path
+) -> None:
     with pytest.raises(ValidationError, match="device-argument"):
         write_project("tool", name, tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -56,7 +64,12 @@ def test_a_project_passes_its_checks_and_tests(kind: str, tmp_path: Path) -> Non
         ["ruff", "format", "--check", "."],
     ):
         done = subprocess.run(
-            [sys.executable, "-m", *command], cwd=root, env=environment, capture_output=True, text=True, check=False
+            [sys.executable, "-m", *command],
+            cwd=root,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr
     assert "skipped" not in done.stdout

@@ -47,7 +47,9 @@ def test_commands_are_counted(frame) -> None:
 )
 def test_a_wrong_number_fails(frame, verdict: str, number: int) -> None:
     message = failure(lambda: getattr(expect(frame).draws(program="Shadow"), verdict)(number))
-    assert message.startswith(f"expected {verdict.replace('_', ' ')} {number}: draws of program 'Shadow'\nfound 2")
+    assert message.startswith(
+        f"expected {verdict.replace('_', ' ')} {number}: draws of program 'Shadow'\nfound 2"
+    )
 
 
 def test_a_program_is_known_by_object_id_class_and_name(frame, sample_frame) -> None:
@@ -118,7 +120,10 @@ def test_bindings_and_resources_are_known_at_the_command(sample_frame) -> None:
     device, stream = sample_frame.device, sample_frame.device.stream
     sample_frame.render()
     draw = stream.draws()[-1]
-    assert draw.bindings == {"light": (sample_frame.light.buffer, 0, 16), "tint": (sample_frame.tint.buffer, 0, 16)}
+    assert draw.bindings == {
+        "light": (sample_frame.light.buffer, 0, 16),
+        "tint": (sample_frame.tint.buffer, 0, 16),
+    }
     assert draw.resource(sample_frame.image.id).label == "image"
     sample_frame.image.destroy()
     device.finish()
@@ -183,7 +188,7 @@ def test_long_lists_are_cut(sample_frame) -> None:
     assert len(message.splitlines()) < 30
 
 
-# -- budgets, frames, caching ----------------------------------------------------------------------------------
+# -- budgets, frames, caching --------------------------------------------------------------------------------
 
 
 def test_frames_end_with_present(sample_frame) -> None:
@@ -228,7 +233,9 @@ def test_what_is_asked_for_is_told_apart_from_what_is_issued(sample_frame) -> No
         with device.render_pass(sample_frame.image):
             for _ in range(10):
                 with device.states(DepthWrite.OFF, CullMode.NONE):
-                    device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+                    device.draw(
+                        sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+                    )
     assert work.requested == CallCounts(states=20, programs=10, bindings=20)
     assert (work.issued.programs, work.issued.bindings) == (1, 2)
     assert work.issued.states == 3  # the two, and DepthFunction, which the frame before had left
@@ -245,7 +252,7 @@ def test_a_draw_that_failed_costs_nothing(sample_frame) -> None:
     expect(stream).costs(max_draws=3)
 
 
-# -- the plugin ------------------------------------------------------------------------------------------------
+# -- the plugin ----------------------------------------------------------------------------------------------
 
 
 def test_the_plugin_gives_fixtures(pytester: pytest.Pytester) -> None:
@@ -269,7 +276,9 @@ def test_the_plugin_gives_fixtures(pytester: pytest.Pytester) -> None:
 def test_rhi_device_runs_on_each_backend_asked_for(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_it(rhi_device): print('on', rhi_device.backend_name)")
     function = "rhi.backends.null:create_backend"
-    result = pytester.runpytest("--rhi-backend", "null", "--rhi-backend", function, "-p", "no:cacheprovider", "-s")
+    result = pytester.runpytest(
+        "--rhi-backend", "null", "--rhi-backend", function, "-p", "no:cacheprovider", "-s"
+    )
     result.assert_outcomes(passed=2)
     result.stdout.fnmatch_lines(["*on null*", "*on null*"])
 

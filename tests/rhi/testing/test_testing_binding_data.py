@@ -81,7 +81,9 @@ def test_numbers_match_within_a_tolerance(sample_frame: SampleFrame, tolerance: 
 def test_a_failure_says_what_is_there_instead(sample_frame: SampleFrame) -> None:
     sample_frame.render()
     with pytest.raises(AssertionError) as caught:
-        expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0, 0, 1)}, tolerance=0.1).exactly(1)
+        expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0, 0, 1)}, tolerance=0.1).exactly(
+            1
+        )
     message = str(caught.value)
     assert "with color=(1, 0, 0, 1) in tint within 0.1" in message
     assert "of tint, color is [1. , 0.5, 0. , 1. ]" in message
@@ -120,7 +122,11 @@ def test_transient_constants_and_copies_are_followed(sample_frame: SampleFrame) 
     device = sample_frame.device
     source = device.uniform(Light(offset=(3, 0, 0, 0)))
     with device.render_pass(depth=sample_frame.map):
-        device.draw(sample_frame.shadow, sample_frame.walls, light=device.transient.uniform(Light(offset=(5, 0, 0, 0))))
+        device.draw(
+            sample_frame.shadow,
+            sample_frame.walls,
+            light=device.transient.uniform(Light(offset=(5, 0, 0, 0))),
+        )
         source.owner.copy_to(sample_frame.light.owner)
         device.draw(sample_frame.shadow, sample_frame.walls, light=sample_frame.light)
         sample_frame.light.owner.clear(0x40000000)  # 2.0
@@ -144,14 +150,19 @@ def test_what_the_device_wrote_is_not_known(null_device: Device) -> None:
 @pytest.mark.parametrize("point_light", range(3))
 def test_texels_that_were_copied_to_a_buffer_are_not_known(null_device: Device, point_light: int) -> None:
     storage = null_device.storage(PointLight, np.ones(3, PointLight.dtype))
-    program, texture = null_device.program(Writing), null_device.texture((4, 1), Format.RGBA8)  # as large as a light
+    program, texture = (
+        null_device.program(Writing),
+        null_device.texture((4, 1), Format.RGBA8),
+    )  # as large as a light
     null_device.dispatch(program, 1, point_lights=storage)
     storage.write(np.ones(3, PointLight.dtype))
     texture.copy_to_buffer(storage.owner, offset=16 * point_light)
     null_device.dispatch(program, 1, point_lights=storage)
     first, second = null_device.stream.filter(rhi.Op.DISPATCH)
     assert binding_data(first, "point_lights")["power"].tolist() == [1, 1, 1]
-    with pytest.raises(UnknownDataError, match=f"byte {16 * point_light} of 'point_lights' was written on the device"):
+    with pytest.raises(
+        UnknownDataError, match=f"byte {16 * point_light} of 'point_lights' was written on the device"
+    ):
         binding_data(second, "point_lights")
 
 
@@ -186,7 +197,11 @@ def test_a_loaded_trace_says_that_it_has_no_layouts(sample_frame: SampleFrame, t
 
 
 @settings(max_examples=40)
-@given(st.lists(st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))
+    )
+)
 def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
     with rhi.create_device("null") as device:
         sample_frame = SampleFrame(device)
@@ -197,7 +212,9 @@ def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int
                 if kind == "write":
                     lights[which].write(Light(offset=(number, 1, 2, 3)))
                 elif kind == "copy":
-                    lights[which].owner.copy_to(lights[(which + 1) % 3].owner, size=8, offset=4, target_offset=0)
+                    lights[which].owner.copy_to(
+                        lights[(which + 1) % 3].owner, size=8, offset=4, target_offset=0
+                    )
                 elif kind == "clear":
                     lights[which].owner.clear(number)
                 else:

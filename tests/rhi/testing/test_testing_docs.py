@@ -42,7 +42,9 @@ def test_the_page_passes_on_a_gpu(pytester: pytest.Pytester, tests: int) -> None
         ('Camera(offset=(0, 0, 0, 0)), label="sun"', 'Camera(offset=(0, 0, 0, 5)), label="sun"'),
     ],
 )
-def test_the_page_notices_a_broken_renderer(pytester: pytest.Pytester, tests: int, old: str, new: str) -> None:
+def test_the_page_notices_a_broken_renderer(
+    pytester: pytest.Pytester, tests: int, old: str, new: str
+) -> None:
     file = pytester.path / "test_shadow.py"
     source = file.read_text()
     assert source.count(old) >= 1
@@ -55,13 +57,19 @@ def test_the_page_notices_a_broken_renderer(pytester: pytest.Pytester, tests: in
     ("block", "old", "new"),
     [
         (0, 'device.event("sun")', 'device.event("moon")'),
-        (1, "render_without_shadows(renderer, null_device)\n    with_shadows", "renderer.render()\n    with_shadows"),
+        (
+            1,
+            "render_without_shadows(renderer, null_device)\n    with_shadows",
+            "renderer.render()\n    with_shadows",
+        ),
     ],
 )
 def test_the_page_shows_what_a_failure_says(
     pytester: pytest.Pytester, tests: int, block: int, old: str, new: str
 ) -> None:
-    message = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace("renderer.py", "*.py")
+    message = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace(
+        "renderer.py", "*.py"
+    )
     file = pytester.path / "test_shadow.py"
     file.write_text(file.read_text().replace(old, new, 1))
     run = pytester.runpytest("-p", "no:cacheprovider")

@@ -18,7 +18,13 @@ def sample_frame(null_device: rhi.Device) -> SampleFrame:
 
 
 def draw(
-    sample_frame: SampleFrame, *states: object, instances: int = 1, mesh=None, color=True, clear_depth=0.0, tint=None
+    sample_frame: SampleFrame,
+    *states: object,
+    instances: int = 1,
+    mesh=None,
+    color=True,
+    clear_depth=0.0,
+    tint=None,
 ):
     """Draw once with the lit program and return the command."""
     device = sample_frame.device
@@ -152,9 +158,13 @@ def test_a_condition_is_suspicious(sample_frame) -> None:
     query = device.occlusion_query()
     with device.render_pass(sample_frame.image, sample_frame.depth):
         with query:
-            device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+            device.draw(
+                sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+            )
         with device.conditional(query):
-            device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+            device.draw(
+                sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+            )
         device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
     before, inside, after = device.stream.draws()
     assert ["conditional" in possible(each) for each in (before, inside, after)] == [False, True, False]

@@ -44,13 +44,17 @@ def test_show_keeps_to_a_label_and_a_limit(capsys: pytest.CaptureFixture[str]) -
 @requires_gl
 def test_replay_writes_the_last_presented_image(tmp_path: Path) -> None:
     output = tmp_path / "out.png"
-    assert main(["trace", "replay", str(VERSION_1), "--backend", "gl", "--trust", "--output", str(output)]) == 0
+    assert (
+        main(["trace", "replay", str(VERSION_1), "--backend", "gl", "--trust", "--output", str(output)]) == 0
+    )
     with rhi.create_device("gl") as device:
         expected = record_much(device).read()[:, :, :3]
     assert np.array_equal(np.asarray(Image.open(output)), expected)
 
 
-def test_diff_says_by_its_exit_code_whether_they_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_diff_says_by_its_exit_code_whether_they_differ(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["trace", "diff", str(VERSION_1), str(VERSION_1)]) == 0
     assert capsys.readouterr().out == "no differences\n"
     copy = tmp_path / "t.zip"

@@ -40,7 +40,9 @@ def compare(
 
 def draw_more(sample_frame: SampleFrame) -> None:
     with sample_frame.device.event("extra"), sample_frame.device.render_pass(sample_frame.image):
-        sample_frame.device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+        sample_frame.device.draw(
+            sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+        )
 
 
 def test_equal_streams_have_no_differences() -> None:
@@ -82,7 +84,11 @@ def test_an_argument_that_differs_is_named_with_both_values() -> None:
             sample_frame = SampleFrame(device)
             with device.event("view"), device.render_pass(sample_frame.image):
                 device.draw(
-                    sample_frame.lit, sample_frame.walls, count, light=sample_frame.light, tint=sample_frame.tint
+                    sample_frame.lit,
+                    sample_frame.walls,
+                    count,
+                    light=sample_frame.light,
+                    tint=sample_frame.tint,
                 )
         (difference,) = diff(a, b)
     assert difference.labels == ("view",)
@@ -109,7 +115,9 @@ def test_memory_of_another_size_is_told_by_its_sizes() -> None:
 def test_what_one_label_has_more_does_not_shift_the_next() -> None:
     differences = compare(draw_more)
     assert any(d.b is not None and d.b.op is Op.PUSH_LABEL and d.a is None for d in differences)
-    assert not [d for d in differences if d.labels == ("sun", "casters") and d.b is not None and d.b.op is Op.DRAW]
+    assert not [
+        d for d in differences if d.labels == ("sun", "casters") and d.b is not None and d.b.op is Op.DRAW
+    ]
 
 
 def test_a_change_inside_a_label_is_told_under_its_path() -> None:
@@ -121,7 +129,10 @@ def test_a_change_inside_a_label_is_told_under_its_path() -> None:
                     with device.event(label), device.render_pass(sample_frame.image):
                         with device.states(mode if label == "two" else CullMode.NONE):
                             device.draw(
-                                sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+                                sample_frame.lit,
+                                sample_frame.walls,
+                                light=sample_frame.light,
+                                tint=sample_frame.tint,
                             )
         differences = diff(a, b)
     assert str(differences).splitlines()[0] == "outer / two"
@@ -153,7 +164,11 @@ def test_the_same_sources_under_another_name_are_a_difference() -> None:
         assert not diff(a, Trace(a.stream))
 
 
-@given(st.lists(st.integers(0, 4), max_size=30), st.lists(st.integers(0, 4), max_size=30), st.sampled_from([0, 1000]))
+@given(
+    st.lists(st.integers(0, 4), max_size=30),
+    st.lists(st.integers(0, 4), max_size=30),
+    st.sampled_from([0, 1000]),
+)
 def test_an_alignment_pairs_equal_elements_in_rising_order(a: list[int], b: list[int], short: int) -> None:
     """By either way, that of short sequences and that of long ones."""
     with pytest.MonkeyPatch.context() as patch:

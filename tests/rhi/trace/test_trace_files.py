@@ -42,7 +42,7 @@ def header(change: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, byte
     return edit
 
 
-# -- the file --------------------------------------------------------------------------------------------------
+# -- the file ------------------------------------------------------------------------------------------------
 
 
 def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
@@ -90,10 +90,18 @@ def test_a_missing_member_is_refused(file: Path, name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "../evil.npy", "/etc/passwd", "arrays/../../x.npy", "arrays/01.npy", "arrays/0.npy/", "readme.txt",
-        "arrays\\0.npy", "programs/1.vertex.GLSL", "programs/0.vertex.glsl", "C:evil.npy",
+        "../evil.npy",
+        "/etc/passwd",
+        "arrays/../../x.npy",
+        "arrays/01.npy",
+        "arrays/0.npy/",
+        "readme.txt",
+        "arrays\\0.npy",
+        "programs/1.vertex.GLSL",
+        "programs/0.vertex.glsl",
+        "C:evil.npy",
     ],
-)  # fmt: skip
+)
 def test_other_names_are_refused(file: Path, name: str) -> None:
     def add(members: dict[str, bytes]) -> None:
         members[name] = b"x"
@@ -161,7 +169,7 @@ def test_a_save_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.M
     assert list(file.parent.iterdir()) == [file]
 
 
-# -- its header ------------------------------------------------------------------------------------------------
+# -- its header ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("version", [0, 3, "1", None, 1.0, True])
@@ -172,10 +180,14 @@ def test_another_version_is_refused(file: Path, version: object) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"format": "zip"}, {"commands": "87"}, {"sites": 1}, {"sites": [["a.py", "1", "f"]]}, {"backend": None},
+        {"format": "zip"},
+        {"commands": "87"},
+        {"sites": 1},
+        {"sites": [["a.py", "1", "f"]]},
+        {"backend": None},
         {"sites": [["a.py", 1]]},
     ],
-)  # fmt: skip
+)
 def test_a_wrong_header_is_refused(file: Path, change: dict[str, object]) -> None:
     refused(rewrite(file, header(lambda h: h.update(change))), rules.TRACE_FILE)
 
@@ -190,7 +202,7 @@ def test_a_wrong_count_is_refused(file: Path, difference: int) -> None:
     refused(rewrite(file, header(lambda h: h.update(commands=h["commands"] + difference))), rules.TRACE_COUNT)
 
 
-# -- its commands ----------------------------------------------------------------------------------------------
+# -- its commands --------------------------------------------------------------------------------------------
 
 
 def test_a_line_that_is_no_json_is_refused(file: Path) -> None:
@@ -311,13 +323,14 @@ def test_a_field_that_a_file_lacks_takes_its_default(file: Path) -> None:
     trace = load(edit_line(file, "create_program", drop))
     assert str(trace.stream) == str(load(file).stream)
     refused(
-        edit_line(file, "create_program", lambda line: line["arguments"]["descriptor"].pop("name")), rules.TRACE_COMMAND
+        edit_line(file, "create_program", lambda line: line["arguments"]["descriptor"].pop("name")),
+        rules.TRACE_COMMAND,
     )
     shorter = edit_line(file, "create_texture", lambda line: line["arguments"]["descriptor"].pop("label"))
     assert load(shorter).stream.filter(rhi.Op.CREATE_TEXTURE)[0]["descriptor"].label == ""
 
 
-# -- its arrays ------------------------------------------------------------------------------------------------
+# -- its arrays ----------------------------------------------------------------------------------------------
 
 
 def as_npy(array: np.ndarray[Any, Any]) -> bytes:
@@ -340,11 +353,17 @@ def test_the_arrays_are_ordinary_npy_files(file: Path) -> None:
 @pytest.mark.parametrize(
     "array",
     [
-        np.zeros(24, np.int8), np.zeros(6, np.float32), np.zeros((24, 1), np.uint8), np.array([None] * 24),
-        np.zeros(24, "c16"), np.zeros(24, "U1"), np.zeros(24, [("a", "u1")]), np.asfortranarray(np.zeros((4, 6), "u1")),
+        np.zeros(24, np.int8),
+        np.zeros(6, np.float32),
+        np.zeros((24, 1), np.uint8),
+        np.array([None] * 24),
+        np.zeros(24, "c16"),
+        np.zeros(24, "U1"),
+        np.zeros(24, [("a", "u1")]),
+        np.asfortranarray(np.zeros((4, 6), "u1")),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_another_dtype_or_shape_is_refused(file: Path, array: np.ndarray[Any, Any]) -> None:
     load(with_array(file, as_npy(np.zeros(24, np.uint8))))
     refused(with_array(file, as_npy(array)), rules.TRACE_ARRAY)
@@ -370,7 +389,7 @@ def test_an_array_that_is_not_there_is_refused(file: Path, number: object) -> No
     refused(edit_line(file, *argument("write_buffer", "data", number)), rules.TRACE_ARRAY)
 
 
-# -- its programs ----------------------------------------------------------------------------------------------
+# -- its programs --------------------------------------------------------------------------------------------
 
 
 def test_a_program_without_source_loads_and_says_so_when_it_is_needed(file: Path) -> None:

@@ -1,7 +1,8 @@
 """Mutated traces end no process, leak no exception but those of this package, and don't hang.
 
-A process of its own loads, shows and replays each, with the shaders of the file trusted: what remains is then only the
-checks of its commands. On a device that runs shaders the programs stay as they are, since their text is code.
+A process of its own loads, shows and replays each, with the shaders of the file trusted: what remains is then
+only the checks of its commands. On a device that runs shaders the programs stay as they are, since their text
+is code.
 """
 
 from __future__ import annotations
@@ -36,8 +37,14 @@ def count_results(backend: str, seed: int, count: int, folder: Path, seconds: fl
     """Try mutations in a process of their own; fail with the seed at which it died, hung or leaked."""
     command = [sys.executable, trace_fuzz.__file__, backend, str(seed), str(count), str(folder)]
     path = os.pathsep.join([str(Path(rhi.__file__).parents[1]), *sys.path])
-    done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False,
-                          env=os.environ | {"PYTHONPATH": path, "RHI_KERNELS": "quick"})  # fmt: skip
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+        env=os.environ | {"PYTHONPATH": path, "RHI_KERNELS": "quick"},
+    )
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert done.returncode == 0, f"{backend}: died at {lines[-1:]}: {done.stderr[-500:]}"
     results = [line for line in lines if line[0] != "begin"]

@@ -66,7 +66,9 @@ def test_what_is_left_replays_and_loads(trace: Trace, tmp_path: Path, null_devic
 @given(data=st.data())
 def test_any_part_is_made_whole(trace: Trace, tmp_path: Path, data: st.DataObject) -> None:
     selected = [
-        i for i, is_selected in enumerate(data.draw(st.lists(st.booleans(), min_size=87, max_size=87))) if is_selected
+        i
+        for i, is_selected in enumerate(data.draw(st.lists(st.booleans(), min_size=87, max_size=87)))
+        if is_selected
     ]
     remaining = _Parts(trace.stream).complete(selected)
     assert set(remaining) <= set(selected)
@@ -119,8 +121,11 @@ def test_an_error_of_the_library_means_that_the_fault_is_not_there(trace: Trace)
 def run_pytest(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "--color=no", "-p", "no:cacheprovider", "."],
-        cwd=folder, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)

@@ -59,7 +59,9 @@ class Unfit(Shader):
 
 
 def break_immediate(sample_frame: SampleFrame) -> None:
-    with sample_frame.device.immediate(sample_frame.shadow, rhi.Primitive.POINTS, light=sample_frame.light) as points:
+    with sample_frame.device.immediate(
+        sample_frame.shadow, rhi.Primitive.POINTS, light=sample_frame.light
+    ) as points:
         points.vertex(nothing=3)
 
 
@@ -99,7 +101,10 @@ CALLS: dict[str, tuple[Callable[[SampleFrame], object], str]] = {
     ),
     "immediate": (break_immediate, "immediate-vertex"),
     "command buffer": (break_record, "pass-empty"),
-    "submission": (lambda sample_frame: sample_frame.device.submit(sample_frame.device.record()), "record-state"),
+    "submission": (
+        lambda sample_frame: sample_frame.device.submit(sample_frame.device.record()),
+        "record-state",
+    ),
     "transient": (
         lambda sample_frame: sample_frame.device.transient.mesh(sample_frame.shadow, np.zeros(3)),
         "immediate-vertex",
@@ -157,8 +162,12 @@ def test_refused_calls_stand_between_the_commands_as_text(null_device: Device) -
         refuse_texture(null_device)
     lines = str(null_device.stream).splitlines()
     assert [each.split()[1] for each in lines] == [
-        "device.texture:", "create_buffer(buffer=1,", "push_label(text='sun')", "device.texture:", "pop_label()",
-    ]  # fmt: skip
+        "device.texture:",
+        "create_buffer(buffer=1,",
+        "push_label(text='sun')",
+        "device.texture:",
+        "pop_label()",
+    ]
     assert lines[0].endswith("REFUSED [texture-size]")
     assert lines[3].startswith("     ×    device.texture")
     assert "REFUSED" not in str(null_device.stream[:2])

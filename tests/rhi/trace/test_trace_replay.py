@@ -39,7 +39,13 @@ def test_a_trace_is_loaded_as_it_was_recorded(tmp_path: Path) -> None:
         assert trace.backend == "null"
         assert len(trace) == len(device.stream)
         for a, b in zip(device.stream, trace.stream, strict=True):
-            assert (a.op, a.site, a.labels, a.states, a.failure) == (b.op, b.site, b.labels, b.states, b.failure)
+            assert (a.op, a.site, a.labels, a.states, a.failure) == (
+                b.op,
+                b.site,
+                b.labels,
+                b.states,
+                b.failure,
+            )
             if a.op is not Op.CREATE_PROGRAM:
                 assert a.values == b.values
         assert not diff(device, trace)
@@ -73,7 +79,9 @@ def test_a_frame_recorded_on_gl_replays_on_null_to_the_same_commands(tmp_path: P
     with rhi.create_device("null") as device:
         replay(load(tmp_path / "t.zip"), on=device)
         differences = diff(load(tmp_path / "t.zip"), device)
-        assert [d.b.op for d in differences if d.b is not None] == [Op.READ_TEXTURE, Op.SET_STATES], str(differences)
+        assert [d.b.op for d in differences if d.b is not None] == [Op.READ_TEXTURE, Op.SET_STATES], str(
+            differences
+        )
 
 
 def test_the_image_is_what_was_presented_last(null_device: rhi.Device) -> None:
@@ -102,12 +110,16 @@ def test_a_used_device_can_replay_and_go_on(file: Path, null_device: rhi.Device)
     sample_frame = SampleFrame(null_device)
     with null_device.states(CullMode.NONE):
         with null_device.render_pass(sample_frame.image):
-            null_device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+            null_device.draw(
+                sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+            )
     null_device.finish()
     replay(load(file), on=null_device)
     sample_frame.render()
     with null_device.render_pass(sample_frame.image):
-        null_device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+        null_device.draw(
+            sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+        )
     last = null_device.stream.draws()[-1]
     assert last.states[CullMode] is CullMode.BACK
     assert last.labels == ()

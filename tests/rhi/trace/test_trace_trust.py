@@ -1,5 +1,5 @@
-"""A file never runs code: nothing that it names is imported, its shaders run only if it is trusted, and what it draws
-lies in the buffers that it makes."""
+"""A file never runs code: nothing that it names is imported, its shaders run only if it is trusted, and what
+it draws lies in the buffers that it makes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def file(tmp_path: Path) -> Path:
     return record(tmp_path / "t.zip")
 
 
-# -- names -----------------------------------------------------------------------------------------------------
+# -- names ---------------------------------------------------------------------------------------------------
 
 
 def state(name: str) -> Change:
@@ -59,7 +59,7 @@ def test_states_of_our_own_platforms_are_found(file: Path) -> None:
     assert change.value == (DepthClamp.ON,)
 
 
-# -- shaders ---------------------------------------------------------------------------------------------------
+# -- shaders -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.nightly_cases("cl", reason=CHEAPER_TEST)
@@ -103,7 +103,7 @@ def test_a_file_without_shaders_needs_no_trust(tmp_path: Path, backend: str) -> 
     assert (result == (255, 0, 0, 255)).all()
 
 
-# -- draws -----------------------------------------------------------------------------------------------------
+# -- draws ---------------------------------------------------------------------------------------------------
 
 
 def argument(op: str, **changes: object) -> tuple[str, Change]:
@@ -173,10 +173,14 @@ def test_indirect_arguments_of_a_file_are_checked_before_they_are_executed(
 
 
 @drawing
-def test_a_draw_whose_bindings_are_gone_is_refused_before_the_first_command(tmp_path: Path, backend: str) -> None:
+def test_a_draw_whose_bindings_are_gone_is_refused_before_the_first_command(
+    tmp_path: Path, backend: str
+) -> None:
     file = record_draws(tmp_path / "t.zip")
     trace = load(file, trusted=True)
-    binds = [c.index for c in trace.stream if c.op in (rhi.Op.BIND_UNIFORM, rhi.Op.BIND_STORAGE, rhi.Op.BIND_IMAGE)]
+    binds = [
+        c.index for c in trace.stream if c.op in (rhi.Op.BIND_UNIFORM, rhi.Op.BIND_STORAGE, rhi.Op.BIND_IMAGE)
+    ]
     assert len(binds) >= 3
     with rhi.create_device(backend, record=True) as device:
         for left_out in binds[:3]:

@@ -25,7 +25,9 @@ _RINGS: Final = 24
 class LitSurfaces:
     """The lights of a scene, and the shadows that its geometry casts."""
 
-    def __init__(self, scene: Scene, geometry: Geometry, tree: TriangleTree, *, has_shadows: bool = True) -> None:
+    def __init__(
+        self, scene: Scene, geometry: Geometry, tree: TriangleTree, *, has_shadows: bool = True
+    ) -> None:
         self._scene, self._geometry, self._tree, self._has_shadows = scene, geometry, tree, has_shadows
 
     def light(self, surfaces: Surfaces) -> Floats:
@@ -57,7 +59,9 @@ class LitSurfaces:
             strength *= np.clip((cosine - outer) / max(inner - outer, 1e-4), 0.0, 1.0) ** 2
         return self._reflect(seen, to_light, np.where(distance < reach, strength, 0.0), distance, local_light)
 
-    def _reflect(self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, light: Any) -> Floats:
+    def _reflect(
+        self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, light: Any
+    ) -> Floats:
         """The light of one light, in the direction `to_light` at a distance, that surfaces reflect. Shadows
         of a sphere light are those of its centre."""
         radius = float(light["source_radius"]) if "source_radius" in light.dtype.names else 0.0
@@ -99,14 +103,19 @@ class LitSurfaces:
         clipped = np.clip(along, 0.0, 1.0)
         rim = material["rim_strength"] * (1.0 - clipped) ** material["rim_power"].astype(np.float64)
         mirrored = material["specular_color"] + rim[:, None]
-        # Karis's fit of the metallic-roughness model over all directions (Physically Based Shading on Mobile, 2014).
-        share = np.minimum((1.0 - rough) ** 2, 2.0 ** (-9.28 * clipped)) * (1.0 - rough) + 0.0425 - 0.0275 * rough
+        # Karis's fit of the metallic-roughness model over all directions (Physically Based Shading on Mobile,
+        # 2014).
+        share = (
+            np.minimum((1.0 - rough) ** 2, 2.0 ** (-9.28 * clipped)) * (1.0 - rough) + 0.0425 - 0.0275 * rough
+        )
         scale = -1.04 * share + 1.04 - 0.572 * rough
         offset = 1.04 * share + 0.022 * rough - 0.04
         mirrored = np.where(is_metal[:, None], mirror * scale[:, None] + offset[:, None], mirrored)
         blunt = np.where(is_metal, rough**2, 0.0)[:, None]
         beyond = beyond * (1.0 - blunt) + seen.normal * blunt
-        return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * seen.occlusion[:, None])
+        return np.asarray(
+            (diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * seen.occlusion[:, None]
+        )
 
 
 def _list_directions(to_light: Floats, sine: Floats) -> Iterator[tuple[Floats, Any]]:
@@ -140,7 +149,10 @@ def reflect(surfaces: Surfaces, to_light: Floats) -> Floats:
     square = rough**4
     sine = np.linalg.norm(np.cross(surfaces.normal, half), axis=1)
     spread = square / np.maximum(sine**2 + square * towards**2, square) ** 2
-    lit, viewed = np.clip(_dot(surfaces.normal, to_light), 0.0, 1.0), np.abs(_dot(surfaces.normal, surfaces.to_eye))
+    lit, viewed = (
+        np.clip(_dot(surfaces.normal, to_light), 0.0, 1.0),
+        np.abs(_dot(surfaces.normal, surfaces.to_eye)),
+    )
     masks = [cosine + np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (lit, viewed)]
     fresnel = mirror + (1.0 - mirror) * ((1.0 - np.clip(_dot(surfaces.to_eye, half), 0.0, 1.0)) ** 5)[:, None]
     scattered = surfaces.base * (1.0 - surfaces.metallic)[:, None] * (1.0 - fresnel)
@@ -153,7 +165,9 @@ def _select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Fl
     normal incidence and the roughness of those of that model."""
     is_metal = np.asarray(seen.material["model"] == ShadingModel.METALLIC_ROUGHNESS)
     mirror = 0.04 + seen.metallic[:, None] * (seen.base - 0.04)
-    diffuse = np.where(is_metal[:, None], seen.base * (1.0 - seen.metallic)[:, None] * (1.0 - mirror), seen.base)
+    diffuse = np.where(
+        is_metal[:, None], seen.base * (1.0 - seen.metallic)[:, None] * (1.0 - mirror), seen.base
+    )
     return is_metal, diffuse, mirror, np.maximum(seen.roughness, _SMOOTHEST)
 
 

@@ -1,7 +1,8 @@
 """Surfaces: the triangles of a scene in the world, and their properties where a ray meets them.
 
-Vertices are moved and their normals turned by the objects' transforms here, in float64. A normal is turned by the
-matrix of cofactors with the sign of the determinant: the front of a triangle stays its front when it is mirrored.
+Vertices are moved and their normals turned by the objects' transforms here, in float64. A normal is turned by
+the matrix of cofactors with the sign of the determinant: the front of a triangle stays its front when it is
+mirrored.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ class Surfaces:
     """Points of surfaces, (k,) or (k, 3) each.
 
     Attributes:
-        position: in the world. plane, normal: unit normals of the triangle and of the surface, on the side that is
-            seen. to_eye: the unit vector to the eye.
+        position: in the world. plane, normal: unit normals of the triangle and of the surface, on the side
+            that is seen. to_eye: the unit vector to the eye.
         base: the base colour. alpha: the opacity. emitted: emitted light.
         metallic, roughness, occlusion: with their textures.
         material: (k,) of `MATERIAL`.
@@ -58,7 +59,11 @@ class Geometry:
         for row in np.flatnonzero(objects.is_shown).tolist():
             first, count, base = (int(value) for value in meshes.ranges[objects.mesh[row]])
             field = scene.height_fields.get(row)
-            indices = meshes.indices[first : first + count].reshape(-1, 3) if field is None else _divide(field.heights)
+            indices = (
+                meshes.indices[first : first + count].reshape(-1, 3)
+                if field is None
+                else _divide(field.heights)
+            )
             triangles.append(indices.astype(np.int64) + base)
             rows.append(np.full(len(indices), row))
         self._vertices: Indices = np.concatenate(triangles)
@@ -79,7 +84,8 @@ class Geometry:
 
     def block_light(self, hits: Hits, to_light: Floats) -> NDArray[np.bool_]:
         """Which hits of rays towards a light cast a shadow. Glass casts none, and masked materials only where
-        they are opaque. One-sided surfaces block light on their front only, so objects may have a light inside."""
+        they are opaque. One-sided surfaces block light on their front only, so objects may have a light
+        inside."""
         rows = self.objects[hits.triangle]
         front = np.einsum("ij,ij->i", self._geometric_normals[hits.triangle], to_light[hits.ray]) > 0.0
         stops = self._casts[rows] & (front | self._two_sided[rows])
@@ -212,7 +218,9 @@ def _wrap(texel: Indices, size: int, how: str) -> tuple[Indices, NDArray[np.bool
 
 def _divide(heights: NDArray[np.float32]) -> Indices:
     """The triangles of a height field, row by row: diagonals end where row and column are both odd."""
-    rows, columns = (grid_indices.reshape(-1) for grid_indices in np.indices((len(heights) - 1, len(heights) - 1)))
+    rows, columns = (
+        grid_indices.reshape(-1) for grid_indices in np.indices((len(heights) - 1, len(heights) - 1))
+    )
     width = len(heights)
     a = rows * width + columns
     b, c, d = a + 1, a + width, a + width + 1
@@ -225,8 +233,12 @@ def _divide(heights: NDArray[np.float32]) -> Indices:
 def _cofactor_matrices(linear: Floats) -> Floats:
     """The matrices (n, 3, 3) that transform normals: cofactors, negated where `linear` mirrors."""
     x_axis, y_axis, z_axis = np.moveaxis(linear, 1, 0)
-    cofactors = np.stack([np.cross(y_axis, z_axis), np.cross(z_axis, x_axis), np.cross(x_axis, y_axis)], axis=1)
-    return cofactors * np.where(np.einsum("ij,ij->i", x_axis, cofactors[:, 0]) < 0.0, -1.0, 1.0)[:, None, None]
+    cofactors = np.stack(
+        [np.cross(y_axis, z_axis), np.cross(z_axis, x_axis), np.cross(x_axis, y_axis)], axis=1
+    )
+    return (
+        cofactors * np.where(np.einsum("ij,ij->i", x_axis, cofactors[:, 0]) < 0.0, -1.0, 1.0)[:, None, None]
+    )
 
 
 def normalize(vectors: Floats) -> Floats:
@@ -243,4 +255,6 @@ def decode_srgb(color: Floats) -> Floats:
 def encode_srgb(light: Floats) -> Floats:
     """Encode linear light as sRGB from 0 to 1 (IEC 61966-2-1)."""
     light = np.clip(light, 0.0, 1.0)
-    return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 1e-12) ** (1.0 / 2.4) - 0.055)
+    return np.where(
+        light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 1e-12) ** (1.0 / 2.4) - 0.055
+    )

@@ -38,9 +38,13 @@ class RayTracer:
         self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)
 
     def draw(
-        self, camera: Camera, size: tuple[int, int], rays: int = 1, every: int = 1,
+        self,
+        camera: Camera,
+        size: tuple[int, int],
+        rays: int = 1,
+        every: int = 1,
         at: tuple[float, float] = (0.5, 0.5),
-    ) -> Floats:  # fmt: skip
+    ) -> Floats:
         """Render an image (h, w, 3) in levels of 255, not rounded.
 
         Args:
@@ -77,7 +81,8 @@ class RayTracer:
         return colors
 
     def _collect_surfaces(self, origins: Floats, directions: Floats, first: float, last: float) -> Hits:
-        """All hits that are visible along rays, the nearest first: glass, and at the end an opaque surface."""
+        """All hits that are visible along rays, the nearest first: glass, and at the end an opaque
+        surface."""
         corners = self._geometry.corners.reshape(-1, 3)
         size = np.linalg.norm(np.ptp(corners, axis=0)) / np.linalg.norm(directions, axis=1).min()
         farthest = float(np.abs(corners - origins[:1]).max()) * 2.0 + size
@@ -87,7 +92,9 @@ class RayTracer:
             if end <= begin or not len(open_rays):
                 continue
             far = np.full(len(origins), min(end, last))
-            hits = self._tree.intersect(origins[open_rays], directions[open_rays], np.full(len(origins), begin), far)
+            hits = self._tree.intersect(
+                origins[open_rays], directions[open_rays], np.full(len(origins), begin), far
+            )
             hits = Hits(open_rays[hits.ray], hits.triangle, hits.distance, hits.second, hits.third)
             hits = hits.take(self._geometry.are_visible(hits, directions))
             hits = hits.take(np.lexsort([hits.distance, hits.ray]))
@@ -96,7 +103,9 @@ class RayTracer:
             np.minimum.at(stop, hits.ray[is_solid], hits.distance[is_solid])
             hit_batches.append(hits.take(hits.distance <= stop[hits.ray]))
             open_rays, begin = open_rays[np.isinf(stop[open_rays])], min(end, last)
-        hits = Hits(*(np.concatenate([getattr(batch, name) for batch in hit_batches]) for name in Hits.__slots__))
+        hits = Hits(
+            *(np.concatenate([getattr(batch, name) for batch in hit_batches]) for name in Hits.__slots__)
+        )
         hits = hits.take(np.lexsort([hits.distance, hits.ray]))
         return hits.take(~self._are_repeated(hits))
 
@@ -107,12 +116,15 @@ class RayTracer:
         again &= hits.distance[1:] - hits.distance[:-1] <= 1e-9 * np.abs(hits.distance[1:])
         return np.concatenate([[False], again])[: len(hits.ray)]
 
-    def _follow(self, camera: Camera, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
+    def _follow(
+        self, camera: Camera, origins: Floats, directions: Floats, first: float, last: float
+    ) -> Floats:
         hits = self._collect_surfaces(origins, directions, first, last)
         seen = self._geometry.surfaces_at(hits, origins, directions)
         color = tone_map(self._pass_fog(camera, self._lighting.light(seen), seen.position))
         color = self._pass_haze(color, np.linalg.norm(seen.position - camera.position, axis=1))
-        # Glass lets through what it doesn't cover: each surface is seen through all before it of the same ray.
+        # Glass lets through what it doesn't cover: each surface is seen through all before it of the same
+        # ray.
         clear = 1.0 - seen.alpha
         total = self._draw_background(camera, directions)
         order = np.arange(len(hits.ray))
@@ -150,11 +162,15 @@ class RayTracer:
         with np.errstate(divide="ignore"):
             thickness = np.where(rises > 0.0, here / np.maximum(rises, 1e-300), np.inf)
         passes = np.exp(-thickness)[:, None]
-        light = inverse_tone_map(background) * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
+        light = inverse_tone_map(background) * passes + inverse_tone_map(np.asarray(fog.color)) * (
+            1.0 - passes
+        )
         return tone_map(light)
 
 
-def aim(camera: Camera, size: tuple[int, int], pixel_positions: Floats) -> tuple[Floats, Floats, float, float]:
+def aim(
+    camera: Camera, size: tuple[int, int], pixel_positions: Floats
+) -> tuple[Floats, Floats, float, float]:
     """The origins and the directions (k, 3) of the rays through positions (k, 2) of an image, and the
     distances at which they begin and end. A direction advances 1 metre along the view."""
     projection: Any = camera.projection

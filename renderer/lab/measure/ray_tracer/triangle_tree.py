@@ -1,8 +1,9 @@
 """Rays and triangles: a tree of boxes, and the triangles that many rays meet, computed together.
 
-Triangles are put in an order in which each half, quarter and so on is on one side of the other. Four neighbours make a
-leaf and eight nodes the next one above, so that the tree is nothing but an array of boxes for each level. Pairs of a
-ray and a node go down it level by level, all rays together; those whose ray misses the box are left out.
+Triangles are put in an order in which each half, quarter and so on is on one side of the other. Four
+neighbours make a leaf and eight nodes the next one above, so that the tree is nothing but an array of boxes
+for each level. Pairs of a ray and a node go down it level by level, all rays together; those whose ray misses
+the box are left out.
 """
 
 from __future__ import annotations
@@ -56,12 +57,18 @@ class TriangleTree:
     def intersect(self, origins: Floats, directions: Floats, first: Floats, last: Floats) -> Hits:
         """All hits of rays (n, 3) with triangles at distances from `first` to `last` (n,)."""
         hit_batches = [
-            self._traverse(np.arange(begin, min(begin + _CHUNK, len(origins))), origins, directions, first, last)
+            self._traverse(
+                np.arange(begin, min(begin + _CHUNK, len(origins))), origins, directions, first, last
+            )
             for begin in range(0, max(len(origins), 1), _CHUNK)
         ]
-        return Hits(*(np.concatenate([getattr(batch, name) for batch in hit_batches]) for name in Hits.__slots__))
+        return Hits(
+            *(np.concatenate([getattr(batch, name) for batch in hit_batches]) for name in Hits.__slots__)
+        )
 
-    def _traverse(self, rays: Indices, origins: Floats, directions: Floats, first: Floats, last: Floats) -> Hits:
+    def _traverse(
+        self, rays: Indices, origins: Floats, directions: Floats, first: Floats, last: Floats
+    ) -> Hits:
         starts = origins.T.copy()
         inverse = 1.0 / np.where(directions == 0.0, 1e-290, directions).T.copy()
         top = self._levels[-1][0].shape[1]
@@ -83,7 +90,13 @@ class TriangleTree:
         return self._intersect(ray, node, origins, directions, first, last)
 
     def _intersect(
-        self, ray: Indices, triangle: Indices, origins: Floats, directions: Floats, first: Floats, last: Floats
+        self,
+        ray: Indices,
+        triangle: Indices,
+        origins: Floats,
+        directions: Floats,
+        first: Floats,
+        last: Floats,
     ) -> Hits:
         """Which pairs of a ray and a triangle meet (Möller and Trumbore 1997)."""
         side_a, side_b = self._copy_sides[triangle, 0], self._copy_sides[triangle, 1]

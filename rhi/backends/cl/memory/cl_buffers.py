@@ -1,11 +1,12 @@
 """Buffers: plain OpenCL buffers, and the commands that move bytes between them.
 
 - A buffer is host memory of zeros, followed by padding, since vector loads may run past its end.
-- Data that the CPU writes is copied first, and the copy is kept until the device has read it (`InFlight`). A write that
-  is too large for that waits for the device.
-- Buffers that only the CPU writes and indirect draws read get a copy on the host at the first such draw, so that later
-  ones don't wait for the device.
-- If kernels read host memory in place, writing a STREAM buffer is a plain copy. So is reading a READBACK buffer.
+- Data that the CPU writes is copied first, and the copy is kept until the device has read it (`InFlight`). A
+  write that is too large for that waits for the device.
+- Buffers that only the CPU writes and indirect draws read get a copy on the host at the first such draw, so
+  that later ones don't wait for the device.
+- If kernels read host memory in place, writing a STREAM buffer is a plain copy. So is reading a READBACK
+  buffer.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class BufferMemory:
         host: its host memory, if commands and the CPU may use that at the same time, or None.
         ranges: the sub-buffers that were bound, by offset and size.
         cpu_copy: the copy on the host, or None.
-        device_wrote: whether a command or a shader may have written it; if not, `host` or `cpu_copy` is up to date.
+        device_wrote: whether a command or a shader may have written it; if not, `host` or `cpu_copy` is up to
+            date.
         read_in_place: whether reads copy from `host` at once, without waiting.
     """
 
@@ -118,7 +120,8 @@ class Buffers:
         return data.tobytes()
 
     def get_cpu_copy(self, buffer: Id) -> NDArray[np.uint8] | None:
-        """Return the host's copy of a buffer, reading it back once; None if the device may have written the buffer."""
+        """Return the host's copy of a buffer, reading it back once; None if the device may have written the
+        buffer."""
         memory = self._buffers[buffer]
         if memory.device_wrote:
             memory.cpu_copy = None

@@ -1,7 +1,7 @@
 """Samplers, and the descriptions of textures that kernels read: words in a small buffer.
 
-`rhi.shading.ir.texture_words` defines the words. They are written when a texture is first bound with a sampler, or a
-level is first bound as an image, and are stored with the texture.
+`rhi.shading.ir.texture_words` defines the words. They are written when a texture is first bound with a
+sampler, or a level is first bound as an image, and are stored with the texture.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class Samplers:
         return memory
 
     def describe_image(self, texture: ClTexture, level: int, layer: int) -> TextureWords:
-        """Return the description of one level for loads and stores, creating it on first use; layer -1: all layers."""
+        """Return the description of one level for loads and stores, creating it on first use; layer -1: all
+        layers."""
         memory = texture.words.get((level, layer))
         if memory is None:
             described_texture, layout = texture.descriptor, _level_layout(texture.levels[level])

@@ -1,10 +1,10 @@
 """Textures: planes of texels in plain OpenCL buffers, and the commands that move texels between them.
 
 - A texture begins as zeros.
-- Its mip levels lie one after the other in one buffer. A level consists of layers of rows of texels; each sample of a
-  multi-sampled texture is a layer of its own.
-- Rows and columns are padded to multiples of `planes.BLOCK`, so a block of pixels always lies in memory. The contents
-  of the padding are undefined and never visible.
+- Its mip levels lie one after the other in one buffer. A level consists of layers of rows of texels; each
+  sample of a multi-sampled texture is a layer of its own.
+- Rows and columns are padded to multiples of `planes.BLOCK`, so a block of pixels always lies in memory. The
+  contents of the padding are undefined and never visible.
 - Depth is stored as float32, rounded to values of its format; stencil is stored in a second buffer.
 """
 

@@ -1,7 +1,7 @@
 """Kernels that average texels in linear light: mip level generation and multi-sample resolve.
 
-- One program serves all formats: the storage type of a channel is a kernel argument, uniform over all work-items, so
-  nothing is compiled per format.
+- One program serves all formats: the storage type of a channel is a kernel argument, uniform over all
+  work-items, so nothing is compiled per format.
 - sRGB is converted by tables, since PoCL's pow takes 100 ns.
 """
 
@@ -155,8 +155,8 @@ __kernel void resolve(__global const void *samples, __global void *texels, int s
 """
 
 _ROW_GROUP: Final = (1, 1)
-"""The work-group of `halve`. PoCL generates machine code for each size of work-groups, a quarter of a second for this
-kernel, and would choose another size for each level."""
+"""The work-group of `halve`. PoCL generates machine code for each size of work-groups, a quarter of a second
+for this kernel, and would choose another size for each level."""
 
 
 class Filters:
@@ -170,7 +170,8 @@ class Filters:
         """Compute the mip level `below` from the next larger one, in the same buffer."""
         planes = (above, below)
         layouts = [
-            np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64) // np.uint64(format.dtype.itemsize)
+            np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64)
+            // np.uint64(format.dtype.itemsize)
             for plane in planes
         ]
         sizes = [np.array([plane.width, plane.height, plane.layers, 0], np.int32) for plane in planes]
@@ -186,8 +187,8 @@ class Filters:
         )
 
     def resolve(self, format: Format, samples: TexelPlane, texels: TexelPlane) -> None:
-        """Resolve each texel to the mean of its samples, or for integer formats its first sample. Samples are layers.
-        Both planes have the same size, so the padding is resolved along with them."""
+        """Resolve each texel to the mean of its samples, or for integer formats its first sample. Samples are
+        layers. Both planes have the same size, so the padding is resolved along with them."""
         if format.is_integer:
             size = texels.layer_bytes
             cl.enqueue_copy(self._context.queue, texels.memory, samples.memory, byte_count=size)

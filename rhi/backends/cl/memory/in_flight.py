@@ -1,10 +1,11 @@
 """Memory in flight: what commands in the queue may still use, kept until the device has executed them.
 
-- Writes return before the device has executed them, so the caller's memory can't be read later, and a copy is kept. At
-  most `_MAX_STAGED` bytes in `_MAX_COPIES` are in flight at a time; a write that doesn't fit waits for the device.
+- Writes return before the device has executed them, so the caller's memory can't be read later, and a copy is
+  kept. At most `_MAX_STAGED` bytes in `_MAX_COPIES` are in flight at a time; a write that doesn't fit waits
+  for the device.
 - Scratch memory that was replaced by a larger piece, and index lists that no draw needs any more.
-- Buffers and textures that are destroyed while something of them may be in flight. Their memory is host memory, which
-  OpenCL doesn't keep alive.
+- Buffers and textures that are destroyed while something of them may be in flight. Their memory is host
+  memory, which OpenCL doesn't keep alive.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ class InFlight:
         self._bytes = 0
 
     def has_room(self, size: int) -> bool:
-        """Return whether a copy of `size` bytes fits. If not, the caller waits for its write and calls `take`."""
+        """Return whether a copy of `size` bytes fits. If not, the caller waits for its write and calls
+        `take`."""
         return self._bytes + size <= _MAX_STAGED and len(self._retained) < _MAX_COPIES
 
     def add(self, memory: object, size: int = 0) -> None:

@@ -13,7 +13,8 @@ from rhi.backends.cl.cl_errors import translate_errors
 from rhi.contract.descriptors import Region
 
 GRAIN: Final = 128
-"""Allocations are multiples of this many bytes, with at least this many bytes of padding behind the requested size."""
+"""Allocations are multiples of this many bytes, with at least this many bytes of padding behind the requested
+size."""
 BLOCK: Final = 4
 """Edge length of a block in texels. Rows and columns of a plane are padded to whole blocks."""
 
@@ -33,9 +34,21 @@ class TexelPlane:
         layer_bytes: bytes from one layer to the next.
     """
 
-    __slots__ = ("address", "height", "layer_bytes", "layers", "memory", "pitch", "start", "texel_bytes", "width")
+    __slots__ = (
+        "address",
+        "height",
+        "layer_bytes",
+        "layers",
+        "memory",
+        "pitch",
+        "start",
+        "texel_bytes",
+        "width",
+    )
 
-    def __init__(self, memory: cl.Buffer, start: int, texel_bytes: int, width: int, height: int, layers: int) -> None:
+    def __init__(
+        self, memory: cl.Buffer, start: int, texel_bytes: int, width: int, height: int, layers: int
+    ) -> None:
         self.memory = memory
         self.address = buffer_address(memory)
         self.start = start
@@ -49,7 +62,9 @@ class TexelPlane:
     def _pitches(self) -> tuple[int, int]:
         return self.pitch, self.layer_bytes
 
-    def write(self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.uint8], block: bool) -> cl.Event:
+    def write(
+        self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.uint8], block: bool
+    ) -> cl.Event:
         event: cl.Event = _copy_box(queue, self.memory, texels, **self._host_box(region), is_blocking=block)
         return event
 
@@ -86,7 +101,9 @@ class TexelPlane:
             dst_pitches=self._pitches,
         )
 
-    def copy(self, queue: cl.CommandQueue, region: Region, target: TexelPlane, x: int, y: int, layer: int) -> None:
+    def copy(
+        self, queue: cl.CommandQueue, region: Region, target: TexelPlane, x: int, y: int, layer: int
+    ) -> None:
         # OpenCL can't copy between two pitches of one buffer.
         if self.memory is target.memory and self._pitches != target._pitches:
             box = region.width, region.height, region.layers
@@ -114,8 +131,8 @@ class TexelPlane:
         fill(queue, self.memory, texel, start, layers * self.layer_bytes)
 
     def _origin(self, x: int, y: int, layer: int) -> tuple[int, int, int]:
-        """Return a box's origin as OpenCL takes it. The plane's start is added to its first component, which is in
-        bytes, since PoCL 3.1 crashes on boxes in sub-buffers."""
+        """Return a box's origin as OpenCL takes it. The plane's start is added to its first component, which
+        is in bytes, since PoCL 3.1 crashes on boxes in sub-buffers."""
         return self.start + x * self.texel_bytes, y, layer
 
     def _host_box(self, region: Region) -> dict[str, tuple[int, ...]]:
@@ -142,8 +159,8 @@ def alignment(device: cl.Device) -> int:
 
 
 def allocate(context: cl.Context, size: int, data: NDArray[Any] = EMPTY) -> cl.Buffer:
-    """Return a new buffer in host memory that lives as long as the buffer's Python object: `data`, then zeros, with
-    padding behind them.
+    """Return a new buffer in host memory that lives as long as the buffer's Python object: `data`, then
+    zeros, with padding behind them.
 
     Raises:
         pyopencl.Error, MemoryError: out of memory.
@@ -159,7 +176,8 @@ def buffer_address(memory: cl.Buffer) -> int:
 
 
 def fill(queue: cl.CommandQueue, memory: cl.Buffer, pattern: bytes, offset: int, size: int) -> None:
-    """Fill a range with repetitions of `pattern`, whose length is a power of two and divides offset and size."""
+    """Fill a range with repetitions of `pattern`, whose length is a power of two and divides offset and
+    size."""
     if not size:
         return
     while len(pattern) < _MAX_PATTERN and (offset | size) % (2 * len(pattern)) == 0:

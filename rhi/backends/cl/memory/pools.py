@@ -1,11 +1,11 @@
 """Pools of memory that draws need besides buffers and textures, so that no draw allocates any.
 
-- Kernels access memory by its address (kernels/common.cl), and read host memory in place. So this memory needs
-  no OpenCL buffer.
-- `Pool`: scratch memory. All batches share it, since they execute one after the other in one queue. It grows by
-  doubling; the memory that it replaces is released after the next fence value.
-- `Uploads`: tables that the host writes and kernels read. Pages are reused once the device has executed the kernels
-  that read them.
+- Kernels access memory by its address (kernels/common.cl), and read host memory in place. So this memory
+  needs no OpenCL buffer.
+- `Pool`: scratch memory. All batches share it, since they execute one after the other in one queue. It grows
+  by doubling; the memory that it replaces is released after the next fence value.
+- `Uploads`: tables that the host writes and kernels read. Pages are reused once the device has executed the
+  kernels that read them.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ class Uploads:
         self._waiting: list[_UploadPage] = []
 
     def write(self, table: bytes) -> int:
-        """Upload a table and return its address. It is valid until the event passed to the next `release` completes."""
+        """Upload a table and return its address. It is valid until the event passed to the next `release`
+        completes."""
         size = -(-(len(table) + _SLACK) // _ALIGN) * _ALIGN
         if self._page.used + size > len(self._page.bytes):
             page = self._next_page(size)

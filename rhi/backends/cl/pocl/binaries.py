@@ -1,10 +1,10 @@
 """Binaries of PoCL 3.1's format (version 9) that name kernels and contain no code.
 
-- PoCL creates a program from such a binary without LLVM: it reads the kernels' names and arguments, and finds their
-  machine code in the folder that the binary names. It ends the process if machine code isn't there, so this is
-  for kernels whose machine code was just checked, launched as it was compiled for (`SMALL_GRID`).
-- All binaries begin with the same mark, the same number of the device and the same version, which are taken from one
-  that the driver has written.
+- PoCL creates a program from such a binary without LLVM: it reads the kernels' names and arguments, and finds
+  their machine code in the folder that the binary names. It ends the process if machine code isn't there, so
+  this is for kernels whose machine code was just checked, launched as it was compiled for (`SMALL_GRID`).
+- All binaries begin with the same mark, the same number of the device and the same version, which are taken
+  from one that the driver has written.
 - Integers have the least significant byte first; a text is its length in 4 bytes, then its characters.
 """
 
@@ -15,7 +15,8 @@ from collections.abc import Sequence
 from typing import Final
 
 SMALL_GRID: Final = "1-1-1-goffs0-smallgrid"
-"""The folder of a kernel's machine code for work-groups of one item, of which there are fewer than `LARGE_GRID`."""
+"""The folder of a kernel's machine code for work-groups of one item, of which there are fewer than
+`LARGE_GRID`."""
 LARGE_GRID: Final = 65535
 _HEADER: Final = 20  # bytes: "poclbin" and a zero, the device's number, the version
 _VERSION: Final = 9

@@ -1,13 +1,13 @@
 """Compiles kernels in another process, into the driver's cache on disk.
 
-PoCL has one compiler per process, and while it generates machine code, no kernel can be launched. The other process
-runs this file as a script: it imports nothing of rhi, which would take longer than a kernel.
+PoCL has one compiler per process, and while it generates machine code, no kernel can be launched. The other
+process runs this file as a script: it imports nothing of rhi, which would take longer than a kernel.
 
-- Machine code is generated at a kernel's first launch. So the process launches a work-group of each kernel, with memory
-  of zeros: with these a draw has nothing to do, and a dispatch little. A kernel that they harm ends the process, and
-  the device goes on with the kernel that it has.
-- Otherwise the process isn't killed, since a half-written file in the cache would harm those who read it: when its
-  device is closed, it finishes its kernels and ends. Until then it holds the lock of what it writes.
+- Machine code is generated at a kernel's first launch. So the process launches a work-group of each kernel,
+  with memory of zeros: with these a draw has nothing to do, and a dispatch little. A kernel that they harm
+  ends the process, and the device goes on with the kernel that it has.
+- Otherwise the process isn't killed, since a half-written file in the cache would harm those who read it:
+  when its device is closed, it finishes its kernels and ends. Until then it holds the lock of what it writes.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Job(NamedTuple):
 
     Attributes:
         source: OpenCL C, or the driver's LLVM code of a program.
-        names, arguments: those of `rhi.backends.cl.builds.Launch`. Without names, the program is compiled and not
-            linked.
+        names, arguments: those of `rhi.backends.cl.builds.Launch`. Without names, the program is compiled and
+            not linked.
         lock: a file to lock meanwhile; empty for none.
     """
 
@@ -115,13 +115,17 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
         try:
             lock = _lock(path)
             _limit_time()
-            program = cl.Program(context, *((source,) if isinstance(source, str) else (context.devices, [source])))
+            program = cl.Program(
+                context, *((source,) if isinstance(source, str) else (context.devices, [source]))
+            )
             program = program.build(["-w", *options]) if names else program.compile(["-w", *options])
             for name in names:
                 kernel = cl.Kernel(program, name)
                 given = [_make_argument(context, argument) for argument in arguments]
                 kernel.set_args(*[value for value, _ in given])
-                items = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, queue.device)
+                items = kernel.get_work_group_info(
+                    cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, queue.device
+                )
                 group = tuple(items) if any(items) else (1,)
                 cl.enqueue_nd_range_kernel(queue, kernel, group, group).wait()
         except (cl.Error, TimeoutError):
@@ -135,7 +139,8 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
 
 
 def _make_argument(context: Any, argument: int | bytes | tuple[bytes, tuple[int, ...]]) -> tuple[Any, object]:
-    """Return an argument of `rhi.backends.cl.builds.Launch` as kernels take it, and the memory that it needs."""
+    """Return an argument of `rhi.backends.cl.builds.Launch` as kernels take it, and the memory that it
+    needs."""
     import numpy as np
     import pyopencl as cl
 
@@ -193,7 +198,9 @@ def _give_up(*_: object) -> None:
 def _main() -> None:
     import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes; the parent handles it
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # the terminal sends it to all processes; the parent handles it
     with suppress(OSError):
         os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")

@@ -1,10 +1,11 @@
 """Declarations of OpenCL C's types and functions, which replace PoCL's header in each program.
 
-- PoCL puts Clang's `opencl-c.h` in front of each program: 900 KB of text, which it preprocesses before it looks into
-  its cache, and parses when it compiles. That is most of the time in which a cached program is loaded. The header is
-  left out if `GUARD` is defined; the program then begins with the declarations of what occurs in it.
-- Declarations are those of the header, word for word where it matters (names, types, attributes), so the same machine
-  code results. A test compares them with the header.
+- PoCL puts Clang's `opencl-c.h` in front of each program: 900 KB of text, which it preprocesses before it
+  looks into its cache, and parses when it compiles. That is most of the time in which a cached program is
+  loaded. The header is left out if `GUARD` is defined; the program then begins with the declarations of what
+  occurs in it.
+- Declarations are those of the header, word for word where it matters (names, types, attributes), so the same
+  machine code results. A test compares them with the header.
 - A program that contains a name of `_ELSEWHERE`, which rhi itself doesn't use, gets the header.
 """
 
@@ -23,9 +24,17 @@ _FLOATS: Final = ("float", "double")
 _INTEGERS: Final = ("char", "uchar", "short", "ushort", "int", "uint", "long", "ulong")
 _NUMBERS: Final = (*_INTEGERS, *_FLOATS)
 _SIGNED: Final = {
-    "char": "char", "uchar": "char", "short": "short", "ushort": "short", "int": "int", "uint": "int",
-    "long": "long", "ulong": "long", "float": "int", "double": "long",
-}  # fmt: skip
+    "char": "char",
+    "uchar": "char",
+    "short": "short",
+    "ushort": "short",
+    "int": "int",
+    "uint": "int",
+    "long": "long",
+    "ulong": "long",
+    "float": "int",
+    "double": "long",
+}
 """The signed integer of an element's size."""
 _SPACES: Final = ("global", "local", "private")
 _PURE: Final = "__attribute__((overloadable, const))"
@@ -33,20 +42,26 @@ _READS: Final = "__attribute__((overloadable, pure))"
 _CALLED: Final = "__attribute__((overloadable))"
 _CONVERGENT: Final = "__attribute__((overloadable, convergent))"
 
-# Names -> element types, and the types of the result and of the parameters: T is a scalar or a vector, E one of its
-# elements, S and U a signed or an unsigned integer of the same size as T, and B what a comparison of T results in.
-# Forms with a parameter E exist for vectors.
+# Names -> element types, and the types of the result and of the parameters: T is a scalar or a vector, E one
+# of its elements, S and U a signed or an unsigned integer of the same size as T, and B what a comparison of T
+# results in. Forms with a parameter E exist for vectors.
 _FORMS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
-    "acos acosh acospi asin asinh asinpi atan atanh atanpi cbrt ceil cos cosh cospi erf erfc exp exp10 exp2 expm1 fabs "
-    "floor lgamma log log10 log1p log2 logb rint round rsqrt sin sinh sinpi sqrt tan tanh tanpi tgamma trunc sign "
+    "acos acosh acospi asin asinh asinpi atan atanh atanpi cbrt ceil cos cosh cospi erf erfc exp exp10 exp2 "
+    "expm1 fabs "
+    "floor lgamma log log10 log1p log2 logb rint round rsqrt sin sinh sinpi sqrt tan tanh tanpi tgamma trunc "
+    "sign "
     "degrees radians": (_FLOATS, ("T T",)),
-    "atan2 atan2pi copysign fdim fmod hypot maxmag minmag nextafter pow powr remainder": (_FLOATS, ("T T T",)),
+    "atan2 atan2pi copysign fdim fmod hypot maxmag minmag nextafter pow powr remainder": (
+        _FLOATS,
+        ("T T T",),
+    ),
     "fma mad": (_FLOATS, ("T T T T",)),
     "fmin fmax": (_FLOATS, ("T T T", "T T E")),
     "mix": (_FLOATS, ("T T T T", "T T T E")),
     "step": (_FLOATS, ("T T T", "T E T")),
     "smoothstep": (_FLOATS, ("T T T T", "T E E T")),
-    "native_cos native_exp native_exp10 native_exp2 native_log native_log10 native_log2 native_recip native_rsqrt "
+    "native_cos native_exp native_exp10 native_exp2 native_log native_log10 native_log2 native_recip "
+    "native_rsqrt "
     "native_sin native_sqrt native_tan": (("float",), ("T T",)),
     "native_divide native_powr": (("float",), ("T T T",)),
     "isfinite isinf isnan isnormal signbit": (_FLOATS, ("B T",)),
@@ -81,7 +96,12 @@ _SINGLE: Final = {
     **{
         name: f"size_t {_PURE} {name}(uint)"
         for name in (
-            "get_global_id", "get_global_offset", "get_global_size", "get_group_id", "get_local_id", "get_local_size",
+            "get_global_id",
+            "get_global_offset",
+            "get_global_size",
+            "get_group_id",
+            "get_local_id",
+            "get_local_size",
             "get_num_groups",
         )
     },
@@ -90,7 +110,7 @@ _SINGLE: Final = {
         name: f"void {_CALLED} {name}(cl_mem_fence_flags)"
         for name in ("mem_fence", "read_mem_fence", "write_mem_fence")
     },
-}  # fmt: skip
+}
 _MACROS: Final = {
     "INFINITY": "(__builtin_inff())",
     "HUGE_VALF": "(__builtin_huge_valf())",
@@ -137,7 +157,8 @@ _COUNTS: Final = {name: count for names, count in _ATOMICS.items() for name in n
 
 
 def declare(source: str) -> str | None:
-    """Return the declarations of what occurs in a program without comments, or None if it needs the header."""
+    """Return the declarations of what occurs in a program without comments, or None if it needs the
+    header."""
     words = set(source.translate(_SEPARATORS).split())
     lines: list[str] = []
     for declaration in map(_declare_name, sorted(words)):

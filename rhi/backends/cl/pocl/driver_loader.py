@@ -1,7 +1,8 @@
 """Loads OpenCL's drivers in a thread, while Python imports the modules of the backend.
 
-- The first question for platforms loads and starts the drivers: PoCL with LLVM takes 20 ms. pyopencl asks it with
-  Python's lock held, so the same library is asked through ctypes, which releases it. Each takes as long as the other.
+- The first question for platforms loads and starts the drivers: PoCL with LLVM takes 20 ms. pyopencl asks it
+  with Python's lock held, so the same library is asked through ctypes, which releases it. Each takes as long
+  as the other.
 - Nothing depends on the result: pyopencl asks again. Where the library can't be found,
   pyopencl loads the drivers as it always would.
 """

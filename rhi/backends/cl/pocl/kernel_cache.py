@@ -1,26 +1,29 @@
 """The folder of compiled kernels: its path, its complete entries, and its size limit.
 
-- PoCL writes compiled kernels to a folder and finds them there under a key of source, options, device and version.
-  `RHI_CACHE` names the folder, which may be copied to other machines; without it, it lies in the user's cache.
-- PoCL trusts what it finds: a program that another process is just writing, or a damaged file, ends the process. So
-  only one process at a time builds a program for the first time, and a record with the checksums of its files says that
-  they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed. The
-  checksums are keyed, and the folder must be the user's own (`rhi.contract.trust`).
+- PoCL writes compiled kernels to a folder and finds them there under a key of source, options, device and
+  version. `RHI_CACHE` names the folder, which may be copied to other machines; without it, it lies in the
+  user's cache.
+- PoCL trusts what it finds: a program that another process is just writing, or a damaged file, ends the
+  process. So only one process at a time builds a program for the first time, and a record with the checksums
+  of its files says that they are complete. Before a program is taken from the folder, its files are checked;
+  damaged ones are removed. The checksums are keyed, and the folder must be the user's own
+  (`rhi.contract.trust`).
 - If the folder isn't the user's own, or is full, this process uses a temporary one, and a warning says why.
-- PoCL reads the variable once in a process. Where another library was first, it uses a folder of its own: its mark of
-  use is missing in ours (`KernelCache.watch_use`). Then nothing is taken from ours, which PoCL doesn't see.
-- PoCL's names of folders can't be computed. So each program contains a function whose name contains its key, by which
-  its folder is found (`Request.write`).
-- To find a program by its source, PoCL runs its preprocessor: 6 to 20 ms. By LLVM code it finds it in 1 to 10. So a
-  source is compiled once to code that isn't linked yet, which is kept beside the record, and programs are made of it
-  (`context.build_cached`). PoCL has it under a key of its own. Where the driver doesn't take code, programs are built
-  from their sources.
-- LLVM code is of no use to a program whose machine code is there. So one that draws is made of a binary of PoCL's own
-  format that names its kernels and contains no code (`rhi.backends.cl.pocl.binaries`): 1.8 ms instead of 11, and 0.3 MB
-  of memory instead of 2.4. Its folder is one of our own with links to the machine code, because PoCL reads LLVM code
-  from a folder that has some.
-- When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes, and
-  after a day those without a record.
+- PoCL reads the variable once in a process. Where another library was first, it uses a folder of its own: its
+  mark of use is missing in ours (`KernelCache.watch_use`). Then nothing is taken from ours, which PoCL
+  doesn't see.
+- PoCL's names of folders can't be computed. So each program contains a function whose name contains its key,
+  by which its folder is found (`Request.write`).
+- To find a program by its source, PoCL runs its preprocessor: 6 to 20 ms. By LLVM code it finds it in 1 to
+  10. So a source is compiled once to code that isn't linked yet, which is kept beside the record, and
+  programs are made of it (`context.build_cached`). PoCL has it under a key of its own. Where the driver
+  doesn't take code, programs are built from their sources.
+- LLVM code is of no use to a program whose machine code is there. So one that draws is made of a binary of
+  PoCL's own format that names its kernels and contains no code (`rhi.backends.cl.pocl.binaries`): 1.8 ms
+  instead of 11, and 0.3 MB of memory instead of 2.4. Its folder is one of our own with links to the machine
+  code, because PoCL reads LLVM code from a folder that has some.
+- When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT`
+  bytes, and after a day those without a record.
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
 
@@ -76,10 +79,11 @@ _OLD: Final = 86400.0  # seconds after which locks and unfinished records are ab
 
 
 def choose_folder() -> Path | None:
-    """Choose the folder of compiled kernels, and tell PoCL, which reads its variable once, with its first device.
+    """Choose the folder of compiled kernels, and tell PoCL, which reads its variable once, with its first
+    device.
 
-    Return the folder, or None if it can't be written: the driver's own is used then. One that isn't the user's own, or
-    is full, is left alone: a warning says so, and a temporary one takes its place.
+    Return the folder, or None if it can't be written: the driver's own is used then. One that isn't the
+    user's own, or is full, is left alone: a warning says so, and a temporary one takes its place.
     """
     requested, driver_folder = os.environ.get(trust.FOLDER, ""), os.environ.get(_DRIVER_ENVIRONMENT, "")
     if requested or not driver_folder:
@@ -169,7 +173,8 @@ class KernelCache:
     """
 
     def __init__(self, folder: Path | None, driver: str, declares: bool = False) -> None:
-        """`folder`: None if the driver has none; nothing is known then. `driver`: what compiled kernels depend on."""
+        """`folder`: None if the driver has none; nothing is known then. `driver`: what compiled kernels
+        depend on."""
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
@@ -184,7 +189,8 @@ class KernelCache:
         return self._folder is not None
 
     def request(self, source: str, options: Sequence[str], kernels: Sequence[str] = ()) -> Request:
-        """Return a program's request. Its key doesn't depend on comments, nor on how functions are declared."""
+        """Return a program's request. Its key doesn't depend on comments, nor on how functions are
+        declared."""
         whole = "\0".join((self._driver, *options, strip_comments(source)))
         key = hashlib.sha256(whole.encode()).hexdigest()[:24]
         return Request(key, tuple(options), source, tuple(kernels), self.declares, self.works)
@@ -199,12 +205,15 @@ class KernelCache:
         program, files, checksum, _ = _read_record(self._folder, record)
         try:
             complete = program is not None and all(
-                self._sign(key, name, (program / name).read_bytes()) == expected for name, expected in files.items()
+                self._sign(key, name, (program / name).read_bytes()) == expected
+                for name, expected in files.items()
             )
         except OSError:
             complete, program = False, None
         code = self.read_code(key) if complete and checksum is not None else None
-        if not complete or (checksum is not None and (code is None or self._sign(key, _CODE, code) != checksum)):
+        if not complete or (
+            checksum is not None and (code is None or self._sign(key, _CODE, code) != checksum)
+        ):
             self._remove(key, program)
             return None
         with suppress(OSError):
@@ -258,7 +267,8 @@ class KernelCache:
         return None
 
     def store_code(self, key: str, mark: str) -> bytes | None:
-        """Store the LLVM code of a program that was compiled with this mark, and return it; None if there is none."""
+        """Store the LLVM code of a program that was compiled with this mark, and return it; None if there is
+        none."""
         if self._folder is None:
             return None
         program = self._search(f"rhi_{mark}_{key}".encode())
@@ -292,14 +302,18 @@ class KernelCache:
         return self._folder / _RECORDS / (hashlib.sha256(self._driver.encode()).hexdigest()[:24] + _HEADER)
 
     def make_binary(self, request: Request) -> bytes | None:
-        """Return a binary of a program's kernels that have machine code; None without any, or for an unknown driver.
+        """Return a binary of a program's kernels that have machine code; None without any, or for an unknown
+        driver.
 
-        The program was just looked up. Its kernels take an address, and are launched with work-groups of one item."""
+        The program was just looked up. Its kernels take an address, and are launched with work-groups of one
+        item."""
         if self._folder is None or not request.kernels or (header := self._read_header()) is None:
             return None
         program, *_ = _read_record(self._folder, self._folder / _RECORDS / request.key)
         codes = {kernel: Path(kernel, binaries.SMALL_GRID, f"{kernel}.so") for kernel in request.kernels}
-        built = [kernel for kernel, code in codes.items() if program is not None and (program / code).is_file()]
+        built = [
+            kernel for kernel, code in codes.items() if program is not None and (program / code).is_file()
+        ]
         if program is None or not built:
             return None
         name = binaries.folder_name(request.key)
@@ -354,15 +368,16 @@ class KernelCache:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def lock_path(self, key: str) -> str:
-        """Return the path of the file that is locked while a program is built for the first time; empty for none."""
+        """Return the path of the file that is locked while a program is built for the first time; empty for
+        none."""
         return "" if self._folder is None else str(self._folder / _RECORDS / f"{key}.lock")
 
     @contextmanager
     def writing(self, key: str) -> Iterator[bool]:
         """Lock a program's build against other processes; yield whether that succeeded.
 
-        It fails if a process has held the lock for so long that it may be stopped. Files that it writes mustn't be
-        written then."""
+        It fails if a process has held the lock for so long that it may be stopped. Files that it writes
+        mustn't be written then."""
         try:
             lock = trust.lock(self.lock_path(key), self._patience)
         except TimeoutError:
@@ -388,7 +403,11 @@ class KernelCache:
         }
         record = self._folder / _RECORDS / key
         size = sum(path.stat().st_size for path in program.rglob("*") if path.is_file()) + len(code or b"")
-        described: dict[str, object] = {"folder": str(program.relative_to(self._folder)), "files": files, "bytes": size}
+        described: dict[str, object] = {
+            "folder": str(program.relative_to(self._folder)),
+            "files": files,
+            "bytes": size,
+        }
         if code is not None:
             described["code"] = self._sign(key, _CODE, code)
         with suppress(OSError):
@@ -398,8 +417,11 @@ class KernelCache:
     def _search(self, name: bytes, code: bytes | None = None) -> Path | None:
         """Return the driver's folder of the program that has a function of this name and isn't `code`."""
         assert self._folder is not None
-        # Nearly always it was written just now. Older ones were left by a process that ended before it recorded them.
-        for candidate in (candidate for upper in _list_newest(self._folder) for candidate in _list_newest(upper)):
+        # Nearly always it was written just now. Older ones were left by a process that ended before it
+        # recorded them.
+        for candidate in (
+            candidate for upper in _list_newest(self._folder) for candidate in _list_newest(upper)
+        ):
             with suppress(OSError):
                 content = (candidate / _PROGRAM).read_bytes()
                 if name in content and content != code:
@@ -407,7 +429,8 @@ class KernelCache:
         return None
 
     def finish(self) -> None:
-        """Record machine code that was generated since, and remove the least recently used programs beyond `LIMIT`."""
+        """Record machine code that was generated since, and remove the least recently used programs beyond
+        `LIMIT`."""
         if self._folder is None or not self._written:
             return
         for key in list(self._written):
@@ -424,7 +447,9 @@ class KernelCache:
                 program, _, _, size = _read_record(folder, record)
                 if program is not None:
                     entries.append((used, size, record, program))
-                elif used < time.time() - _OLD and not (record.suffix == _CODE and record.with_suffix("").exists()):
+                elif used < time.time() - _OLD and not (
+                    record.suffix == _CODE and record.with_suffix("").exists()
+                ):
                     record.unlink()
         recorded = {program for *_, program in entries}
         recorded.update(folder / binaries.folder_name(record.name) for _, _, record, _ in entries)
@@ -465,16 +490,18 @@ def make_mark() -> str:
 
 
 def _mark_name(key: str, code: bytes | None) -> bytes:
-    """Return the name of the function by which a program's folder is found; `code`: its LLVM code, or None."""
+    """Return the name of the function by which a program's folder is found; `code`: its LLVM code, or
+    None."""
     match = None if code is None else re.search(rf"rhi_[0-9a-f]+_{key}".encode(), code)
     return f"rhi_{_BUILT}_{key}".encode() if match is None else match[0]
 
 
 def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str], str | None, int]:
-    """Return a record's folder, the checksums of its files by name, that of its LLVM code if it has any, and its bytes.
+    """Return a record's folder, the checksums of its files by name, that of its LLVM code if it has any, and
+    its bytes.
 
-    The folder is None for a record that is damaged or unfinished, or that names a folder outside of PoCL's: records
-    may come from other machines, and the folders that they name may be removed.
+    The folder is None for a record that is damaged or unfinished, or that names a folder outside of PoCL's:
+    records may come from other machines, and the folders that they name may be removed.
     """
     if record.suffix:  # code, which isn't read, or a lock
         return None, {}, None, 0

@@ -1,12 +1,13 @@
 """Programs in memory: those that weren't used for long are released, and built again when needed.
 
-PoCL keeps the LLVM code of a program from its build until it is released, about 2 MB of it, although machine code is
-all that a launch needs. A program that goes through all techniques of a renderer has some 200. So beyond `LIMIT` of
-them, those that weren't launched for `AGE` values of the fence are released. The next launch builds them again, of
-what the cache on disk has: 10 ms. What a frame draws with is never released, however much that is.
+PoCL keeps the LLVM code of a program from its build until it is released, about 2 MB of it, although machine
+code is all that a launch needs. A program that goes through all techniques of a renderer has some 200. So
+beyond `LIMIT` of them, those that weren't launched for `AGE` values of the fence are released. The next
+launch builds them again, of what the cache on disk has: 10 ms. What a frame draws with is never released,
+however much that is.
 
-The C library keeps what is freed between other blocks. So where it can hand that back (glibc), it is told to: 3 to 15
-ms, in a frame that releases programs.
+The C library keeps what is freed between other blocks. So where it can hand that back (glibc), it is told to:
+3 to 15 ms, in a frame that releases programs.
 """
 
 from __future__ import annotations
@@ -108,7 +109,8 @@ class EvictableProgram:
         return kernel
 
     def complete(self) -> None:
-        """Build the program with its LLVM code, for launches without machine code (`rhi.backends.cl.pocl.binaries`)."""
+        """Build the program with its LLVM code, for launches without machine code
+        (`rhi.backends.cl.pocl.binaries`)."""
         if not self._is_whole:
             self._is_whole = True
             self.release()

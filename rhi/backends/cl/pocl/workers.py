@@ -1,10 +1,11 @@
 """Pins each of PoCL's worker threads to a CPU of its own.
 
-- After a pause, Linux tends to wake all workers on the CPU that wakes them and takes some milliseconds to move them
-  apart. A frame that follows a pause, as most do, then takes twice as long. With one thread per CPU nothing is gained
-  by moving threads, so each is pinned. In return, a wait for little work ends about 20 µs later.
-- PoCL pins its threads itself if `POCL_AFFINITY` is set, but to CPUs counted from 0, and it ends the process if it may
-  not use those.
+- After a pause, Linux tends to wake all workers on the CPU that wakes them and takes some milliseconds to
+  move them apart. A frame that follows a pause, as most do, then takes twice as long. With one thread per CPU
+  nothing is gained by moving threads, so each is pinned. In return, a wait for little work ends about 20 µs
+  later.
+- PoCL pins its threads itself if `POCL_AFFINITY` is set, but to CPUs counted from 0, and it ends the process
+  if it may not use those.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ def list_threads() -> frozenset[int]:
 
 
 def spread_threads(threads: Set[int]) -> None:
-    """Pin each thread to a CPU of its own if there are enough CPUs, unless the user has set `POCL_AFFINITY`."""
+    """Pin each thread to a CPU of its own if there are enough CPUs, unless the user has set
+    `POCL_AFFINITY`."""
     if sys.platform != "linux" or _VARIABLE in os.environ:
         return
     cpus = sorted(os.sched_getaffinity(0))

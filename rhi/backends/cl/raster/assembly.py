@@ -1,16 +1,16 @@
 """Primitive assembly on the host: each draw becomes a list of points, lines or triangles.
 
-- Lists are used as they are: kernels read consecutive vertices, or the index buffer itself. Strips, fans and quads, and
-  lists with restarts, become lists of 32-bit indices. NumPy computes them once and caches them. Without indices one
-  list serves all draws of a topology, with the draw's first vertex as its base.
-- The range of vertices that a draw references is computed beforehand, so that each vertex is transformed once. For
-  that the host keeps a copy of every index buffer (read back once, then updated with what the CPU writes) and scans a
-  draw's indices: about a nanosecond each, and a triangle takes some 40 to draw. Results are kept until the buffer
-  changes.
-- Once the device may have written a buffer, its contents are unknown. Lists don't need them: their vertices are then
-  transformed once per index. For strips, fans and quads the buffer is read back, which waits.
-- The restart index ends a primitive of any topology, as in OpenGL. The first vertex is the provoking one; the order of
-  corners preserves it and the winding.
+- Lists are used as they are: kernels read consecutive vertices, or the index buffer itself. Strips, fans and
+  quads, and lists with restarts, become lists of 32-bit indices. NumPy computes them once and caches them.
+  Without indices one list serves all draws of a topology, with the draw's first vertex as its base.
+- The range of vertices that a draw references is computed beforehand, so that each vertex is transformed
+  once. For that the host keeps a copy of every index buffer (read back once, then updated with what the CPU
+  writes) and scans a draw's indices: about a nanosecond each, and a triangle takes some 40 to draw. Results
+  are kept until the buffer changes.
+- Once the device may have written a buffer, its contents are unknown. Lists don't need them: their vertices
+  are then transformed once per index. For strips, fans and quads the buffer is read back, which waits.
+- The restart index ends a primitive of any topology, as in OpenGL. The first vertex is the provoking one; the
+  order of corners preserves it and the winding.
 """
 
 from __future__ import annotations
@@ -31,9 +31,14 @@ _Indices: TypeAlias = "NDArray[Any]"
 _ListKey: TypeAlias = tuple[Primitive, IndexFormat, int, int]
 
 CORNERS: Final = {
-    Primitive.POINTS: 1, Primitive.LINES: 2, Primitive.LINE_STRIP: 2, Primitive.TRIANGLES: 3,
-    Primitive.TRIANGLE_STRIP: 3, Primitive.TRIANGLE_FAN: 3, Primitive.QUADS: 3,
-}  # fmt: skip
+    Primitive.POINTS: 1,
+    Primitive.LINES: 2,
+    Primitive.LINE_STRIP: 2,
+    Primitive.TRIANGLES: 3,
+    Primitive.TRIANGLE_STRIP: 3,
+    Primitive.TRIANGLE_FAN: 3,
+    Primitive.QUADS: 3,
+}
 LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
 _MAX_SCANNED: Final = 1 << 16  # indices of many draws that are scanned at once
@@ -46,15 +51,16 @@ _MIN_PATTERN: Final = 1024
 class Assembly(Generic[T]):
     """The primitives of a draw, as a list of vertices.
 
-    Vertex k of the list (0 ≤ k < count) is vertex `start + k`, or with `indexed` the one that index `start + k`
-    references. `base` is added to it, and the draw's own base vertex.
+    Vertex k of the list (0 ≤ k < count) is vertex `start + k`, or with `indexed` the one that index `start +
+    k` references. `base` is added to it, and the draw's own base vertex.
 
     Attributes:
         corners: vertices per primitive: 1, 2 or 3.
         count: vertices in the list, a multiple of `corners`.
         indexed: whether the list is indexed.
         memory: the uint32 index list made here; with `indexed`, None means the draw's own index buffer.
-        lowest, highest: the range of referenced vertices, before any base is added; None if the host doesn't know it.
+        lowest, highest: the range of referenced vertices, before any base is added; None if the host doesn't
+            know it.
     """
 
     corners: int
@@ -96,15 +102,19 @@ class _IndexBufferState(Generic[T]):
 class Assembler(Generic[T]):
     """Assembles the draws of one device. `T` is the type of an index list in device memory."""
 
-    def __init__(self, read: Callable[[Id, int, int], bytes], upload: Callable[[NDArray[np.uint32]], T]) -> None:
-        """`read` returns bytes of a buffer, given an offset and a size; `upload` copies an index list to the device."""
+    def __init__(
+        self, read: Callable[[Id, int, int], bytes], upload: Callable[[NDArray[np.uint32]], T]
+    ) -> None:
+        """`read` returns bytes of a buffer, given an offset and a size; `upload` copies an index list to the
+        device."""
         self._read = read
         self._upload = upload
         self._buffers: dict[Id, _IndexBufferState[T]] = {}
         self._patterns: dict[Primitive, tuple[int, T]] = {}
 
     def watch(self, buffer: Id, size: int) -> None:
-        """Watch a buffer that holds indices. The assembler must be notified of all its changes from now on."""
+        """Watch a buffer that holds indices. The assembler must be notified of all its changes from now
+        on."""
         self._buffers.setdefault(buffer, _IndexBufferState(size))
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
@@ -114,7 +124,8 @@ class Assembler(Generic[T]):
             contents.write(offset, np.frombuffer(memoryview(data), np.uint8))
 
     def change(self, buffer: Id) -> None:
-        """Note that the device may write a buffer, watched or not: by a copy, a clear, or stores of a shader."""
+        """Note that the device may write a buffer, watched or not: by a copy, a clear, or stores of a
+        shader."""
         contents = self._buffers.get(buffer)
         if contents is not None:
             contents.forget()
@@ -124,9 +135,15 @@ class Assembler(Generic[T]):
         self._buffers.pop(buffer, None)
 
     def assemble(
-        self, primitive: Primitive, first: int, count: int, buffer: Id = 0, format: IndexFormat = IndexFormat.UINT32
+        self,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        buffer: Id = 0,
+        format: IndexFormat = IndexFormat.UINT32,
     ) -> Assembly[T]:
-        """Return the primitives of `count` vertices from `first` on, or of indices with `buffer`, which is watched.
+        """Return the primitives of `count` vertices from `first` on, or of indices with `buffer`, which is
+        watched.
 
         Indices beyond the buffer's end are left out.
         """
@@ -156,8 +173,8 @@ class Assembler(Generic[T]):
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
         """Return the lowest and the highest index of each range of a watched index buffer.
 
-        None if the ranges lie too far apart for one scan, or can't be used as they are: one is empty, ends beyond
-        the buffer or has a restart, or the device may have written the buffer."""
+        None if the ranges lie too far apart for one scan, or can't be used as they are: one is empty, ends
+        beyond the buffer or has a restart, or the device may have written the buffer."""
         contents = self._buffers[buffer]
         begin, end = int(firsts.min()), int((firsts + counts).max())
         if contents.device_wrote or end > contents.size // format.size:
@@ -186,7 +203,12 @@ class Assembler(Generic[T]):
         return Assembly(corners, listed, 0, first, True, memory, 0, count - 1)
 
     def _assemble_indices(
-        self, contents: _IndexBufferState[T], primitive: Primitive, format: IndexFormat, first: int, count: int
+        self,
+        contents: _IndexBufferState[T],
+        primitive: Primitive,
+        format: IndexFormat,
+        first: int,
+        count: int,
     ) -> Assembly[T]:
         assert contents.bytes is not None
         corners = CORNERS[primitive]
@@ -203,13 +225,18 @@ class Assembler(Generic[T]):
 
 
 def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart: int) -> NDArray[np.uint32]:
-    """Return the corners of all primitives, one after the other. An index equal to `restart` ends a primitive."""
+    """Return the corners of all primitives, one after the other. An index equal to `restart` ends a
+    primitive."""
     positions = np.arange(len(indices))
     restarts = indices == restart
-    begins = np.maximum.accumulate(np.where(restarts, positions + 1, 0))  # the first position of each index's run
+    begins = np.maximum.accumulate(
+        np.where(restarts, positions + 1, 0)
+    )  # the first position of each index's run
     size = 4 if primitive is Primitive.QUADS else CORNERS[primitive]
     ends = np.flatnonzero(restarts)
-    stops = np.append(ends, len(indices))[np.searchsorted(ends, positions)]  # one past the last position of its run
+    stops = np.append(ends, len(indices))[
+        np.searchsorted(ends, positions)
+    ]  # one past the last position of its run
     if primitive is Primitive.TRIANGLE_FAN:
         a = positions[(positions > begins) & (positions + 1 < stops)]
         corners = np.stack([a, a + 1, begins[a]], axis=1)
@@ -221,7 +248,9 @@ def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart:
             odd = (a - begins[a]) & 1
             corners = np.stack([a, a + 1 + odd, a + 2 - odd], axis=1)
     else:
-        a = positions[((positions - begins) % size == 0) & (positions >= begins) & (positions + size <= stops)]
+        a = positions[
+            ((positions - begins) % size == 0) & (positions >= begins) & (positions + size <= stops)
+        ]
         order = (0, 1, 2, 0, 2, 3) if primitive is Primitive.QUADS else range(size)
         corners = a[:, None] + np.array(order)
     listed: NDArray[np.uint32] = indices[corners.reshape(-1)].astype(np.uint32)

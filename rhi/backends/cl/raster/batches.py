@@ -1,8 +1,9 @@
 """The batch that draws are gathered in until they are flushed.
 
-- A draw is a row of 64-bit words in one flat array (`rhi.backends.cl.raster.draw_columns`). Consecutive draws of one
-  pass and pipeline form a batch, whatever they bind; what they have in common is a `BatchState`.
-- An array of draws that is alone in its batch is kept as it is: its tables are made once (`draw_tables.DrawList`).
+- A draw is a row of 64-bit words in one flat array (`rhi.backends.cl.raster.draw_columns`). Consecutive draws
+  of one pass and pipeline form a batch, whatever they bind; what they have in common is a `BatchState`.
+- An array of draws that is alone in its batch is kept as it is: its tables are made once
+  (`draw_tables.DrawList`).
 - `Batch.take` turns the rows into tables (`draw_tables`); `launcher.Launcher` runs the kernels on them.
 """
 
@@ -28,7 +29,13 @@ from rhi.backends.cl.raster.draw_tables import (
     tabulate,
     tabulate_draw,
 )
-from rhi.backends.cl.raster.kernel_structs import EMPTY_BATCH, MAX_PLANES, TILE, point_size_word, varying_words
+from rhi.backends.cl.raster.kernel_structs import (
+    EMPTY_BATCH,
+    MAX_PLANES,
+    TILE,
+    point_size_word,
+    varying_words,
+)
 from rhi.backends.cl.raster.merger import MergerKey
 from rhi.backends.cl.raster.pass_surfaces import PassSurfaces
 from rhi.contract.descriptors import Interpolation
@@ -45,8 +52,8 @@ class BatchState:
         width: number of columns of the draws' rows.
         table: fields of the batch table, without what the launcher fills in.
         surfaces: the surfaces that the raster kernel draws into; `addresses`: the addresses of their memory.
-        merger_data: bytes that tell kernels the merger's key, where the surfaces begin in their memory and what they
-            are cleared to.
+        merger_data: bytes that tell kernels the merger's key, where the surfaces begin in their memory and
+            what they are cleared to.
         bounds_depth: whether the key permits bounds of depth.
     """
 
@@ -95,15 +102,18 @@ class BatchState:
         return self.bounds_depth and not self.raster.is_quick
 
     def identify_bounds(self) -> tuple[object, ...]:
-        """Return what the bounds of depth in memory depend on: surface, comparison, and changes other than draws."""
+        """Return what the bounds of depth in memory depend on: surface, comparison, and changes other than
+        draws."""
         texture, depth = self.target.texture, self.target.depth
         surface = depth and (depth.address, depth.layout)
         return surface, bool(self.table["near_is_less"]), texture, texture and texture.changes
 
 
-def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey, wireframe: bool) -> dict[str, float]:
-    """Return the batch table's fields that follow from the pipeline, the size (width, height) of the target, and
-    `wireframe`: whether triangles are drawn as lines."""
+def describe_batch(
+    pipeline: Pipeline, size: tuple[int, int], key: MergerKey, wireframe: bool
+) -> dict[str, float]:
+    """Return the batch table's fields that follow from the pipeline, the size (width, height) of the target,
+    and `wireframe`: whether triangles are drawn as lines."""
     tiles_x, tiles_y = (-(-length // TILE) for length in size)
     interpolations = {varying.interpolation for varying in pipeline.descriptor.varyings}
     return EMPTY_BATCH | {
@@ -175,7 +185,8 @@ class Batch:
             self.rows.frombytes(draws.spread(row, counters).tobytes())
 
     def drop_partial_row(self) -> None:
-        """Remove the words of a row that could not be written to its end: they would shift all rows behind them."""
+        """Remove the words of a row that could not be written to its end: they would shift all rows behind
+        them."""
         assert self.state is not None
         del self.rows[len(self.rows) - len(self.rows) % self.state.width :]
 
@@ -216,6 +227,8 @@ class Batch:
         self._choose_boxes(state, numbers, instances[:, 0])
         return tabulate(self._prepared, state.bound, rows, numbers, instances)
 
-    def _choose_boxes(self, state: BatchState, numbers: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
+    def _choose_boxes(
+        self, state: BatchState, numbers: NDArray[np.int64], instances: NDArray[np.int64]
+    ) -> bool:
         """Select the draws whose boxes the batch measures; return whether some draws still lack a box."""
         return state.vertex.measure is not None and self._boxes.assign_boxes(numbers, instances)

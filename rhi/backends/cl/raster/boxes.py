@@ -1,9 +1,12 @@
-"""Bounding boxes of the vertex attributes of repeated draws. Instances whose box is out of view aren't transformed.
+"""Bounding boxes of the vertex attributes of repeated draws. Instances whose box is out of view aren't
+transformed.
 
-- kernels/vertex.cl documents how boxes are used. This module decides which prepared draws have one: those of programs
-  whose positions can be bounded, with enough vertices, from their second draw on.
-- A box is valid until a buffer with its vertices changes. Then all draws of the vertex array start without boxes again.
-- The address of a box is stored with the prepared draw. It is odd while a batch has to measure the box, and then even.
+- kernels/vertex.cl documents how boxes are used. This module decides which prepared draws have one: those of
+  programs whose positions can be bounded, with enough vertices, from their second draw on.
+- A box is valid until a buffer with its vertices changes. Then all draws of the vertex array start without
+  boxes again.
+- The address of a box is stored with the prepared draw. It is odd while a batch has to measure the box, and
+  then even.
 - Tables made from prepared draws are out of date when `PreparedDraws.version` changes.
 - docs/backends-cl-rasteriser.md, "Boxes before vertices", has the measured gain.
 """
@@ -68,7 +71,8 @@ class AttributeBoxes:
         self._watched_arrays -= readers
 
     def assign_boxes(self, prepared_indices: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
-        """Note that prepared draws are drawn. Draws that were drawn before get boxes, which the batch measures.
+        """Note that prepared draws are drawn. Draws that were drawn before get boxes, which the batch
+        measures.
 
         Args:
             indices: (n,) indices of the prepared draws.
@@ -83,7 +87,9 @@ class AttributeBoxes:
         prepared = self._prepared
         draws = prepared.draws
         without = (
-            (draws["box"][prepared_indices] == 0) & (instances > 0) & (draws["primitive_groups"][prepared_indices] > 0)
+            (draws["box"][prepared_indices] == 0)
+            & (instances > 0)
+            & (draws["primitive_groups"][prepared_indices] > 0)
         )
         missing = prepared_indices[without & (draws["vertex_groups"][prepared_indices] >= _MIN_GROUPS)]
         if not len(missing):

@@ -1,6 +1,7 @@
 """The bound resources as draws take them: addresses in one flat list, two words for each slot.
 
-- A draw's row is picked out of `columns`. The columns before those of the slots are set by `draws` and `queries`.
+- A draw's row is picked out of `columns`. The columns before those of the slots are set by `draws` and
+  `queries`.
 - Compute programs read `slots` instead, which holds the same bindings in the contract's terms.
 """
 
@@ -42,7 +43,8 @@ class Bindings:
         self.slots[kind, slot] = arguments
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
-        """Return a function of slot, offset and size that binds a range of this buffer, faster than `bind`."""
+        """Return a function of slot, offset and size that binds a range of this buffer, faster than
+        `bind`."""
         columns = self.columns
         start = self.buffer_address(buffer)
         slots = self.slots

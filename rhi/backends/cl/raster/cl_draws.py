@@ -1,11 +1,12 @@
 """The contract's draws, gathered into batches.
 
-- Draws gather while pass, pipeline and vertex layout stay (`rhi.backends.cl.raster.batches`). Bindings, and states that
-  are data for kernels, are columns of a draw's row and may change from draw to draw.
+- Draws gather while pass, pipeline and vertex layout stay (`rhi.backends.cl.raster.batches`). Bindings, and
+  states that are data for kernels, are columns of a draw's row and may change from draw to draw.
 - A draw's prepared part is kept with its caller (`prepare_draw`) until the indices that it names change.
 - Indirect draws and their counts are read back and become direct draws.
 - Draws of programs that write memory are flushed one by one, since later draws may read what they wrote.
-- Draws in rectangles of their own are prepared together, unless they have to be assembled; each has its own view.
+- Draws in rectangles of their own are prepared together, unless they have to be assembled; each has its own
+  view.
 - A draw that fails leaves the batch as it was: its partial row is removed (`Batch.drop_partial_row`).
 """
 
@@ -93,13 +94,16 @@ class Draws:
     def draw_clipped(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
     ) -> None:
-        """See `rhi.contract.backend.SupportsClippedDraws`: all draws are prepared at once, each with its own view."""
+        """See `rhi.contract.backend.SupportsClippedDraws`: all draws are prepared at once, each with its own
+        view."""
         array = self._arrays[vertex_array]
         state = self._state
         prepared = self._prepared
         numbers = np.array([prepared.add() for _ in range(len(draws))])
         try:
-            if array.pipeline.descriptor.writes_memory or not self._prepare_lists(numbers, array, primitive, draws):
+            if array.pipeline.descriptor.writes_memory or not self._prepare_lists(
+                numbers, array, primitive, draws
+            ):
                 self._draw_each_clipped(vertex_array, primitive, draws, clips)
                 return
             pipeline = self._begin(array)
@@ -109,7 +113,9 @@ class Draws:
             rows[:] = row
             rows[:, PREPARED], rows[:, INSTANCES] = numbers, draws["instances"]
             rows[:, VIEW] = np.arange(len(batch.views), len(batch.views) + len(draws))
-            batch.views += scissor_views(batch.views[row[VIEW]], state.values[Viewport], state.target.size, clips)
+            batch.views += scissor_views(
+                batch.views[row[VIEW]], state.values[Viewport], state.target.size, clips
+            )
             batch.rows.frombytes(rows.tobytes())
             state.ready_for = None  # the next draw has the view before
         finally:
@@ -129,7 +135,13 @@ class Draws:
             state.set((before,))
 
     def prepare_draw(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int, base_instance: int
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
+        base_instance: int,
     ) -> Callable[[int], object]:
         """Return a function that draws as `draw` does; its argument is the number of instances."""
         array = self._arrays[vertex_array]
@@ -196,7 +208,12 @@ class Draws:
         self._gather_list(vertex_array, primitive, arguments)
 
     def draw_counted(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], counters: NDArray[np.int64], first: int
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        draws: NDArray[Any],
+        counters: NDArray[np.int64],
+        first: int,
     ) -> None:
         """Draw an array of draws, each counted by a counter of its own.
 
@@ -222,7 +239,8 @@ class Draws:
 
         Args:
             rows: (n,) draws are numbered within each run of equal rows.
-            counters: (n,) the counters' addresses. is_counted: whether the draws that count there were submitted.
+            counters: (n,) the counters' addresses. is_counted: whether the draws that count there were
+                submitted.
         """
         if not is_counted:
             self._flush_batch()
@@ -251,11 +269,14 @@ class Draws:
         counters: NDArray[np.int64] | None = None,
         start: int = 0,
     ) -> None:
-        """Gather an array of draws. Without counters the draws are numbered, so that shaders can tell them apart."""
+        """Gather an array of draws. Without counters the draws are numbered, so that shaders can tell them
+        apart."""
         array = self._arrays[vertex_array]
         indexed = bool(array.descriptor.index_buffer)
         fill = self._filler(array, primitive)
-        draw_list = self._lists.lookup(vertex_array, primitive, array.version[0], draws, counters, indexed, fill)
+        draw_list = self._lists.lookup(
+            vertex_array, primitive, array.version[0], draws, counters, indexed, fill
+        )
         self._gather(array, draw_list, start)
 
     def _filler(self, array: VertexArray, primitive: Primitive) -> Callable[..., None]:
@@ -294,7 +315,8 @@ class Draws:
             self._change_stored(pipeline.written)
 
     def _get_ready(self, array: VertexArray) -> None:
-        """Set up the batch and the view column for the current state. Flushes draws gathered with another state."""
+        """Set up the batch and the view column for the current state. Flushes draws gathered with another
+        state."""
         state, batch = self._state, self._batch
         pipeline, target = state.pipeline, state.target
         assert pipeline is not None

@@ -1,12 +1,13 @@
 """The kernels that draw, built on first use.
 
-- `set_up`, `prefix` and `scatter` don't depend on programs and are built once per device. A program has a vertex kernel
-  for each layout of its vertices and a raster kernel for each `MergerKey`. All else is data, so few kernels are built.
-- A program whose positions can be bounded before they are computed also has the kernel `measure` for each vertex layout
-  (kernels/vertex.cl).
+- `set_up`, `prefix` and `scatter` don't depend on programs and are built once per device. A program has a
+  vertex kernel for each layout of its vertices and a raster kernel for each `MergerKey`. All else is data, so
+  few kernels are built.
+- A program whose positions can be bounded before they are computed also has the kernel `measure` for each
+  vertex layout (kernels/vertex.cl).
 - Each kernel takes one argument, the address of a batch table.
-- Compiled kernels are cached on disk by PoCL, or by pyopencl for other drivers, under a key of source, options, device
-  and driver.
+- Compiled kernels are cached on disk by PoCL, or by pyopencl for other drivers, under a key of source,
+  options, device and driver.
 """
 
 from __future__ import annotations
@@ -64,10 +65,11 @@ class Pipeline:
     Attributes:
         pick: picks a draw's row out of the columns of all slots.
         starts: offset of each binding's words behind a row's fixed columns, and at the end their total.
-        elements: for each storage binding, the offset of its size behind the fixed columns, and the size of an element.
+        elements: for each storage binding, the offset of its size behind the fixed columns, and the size of
+            an element.
         written: the bindings that the program writes.
-        faults: for a checked program, the memory that each stage reports faults in. Its address is part of the kernels'
-            source.
+        faults: for a checked program, the memory that each stage reports faults in. Its address is part of
+            the kernels' source.
     """
 
     def __init__(self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor) -> None:
@@ -98,14 +100,18 @@ class Pipeline:
         self._vertex: dict[StreamLayout, VertexKernels] = {}
         self._raster: dict[merger.MergerKey, Kernel] = {}
         self._general_raster: EvictableProgram | None = None
-        self._optimisations: dict[merger.MergerKey, Optimisation] = {}  # of kernels that no draw has needed yet
+        self._optimisations: dict[
+            merger.MergerKey, Optimisation
+        ] = {}  # of kernels that no draw has needed yet
 
     def get_vertex_kernels(self, streams: Sequence[VertexStream]) -> VertexKernels:
         """Return the kernels for vertices of this layout, building them on first use."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
             first = next((line for line, origin in enumerate(self._vertex_text.origins, 1) if origin[0]), 1)
-            macros = kernel_structs.vertex_macros(self.descriptor, streams, self._fault_addresses[Stage.VERTEX], first)
+            macros = kernel_structs.vertex_macros(
+                self.descriptor, streams, self._fault_addresses[Stage.VERTEX], first
+            )
             names = "transform", *(["measure"] if _BOXED in self._vertex_text.text else [])
             request = self._assemble(read_kernels("common"), self._vertex_text, macros, ("vertex",), names)
             with self._locating_errors(Stage.VERTEX, request, self._vertex_text):
@@ -115,8 +121,8 @@ class Pipeline:
     def get_raster_kernel(self, key: merger.MergerKey) -> Kernel:
         """Return the raster kernel for targets and states with this key.
 
-        It is at first a general one, which is built on first use and serves all keys. A kernel that is in the cache or
-        built for this key replaces it.
+        It is at first a general one, which is built on first use and serves all keys. A kernel that is in the
+        cache or built for this key replaces it.
         """
         if key not in self._raster:
             optimisation = self._optimisations.pop(key, None)
@@ -175,7 +181,8 @@ class Pipeline:
 
     @contextmanager
     def _locating_errors(self, stage: Stage, kernels: Request, text: StageText) -> Iterator[None]:
-        """Raise the driver's errors as `ShaderError`s at lines of the stage's text, which the kernels contain."""
+        """Raise the driver's errors as `ShaderError`s at lines of the stage's text, which the kernels
+        contain."""
         try:
             yield
         except cl.Error as error:

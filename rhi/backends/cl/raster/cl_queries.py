@@ -2,15 +2,16 @@
 
 Timestamps are in `rhi.backends.cl.cl_fence`.
 
-- The stream of draws is divided into segments, wherever a query begins or ends or the running counter is sampled. A
-  segment has a counter in memory, 64 bits in two words, that raster kernels add to. Without an active query nothing is
-  counted.
-- An occlusion query's result is the sum of its segments. A COUNTER's result is the sum of all segments before it, as
-  long as COUNTER queries exist. A result is available, and read without waiting, once the batch with its last
-  segment's draws is complete.
-- The draws of a query set are one segment with a counter for each row of the set. The running counter adds up all of
-  them.
-- Counters are allocated from pages of zeros. A page's memory is cleared and reused once none of its segments is needed.
+- The stream of draws is divided into segments, wherever a query begins or ends or the running counter is
+  sampled. A segment has a counter in memory, 64 bits in two words, that raster kernels add to. Without an
+  active query nothing is counted.
+- An occlusion query's result is the sum of its segments. A COUNTER's result is the sum of all segments before
+  it, as long as COUNTER queries exist. A result is available, and read without waiting, once the batch with
+  its last segment's draws is complete.
+- The draws of a query set are one segment with a counter for each row of the set. The running counter adds up
+  all of them.
+- Counters are allocated from pages of zeros. A page's memory is cleared and reused once none of its segments
+  is needed.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ from rhi.backends.cl.cl_fence import is_done
 from rhi.contract.descriptors import Id, QueryKind
 
 _PAGE_COUNTERS: Final = 512
-_MAX_PENDING: Final = 64  # batches, or segments of the running counter, that aren't checked for completion yet
+_MAX_PENDING: Final = (
+    64  # batches, or segments of the running counter, that aren't checked for completion yet
+)
 
 
 class _CounterMemory:
@@ -45,7 +48,8 @@ class _CounterMemory:
 
 
 class _CounterPage:
-    """A page that segments are allocated from. Each segment references it, so it is freed with the last one."""
+    """A page that segments are allocated from. Each segment references it, so it is freed with the last
+    one."""
 
     __slots__ = ("_queries", "memory", "used")
 
@@ -59,8 +63,8 @@ class _CounterPage:
 
 
 class Segment:
-    """Draws whose samples are counted together, at `address` or by one of `size` counters there. `batch`: the last
-    batch that contains some of them."""
+    """Draws whose samples are counted together, at `address` or by one of `size` counters there. `batch`: the
+    last batch that contains some of them."""
 
     __slots__ = ("_first", "_page", "address", "batch", "size")
 
@@ -191,15 +195,16 @@ class SampleQueries:
             self._chain.append((segment, [None]))
 
     def read_set(self, segment: Segment) -> NDArray[np.uint64] | None:
-        """Return a view of the counters; or None while the result isn't available, and submit the draws that it
-        needs."""
+        """Return a view of the counters; or None while the result isn't available, and submit the draws that
+        it needs."""
         if self.is_done(segment.batch):
             return segment.read_each()
         self._flush()
         return None
 
     def is_submitted(self, segment: Segment) -> bool:
-        """Return whether no gathered draw counts in a segment, so that commands that follow find it complete."""
+        """Return whether no gathered draw counts in a segment, so that commands that follow find it
+        complete."""
         return segment.batch < self.gathering
 
     def take(self, query: Id) -> None:

@@ -14,7 +14,8 @@ from rhi.contract.descriptors import Id, Primitive
 
 
 class ClQuerySet:
-    """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: earlier draws may still run."""
+    """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: earlier draws may
+    still run."""
 
     def __init__(self, rasteriser: Rasteriser, size: int) -> None:
         self._rasteriser = rasteriser
@@ -27,12 +28,19 @@ class ClQuerySet:
         queries = self._rasteriser.queries
         self._segment = segment = queries.begin_set(self._size)
         try:
-            self._rasteriser.draws.draw_counted(vertex_array, primitive, draws, query_indices, segment.address)
+            self._rasteriser.draws.draw_counted(
+                vertex_array, primitive, draws, query_indices, segment.address
+            )
         finally:
             queries.end_set(segment)
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        query_indices: NDArray[np.int64],
     ) -> None:
         segment = self._segment
         assert segment is not None

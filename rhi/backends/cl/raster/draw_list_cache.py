@@ -1,10 +1,10 @@
 """A cache of arrays of draws as prepared draws.
 
-- A draw that is repeated, in whichever array, finds its prepared draw by its arguments. All draws of an array are
-  looked up at once, since the visible objects of a scene change from frame to frame. An array that is repeated as a
-  whole, with the same counters, finds its tables by its bytes.
-- Prepared draws hold for one version of the indices. With other indices draws are prepared anew, and the old ones are
-  dropped, as all are that belong to a vertex array when it is destroyed.
+- A draw that is repeated, in whichever array, finds its prepared draw by its arguments. All draws of an array
+  are looked up at once, since the visible objects of a scene change from frame to frame. An array that is
+  repeated as a whole, with the same counters, finds its tables by its bytes.
+- Prepared draws hold for one version of the indices. With other indices draws are prepared anew, and the old
+  ones are dropped, as all are that belong to a vertex array when it is destroyed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ from rhi.backends.cl.raster.draw_tables import DrawList, DrawSlot, PreparedDraws
 from rhi.contract.descriptors import DRAW, Id, Primitive
 
 _MAX_CACHED: Final = 1 << 17
-"""Limit of the number of cached draws and of draws in cached arrays, together. A longer array is alone in the cache."""
+"""Limit of the number of cached draws and of draws in cached arrays, together. A longer array is alone in the
+cache."""
 _NAMES: Final = DRAW.names or ()
 _WORDS: Final = [word for word, name in enumerate(_NAMES) if name != "instances"]
 """The words of a draw that its prepared draw depends on: all but the number of instances."""
-_FACTORS: Final = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64)
+_FACTORS: Final = np.array(
+    [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64
+)
 """Factors of the hash of a draw's words: odd numbers with evenly distributed bits."""
 
 
@@ -98,14 +101,17 @@ class DrawListCache:
     ) -> DrawList:
         """Return an array of draws with conditions, (n,) addresses of counters, and `numbers`.
 
-        Draws are looked up as by `lookup`. The array isn't cached, since conditional draws change every frame."""
+        Draws are looked up as by `lookup`. The array isn't cached, since conditional draws change every
+        frame."""
         part = self._get_entry(vertex_array, primitive, version)
         part = self._make_room(part, vertex_array, primitive, len(draws))
         indices, holders = self._lookup_draws(part.draws, draws, indexed, fill)
         instances = draws["instances"].astype(np.int64)
         return DrawList(self._prepared, indices, holders, instances, numbers, conditions=conditions)
 
-    def _make_room(self, part: _CacheEntry, vertex_array: Id, primitive: Primitive, draws: int) -> _CacheEntry:
+    def _make_room(
+        self, part: _CacheEntry, vertex_array: Id, primitive: Primitive, draws: int
+    ) -> _CacheEntry:
         """Return the entry, or a new one if everything had to be dropped to make room."""
         if not self._size or self._size + 2 * draws <= _MAX_CACHED:
             return part
@@ -131,7 +137,8 @@ class DrawListCache:
     def _lookup_draws(
         self, index: _DrawIndex, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
     ) -> tuple[NDArray[np.int64], object]:
-        """Return the number of each draw's prepared draw, and the object that keeps the prepared draws alive."""
+        """Return the number of each draw's prepared draw, and the object that keeps the prepared draws
+        alive."""
         words = np.ascontiguousarray(draws).view(np.uint32).reshape(-1, len(_NAMES))[:, _WORDS]
         hashes = (words * _FACTORS).sum(axis=1, dtype=np.uint64)
         numbers = index.lookup(words, hashes)
@@ -143,7 +150,8 @@ class DrawListCache:
             slot = index.slots.get((count, first, third, fourth))
             if slot is None:
                 slot = DrawSlot(self._prepared)
-                # The third word of DRAW is the base vertex, which is signed; that of DRAW_UNINDEXED the base instance.
+                # The third word of DRAW is the base vertex, which is signed; that of DRAW_UNINDEXED the base
+                # instance.
                 bases = (third - (third >> 31 << 32), fourth) if indexed else (0, third)
                 fill(slot, first, count, *bases)
                 index.slots[count, first, third, fourth] = slot
@@ -155,7 +163,8 @@ class DrawListCache:
 
 
 class _DrawIndex:
-    """The prepared draws of one key, found by sorted hashes. Draws with the same hash are found through the dictionary.
+    """The prepared draws of one key, found by sorted hashes. Draws with the same hash are found through the
+    dictionary.
 
     Attributes:
         slots: the prepared draws by the words of their draws.

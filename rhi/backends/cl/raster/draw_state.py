@@ -1,10 +1,10 @@
 """The state of the next draw: render target, program, render states, and the kernels that these determine.
 
-- Kernels and views are looked up in a memo, whose key is all of this state. Looking it up for every draw would cost
-  more than the draw, so `ready_for` says whether it has changed since the last draw.
-- A view holds the render states that kernels read, as a `VIEW_STRUCT`: viewport, scissor, culling, depth bias, line
-  width, and the output merger's words. Window y counts from the top. So the scale of y is negative, and a triangle that
-  is counter-clockwise with +Y up has a negative area.
+- Kernels and views are looked up in a memo, whose key is all of this state. Looking it up for every draw
+  would cost more than the draw, so `ready_for` says whether it has changed since the last draw.
+- A view holds the render states that kernels read, as a `VIEW_STRUCT`: viewport, scissor, culling, depth
+  bias, line width, and the output merger's words. Window y counts from the top. So the scale of y is
+  negative, and a triangle that is counter-clockwise with +Y up has a negative area.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ class DrawState:
     """The draw state of one device.
 
     Attributes:
-        ready_for: the vertex kernels that the batch and the view column are set up for; None after any change of state.
+        ready_for: the vertex kernels that the batch and the view column are set up for; None after any change
+            of state.
         pipeline: that of the bound program; None if it doesn't draw.
         target: the render target of the open pass.
         values: the current value of each render state.
@@ -134,8 +135,11 @@ class DrawState:
             for key in [key for key in memo if key[0] is pipeline]:
                 del memo[key]
 
-    def look_up(self, pipeline: Pipeline, target: PassSurfaces) -> tuple[MergerKey, Kernel, bytes, dict[str, float]]:
-        """Return the merger's key, the raster kernel, the `VIEW_STRUCT` and the batch table for the current state."""
+    def look_up(
+        self, pipeline: Pipeline, target: PassSurfaces
+    ) -> tuple[MergerKey, Kernel, bytes, dict[str, float]]:
+        """Return the merger's key, the raster kernel, the `VIEW_STRUCT` and the batch table for the current
+        state."""
         colors, depth = self._formats
         key = pipeline, target.size, target.samples, colors, depth, *self.values.values()
         entry = self._memo.get(key)
@@ -191,8 +195,11 @@ def make_view(
     return view
 
 
-def scissor_views(view: bytes, viewport: Viewport, size: tuple[int, int], clips: NDArray[np.int64]) -> list[bytes]:
-    """Return a `VIEW_STRUCT` for each of some scissors (n, 4): x, y, width and height; `view` is that of another."""
+def scissor_views(
+    view: bytes, viewport: Viewport, size: tuple[int, int], clips: NDArray[np.int64]
+) -> list[bytes]:
+    """Return a `VIEW_STRUCT` for each of some scissors (n, 4): x, y, width and height; `view` is that of
+    another."""
     views = np.frombuffer(view * len(clips), np.uint8).reshape(len(clips), -1).copy()
     at, width = VIEW_STRUCT.fields["box"][1], 16  # type: ignore[index]
     boxes = views[:, at : at + width].view(np.int32)
@@ -210,7 +217,8 @@ def _viewport_rectangle(viewport: Viewport, size: tuple[int, int]) -> tuple[floa
 
 
 def _viewport_box(viewport: Viewport, size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return the first and the last column and row of texels in a viewport: a texel is in it if its centre is."""
+    """Return the first and the last column and row of texels in a viewport: a texel is in it if its centre
+    is."""
     x, y, width, height = _viewport_rectangle(viewport, size)
     return (
         max(0, _first_centre(x)),

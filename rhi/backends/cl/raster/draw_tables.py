@@ -1,11 +1,13 @@
-"""Tables of draws as kernels read them: rows that stay from frame to frame, and pieces that bound the memory in flight.
+"""Tables of draws as kernels read them: rows that stay from frame to frame, and pieces that bound the memory
+in flight.
 
-- The part of a draw that stays the same from frame to frame is a row of `PreparedDraws`. It exists as long as its
-  `DrawSlot` is referenced.
-- A piece is a part of a batch: a table of draws, and the words that these draws bind. Its vertices are transformed all
-  at once. The first piece of a batch is small and the following ones double, so that later pieces know the bounds of
-  depth that earlier ones left.
-- Tables are computed by NumPy, whole columns at a time; that of a single draw by plain Python, in a third of the time.
+- The part of a draw that stays the same from frame to frame is a row of `PreparedDraws`. It exists as long as
+  its `DrawSlot` is referenced.
+- A piece is a part of a batch: a table of draws, and the words that these draws bind. Its vertices are
+  transformed all at once. The first piece of a batch is small and the following ones double, so that later
+  pieces know the bounds of depth that earlier ones left.
+- Tables are computed by NumPy, whole columns at a time; that of a single draw by plain Python, in a third of
+  the time.
 - An array of draws that is alone in its batch (`DrawList`) keeps its tables, however often it is drawn.
 """
 
@@ -58,8 +60,8 @@ class PreparedDraws:
         streams: (n, MAX_STREAMS) addresses of the vertex streams.
         arrays: (n,) ids of the vertex arrays.
         was_drawn: (n,) whether the draw was drawn since it was prepared or its vertices changed.
-        version: changes whenever boxes do (rhi.backends.cl.raster.boxes). As long as it stays, rows that are in use
-            don't change.
+        version: changes whenever boxes do (rhi.backends.cl.raster.boxes). As long as it stays, rows that are
+            in use don't change.
     """
 
     def __init__(self) -> None:
@@ -88,7 +90,8 @@ class PreparedDraws:
         self._released.append(number)
 
     def take(self, numbers: NDArray[np.int64]) -> NDArray[Any]:
-        """Return a copy of rows of `draws`. They are copied as plain words: NumPy copies structs field by field."""
+        """Return a copy of rows of `draws`. They are copied as plain words: NumPy copies structs field by
+        field."""
         words = self.draws.view(np.uint64).reshape(len(self.draws), -1)
         return words.take(numbers, axis=0).view(DRAW_STRUCT).reshape(-1)
 
@@ -135,10 +138,10 @@ class DrawList:
         prepared_indices: (n,) indices of their prepared draws.
         instances: (n,) their numbers of instances.
         numbers: (n,) the numbers by which shaders tell them apart.
-        samples: (n,) offsets of their counters in bytes from the batch's `counters`; None if all draws of the array
-            share a counter.
-        conditions: (n,) addresses of the counters that decide whether they are drawn; None if all draws of the array
-            share a condition, or have none.
+        samples: (n,) offsets of their counters in bytes from the batch's `counters`; None if all draws of the
+            array share a counter.
+        conditions: (n,) addresses of the counters that decide whether they are drawn; None if all draws of
+            the array share a condition, or have none.
         boxed: version of the prepared draws for which all boxes are known that the draws should have.
     """
 
@@ -179,8 +182,8 @@ class DrawList:
 
     @property
     def tables(self) -> list[Table]:
-        """The tables of the draws if they have the first view and the first row of bindings, and no condition but
-        `conditions`."""
+        """The tables of the draws if they have the first view and the first row of bindings, and no condition
+        but `conditions`."""
         if self._version != self._prepared.version:
             self._tables.clear()
             self._version = self._prepared.version
@@ -194,12 +197,14 @@ class DrawList:
         return self._tables
 
     def list_streams(self, count: int) -> list[int]:
-        """Return the addresses of the first `count` vertex streams, which all draws of a vertex array share."""
+        """Return the addresses of the first `count` vertex streams, which all draws of a vertex array
+        share."""
         streams: list[int] = self._prepared.streams[self.prepared_indices[0], :count].tolist()
         return streams
 
     def spread(self, row: Sequence[int], counters: int) -> NDArray[np.uint64]:
-        """Return a row for each draw, (n, len(row)). `row`: what they have in common; `counters`: an address."""
+        """Return a row for each draw, (n, len(row)). `row`: what they have in common; `counters`: an
+        address."""
         rows = np.empty((len(self.prepared_indices), len(row)), np.uint64)
         rows[:] = row
         rows[:, PREPARED] = self.prepared_indices
@@ -220,9 +225,12 @@ def number_in_runs(indices: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def tabulate(
-    prepared: PreparedDraws, layout: BoundWords, rows: NDArray[np.uint64], numbers: NDArray[np.int64],
+    prepared: PreparedDraws,
+    layout: BoundWords,
+    rows: NDArray[np.uint64],
+    numbers: NDArray[np.int64],
     instances: NDArray[np.int64],
-) -> Iterator[Piece]:  # fmt: skip
+) -> Iterator[Piece]:
     """Yield the pieces of many draws.
 
     Args:
@@ -270,8 +278,8 @@ def bind_words(layout: BoundWords, words: Iterable[int], streams: list[int]) -> 
 def number_groups(
     prepared: NDArray[Any], instances: NDArray[np.int64]
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
-    """Yield the pieces of draws: their indices, and a table with their groups numbered. The table's last row holds the
-    ends of the groups."""
+    """Yield the pieces of draws: their indices, and a table with their groups numbered. The table's last row
+    holds the ends of the groups."""
     groups, which = prepared["vertex_groups"] * instances, None
     if groups.max() > _FIRST_PIECE_GROUPS:
         which, instances, done = split_instances(prepared["vertex_groups"], instances)
@@ -299,8 +307,8 @@ def number_groups(
 def split_instances(
     groups: NDArray[np.int32], instances: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
-    """Split draws of many instances so that none exceeds the first piece, unless a single instance does. Return each
-    part's draw, its number of instances, and the number of instances before it."""
+    """Split draws of many instances so that none exceeds the first piece, unless a single instance does.
+    Return each part's draw, its number of instances, and the number of instances before it."""
     most = np.maximum(_FIRST_PIECE_GROUPS // np.maximum(groups, 1), 1)
     parts = np.maximum(-(-instances // most), 1)
     if parts.sum() > _MAX_PARTS:

@@ -1,11 +1,11 @@
 """The tables that kernels read, and the macros that they are compiled with.
 
-- The dtypes `BATCH_STRUCT`, `DRAW_STRUCT` and `VIEW_STRUCT` are the structs `Batch`, `Draw` and `View` of the kernels,
-  whose declarations are made of them.
-- The macros hold what a program and the layout of its vertices determine: how attributes become words, how bindings
-  become arguments, how each varying is interpolated.
-- A draw's row of bound words: for each binding its address (and the number of elements of storage, or the address of
-  the description of a texture or image), then the addresses of the vertex streams.
+- The dtypes `BATCH_STRUCT`, `DRAW_STRUCT` and `VIEW_STRUCT` are the structs `Batch`, `Draw` and `View` of the
+  kernels, whose declarations are made of them.
+- The macros hold what a program and the layout of its vertices determine: how attributes become words, how
+  bindings become arguments, how each varying is interpolated.
+- A draw's row of bound words: for each binding its address (and the number of elements of storage, or the
+  address of the description of a texture or image), then the addresses of the vertex streams.
 """
 
 from __future__ import annotations
@@ -49,9 +49,12 @@ def _fields(text: str, code: str) -> list[tuple[str, str]]:
 BATCH_STRUCT: Final = np.dtype(
     [
         ("surfaces", "u8", (MAX_PLANES,)),  # color targets, depth, stencil
-        *_fields("draws views bindings positions clips varyings records planes boxes counts starts list", "u8"),
+        *_fields(
+            "draws views bindings positions clips varyings records planes boxes counts starts list", "u8"
+        ),
         *_fields("survivors scratch extents bounds counters", "u8"),
-        # The surfaces' offsets in their memory and pitches; then their clear values, each repeated to 4 words.
+        # The surfaces' offsets in their memory and pitches; then their clear values, each repeated to 4
+        # words.
         ("merger", "u8"),
         *_fields("draw_count binding_words", "i4"),
         *_fields("vertex_groups vertex_chunk", "i4"),  # of the batch, and per work-item
@@ -72,7 +75,9 @@ BATCH_STRUCT: Final = np.dtype(
 EMPTY_BATCH: Final[dict[str, float]] = dict.fromkeys((BATCH_STRUCT.names or ())[1:], 0)
 """The fields of a batch table without its surfaces, in the order of `pack_batch`, all 0."""
 _CODES: Final = {"u8": "Q", "i4": "i", "f4": "f"}
-_BATCH_WORDS: Final = Struct(f"={MAX_PLANES}Q" + "".join(_CODES[BATCH_STRUCT[name].str[1:]] for name in EMPTY_BATCH))
+_BATCH_WORDS: Final = Struct(
+    f"={MAX_PLANES}Q" + "".join(_CODES[BATCH_STRUCT[name].str[1:]] for name in EMPTY_BATCH)
+)
 DRAW_STRUCT: Final = np.dtype(
     [
         ("indices", "u8"),  # address of the first corner's index; 0: vertices in order
@@ -82,11 +87,15 @@ DRAW_STRUCT: Final = np.dtype(
         ("box", "u8"),  # address of its attributes' box; 0: none, odd: to be measured
         *_fields("vertex_group primitive_group", "i4"),  # numbers of its first groups in the batch
         *_fields("vertex_groups primitive_groups", "i4"),  # for one instance
-        *_fields("first_vertex vertices", "i4"),  # added to a vertex's number; number of vertices to transform
+        *_fields(
+            "first_vertex vertices", "i4"
+        ),  # added to a vertex's number; number of vertices to transform
         ("lowest", "i4"),  # index of the first of them
         *_fields("primitives primitive", "i4"),  # their number, and corners of each
         *_fields("index_bytes vertex_index_bytes base_instance number binding_index view inverted", "i4"),
-        *_fields("last_vertex last_instance", "i4"),  # that lie in the buffers: what is read is clamped to them
+        *_fields(
+            "last_vertex last_instance", "i4"
+        ),  # that lie in the buffers: what is read is clamped to them
     ],
     align=True,
 )
@@ -113,18 +122,21 @@ _BINDING_WORDS: Final = {
 }
 _WORDS: Final = {"f4": 1, "u4": 1, "i4": 1, "f2": 0.5, "u2": 0.5, "i2": 0.5, "u1": 0.25, "i1": 0.25}
 _INTERPOLATION: Final = {
-    Interpolation.SMOOTH: "SMOOTH", Interpolation.FLAT: "FLAT", Interpolation.NO_PERSPECTIVE: "LINEAR",
-}  # fmt: skip
+    Interpolation.SMOOTH: "SMOOTH",
+    Interpolation.FLAT: "FLAT",
+    Interpolation.NO_PERSPECTIVE: "LINEAR",
+}
 
 
 def pack_batch(surfaces: Sequence[int], batch: Mapping[str, float]) -> bytes:
-    """Return a batch table as bytes: the addresses of MAX_PLANES surfaces, then the fields of `EMPTY_BATCH` in order.
-    For single fields plain Python is several times as fast as NumPy."""
+    """Return a batch table as bytes: the addresses of MAX_PLANES surfaces, then the fields of `EMPTY_BATCH`
+    in order. For single fields plain Python is several times as fast as NumPy."""
     return _BATCH_WORDS.pack(*surfaces, *batch.values())
 
 
 def binding_offsets(bindings: Sequence[Binding]) -> list[int]:
-    """Return the offset of each binding's words in a draw's row of bound words, and at the end their total."""
+    """Return the offset of each binding's words in a draw's row of bound words, and at the end their
+    total."""
     starts = [0]
     for binding in bindings:
         starts.append(starts[-1] + _BINDING_WORDS[binding.kind])
@@ -155,8 +167,8 @@ def common_structs() -> str:
 def vertex_macros(
     descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0, line: int = 1
 ) -> str:
-    """Return the macros of kernels/vertex.cl; `faults`: the address that a checked program reports faults at, and
-    `line`: the line of the stage's text to which faults of its inputs belong."""
+    """Return the macros of kernels/vertex.cl; `faults`: the address that a checked program reports faults at,
+    and `line`: the line of the stage's text to which faults of its inputs belong."""
     starts, words = {}, 0
     for attribute in sorted(descriptor.attributes, key=lambda each: each.location):
         starts[attribute.location] = words
@@ -167,7 +179,9 @@ def vertex_macros(
         line
         for index, stream in enumerate(streams)
         for attribute in stream.attributes
-        for line in _fetch(stream, attribute, first + index, starts[attribute.location], sizes[attribute.location])
+        for line in _fetch(
+            stream, attribute, first + index, starts[attribute.location], sizes[attribute.location]
+        )
     ]
     vertex_words = sum(
         ((1 << sizes[attribute.location]) - 1) << starts[attribute.location]
@@ -179,13 +193,17 @@ def vertex_macros(
         f"#define INPUT_WORDS {words}\n#define VARYING_WORDS {varying_words(descriptor)}\n"
         f"#define VERTEX_WORDS 0x{vertex_words:x}ul\n"
         f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n#define FETCH {' '.join(fetches)}\n"
-        + (f"#define VERTEX_FAULTS AT(int, {faults}ul)\n#define VERTEX_LINE {line}\n" if faults and fetches else "")
+        + (
+            f"#define VERTEX_FAULTS AT(int, {faults}ul)\n#define VERTEX_LINE {line}\n"
+            if faults and fetches
+            else ""
+        )
     )
 
 
 def raster_macros(
     descriptor: ProgramDescriptor, fragment: bool, caches_depth: bool, bounds_depth: bool, faults: int = 0
-) -> str:  # fmt: skip
+) -> str:
     """Return the macros of the raster kernel besides those of the merger.
 
     Args:
@@ -258,7 +276,8 @@ def _component(form: VertexFormat, component: int) -> str:
 
 
 def _describe_empty_table() -> tuple[bytes, tuple[int, ...]]:
-    """Return a batch table without draws, and the offsets of its addresses (`rhi.backends.cl.builds.Launch`)."""
+    """Return a batch table without draws, and the offsets of its addresses
+    (`rhi.backends.cl.builds.Launch`)."""
     table = np.zeros((), BATCH_STRUCT)
     table["tiles"] = table["tiles_x"] = table["bounded"] = 1
     addresses: list[int] = []

@@ -22,7 +22,8 @@ def read_kernels(name: str) -> str:
 def declare_struct(name: str, struct: np.dtype[Any]) -> str:
     """Return the declaration in OpenCL C of a dtype that lies in memory as C would lay it out."""
     rows = [
-        f"    {_TYPES[struct[field].base.str[1:]]} {field}{''.join(f'[{count}]' for count in struct[field].shape)};\n"
+        f"    {_TYPES[struct[field].base.str[1:]]} "
+        f"{field}{''.join(f'[{count}]' for count in struct[field].shape)};\n"
         for field in struct.names or ()
     ]
     return f"typedef struct {{\n{''.join(rows)}}} {name};\n"

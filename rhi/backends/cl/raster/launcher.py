@@ -1,9 +1,9 @@
 """Launches the kernels of a batch: vertices, set-up, binning, raster.
 
-- A piece's vertices are transformed all at once, its primitives rasterised in slices, which bounds the memory in
-  flight: the records of a slice lie in scratch memory that the next slice overwrites.
-- Bounds of depth stay in memory from slice to slice and from batch to batch, until anything but draws that keep them
-  changes the depth that they belong to.
+- A piece's vertices are transformed all at once, its primitives rasterised in slices, which bounds the memory
+  in flight: the records of a slice lie in scratch memory that the next slice overwrites.
+- Bounds of depth stay in memory from slice to slice and from batch to batch, until anything but draws that
+  keep them changes the depth that they belong to.
 """
 
 from __future__ import annotations
@@ -40,9 +40,20 @@ _LIST_WORDS: Final = 1 << 20  # the smallest size of the tiles' lists
 _LISTED_PER_RECORD: Final = 4
 
 POOLS: Final = (
-    "positions", "clips", "varyings", "extents", "records", "planes", "boxes", "counts", "starts", "list", "survivors",
-    "scratch", "bounds",
-)  # fmt: skip
+    "positions",
+    "clips",
+    "varyings",
+    "extents",
+    "records",
+    "planes",
+    "boxes",
+    "counts",
+    "starts",
+    "list",
+    "survivors",
+    "scratch",
+    "bounds",
+)
 """The fields of a batch table that are addresses of scratch memory."""
 
 
@@ -59,7 +70,8 @@ class Scratch:
         self._reserved_for: object = None
 
     def reserve(self, vertices: int, records: int, tiles: int, words: int, shades: float) -> dict[str, int]:
-        """Reserve memory for a piece's vertices and a slice's records; return the batch table's fields for it.
+        """Reserve memory for a piece's vertices and a slice's records; return the batch table's fields for
+        it.
 
         Args:
             words: size of a vertex's varyings.
@@ -96,13 +108,17 @@ class Scratch:
 class Launcher:
     """Launches the batches of one device."""
 
-    def __init__(self, context: ClContext, builds: Builds, in_flight: InFlight, boxes: AttributeBoxes) -> None:
+    def __init__(
+        self, context: ClContext, builds: Builds, in_flight: InFlight, boxes: AttributeBoxes
+    ) -> None:
         self._queue = context.queue
         self._builds = builds
         self._boxes = boxes
         self._uploads = Uploads()
         self._scratch = Scratch(in_flight)
-        self._bounds: tuple[object, ...] | None = None  # what the bounds of depth in memory depend on, see BatchState
+        self._bounds: tuple[object, ...] | None = (
+            None  # what the bounds of depth in memory depend on, see BatchState
+        )
 
     @cached_property
     def geometry(self) -> GeometryKernels:
@@ -125,7 +141,9 @@ class Launcher:
         table, bounds = state.table, state.identify_bounds()
         table["counters"] = draws.counters
         table["bounded"] = state.bounds_depth and bounds == self._bounds
-        table["cleared"] = sum(1 << index for index, surface in enumerate(state.surfaces) if surface.clear is not None)
+        table["cleared"] = sum(
+            1 << index for index, surface in enumerate(state.surfaces) if surface.clear is not None
+        )
         self._bounds = None
         event = None
         try:
@@ -148,7 +166,11 @@ class Launcher:
         tables = draws, bound, state.merger_data, views
         address = self._uploads.write(b"".join(tables))
         table = state.table
-        table["draw_count"], table["vertex_groups"], table["vertex_chunk"] = count, vertex_groups, _VERTEX_CHUNK
+        table["draw_count"], table["vertex_groups"], table["vertex_chunk"] = (
+            count,
+            vertex_groups,
+            _VERTEX_CHUNK,
+        )
         for name, part in zip(("draws", "bindings", "merger", "views"), tables, strict=True):
             table[name] = address
             address += len(part)
@@ -168,7 +190,8 @@ class Launcher:
     def _launch_slices(
         self, state: BatchState, vertex_groups: int, groups: int, slice_groups: int, group_records: int
     ) -> cl.Event | None:
-        """Launch all kernels of a piece; return the event of the last one. `group_records`: the most of a group."""
+        """Launch all kernels of a piece; return the event of the last one. `group_records`: the most of a
+        group."""
         table, vertex = state.table, state.vertex
         geometry = self.geometry
         queue = self._queue

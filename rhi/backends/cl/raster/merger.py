@@ -1,11 +1,13 @@
-"""The Python part of the output merger: which states are compiled into a pipeline, and which are data of a draw.
+"""The Python part of the output merger: which states are compiled into a pipeline, and which are data of a
+draw.
 
-- `make_key` collects everything that affects the generated code; equal keys share a compiled pipeline. It normalises:
-  targets that aren't written, tests that always pass and the like leave no trace, so few pipelines are built.
-- `make_state` packs the other states into `STATE_WORDS` words: factors, references and masks may change from draw to
-  draw.
-- `MergerKey.defines` is the text in front of `kernels/merger.cl` for one key, whose comments document the use of its
-  functions. `general_defines` is that for kernels which read the key as data, `MergerKey.words`.
+- `make_key` collects everything that affects the generated code; equal keys share a compiled pipeline. It
+  normalises: targets that aren't written, tests that always pass and the like leave no trace, so few
+  pipelines are built.
+- `make_state` packs the other states into `STATE_WORDS` words: factors, references and masks may change from
+  draw to draw.
+- `MergerKey.defines` is the text in front of `kernels/merger.cl` for one key, whose comments document the use
+  of its functions. `general_defines` is that for kernels which read the key as data, `MergerKey.words`.
 """
 
 from __future__ import annotations
@@ -27,8 +29,15 @@ from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.formats import ChannelKind, Format
 
 _COMPARISONS: Final = {
-    "never": 0, "less": 1, "equal": 2, "less_equal": 3, "greater": 4, "not_equal": 5, "greater_equal": 6, "always": 7,
-}  # fmt: skip
+    "never": 0,
+    "less": 1,
+    "equal": 2,
+    "less_equal": 3,
+    "greater": 4,
+    "not_equal": 5,
+    "greater_equal": 6,
+    "always": 7,
+}
 """Comparisons as bits: 1 passes less, 2 equal, 4 greater."""
 _ALWAYS: Final = _COMPARISONS["always"]
 _ORDERED: Final = [_COMPARISONS[name] for name in ("less", "less_equal", "greater", "greater_equal")]
@@ -37,13 +46,20 @@ _KINDS: Final = {kind: number for number, kind in enumerate(ChannelKind)}
 _STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(states.StencilOperation)}
 _BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(states.BlendOperation)}
 _FACTORS: Final = {
-    states.BlendFactor.ZERO: 0, states.BlendFactor.SOURCE_COLOR: 1, states.BlendFactor.SOURCE_ALPHA: 2,
-    states.BlendFactor.DESTINATION_COLOR: 3, states.BlendFactor.DESTINATION_ALPHA: 4, states.BlendFactor.CONSTANT: 5,
-    states.BlendFactor.SOURCE_ALPHA_SATURATE: 6, states.BlendFactor.ONE: 8,
-    states.BlendFactor.ONE_MINUS_SOURCE_COLOR: 9, states.BlendFactor.ONE_MINUS_SOURCE_ALPHA: 10,
-    states.BlendFactor.ONE_MINUS_DESTINATION_COLOR: 11, states.BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 12,
+    states.BlendFactor.ZERO: 0,
+    states.BlendFactor.SOURCE_COLOR: 1,
+    states.BlendFactor.SOURCE_ALPHA: 2,
+    states.BlendFactor.DESTINATION_COLOR: 3,
+    states.BlendFactor.DESTINATION_ALPHA: 4,
+    states.BlendFactor.CONSTANT: 5,
+    states.BlendFactor.SOURCE_ALPHA_SATURATE: 6,
+    states.BlendFactor.ONE: 8,
+    states.BlendFactor.ONE_MINUS_SOURCE_COLOR: 9,
+    states.BlendFactor.ONE_MINUS_SOURCE_ALPHA: 10,
+    states.BlendFactor.ONE_MINUS_DESTINATION_COLOR: 11,
+    states.BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 12,
     states.BlendFactor.ONE_MINUS_CONSTANT: 13,
-}  # fmt: skip
+}
 """Blend factors as numbers. Adding 8 means one minus the factor."""
 
 _ALPHA_STATE: Final = 0  # comparison, reference
@@ -54,12 +70,24 @@ _COLOR_WORDS: Final = 5
 STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * states.MAX_TARGETS
 MAX_SAMPLES: Final = max(SAMPLE_COUNTS)
 _MERGER_FIELDS: Final = (
-    "samples", "color_count", "has_depth", "depth_bits", "depth_comparison", "depth_writes", "has_stencil",
-    "alpha_test", "alpha_to_coverage", "test_order", "shades", "unused",
-)  # fmt: skip
-MERGER_STRUCT: Final = np.dtype([(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (states.MAX_TARGETS, 6))])
-"""The states of a batch that kernels are compiled for, as data. A color: location, components, channels, bits, kind,
-blends."""
+    "samples",
+    "color_count",
+    "has_depth",
+    "depth_bits",
+    "depth_comparison",
+    "depth_writes",
+    "has_stencil",
+    "alpha_test",
+    "alpha_to_coverage",
+    "test_order",
+    "shades",
+    "unused",
+)
+MERGER_STRUCT: Final = np.dtype(
+    [(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (states.MAX_TARGETS, 6))]
+)
+"""The states of a batch that kernels are compiled for, as data. A color: location, components, channels,
+bits, kind, blends."""
 
 
 class TestOrder(enum.Enum):
@@ -191,14 +219,23 @@ def general_defines(output_words: int) -> str:
 
 
 def _define(fields: Mapping[str, object], samples: int, colors: int, output_words: int, rows: str) -> str:
-    sizes = {"MAX_SAMPLES": samples, "MAX_COLORS": colors, "OUTPUT_WORDS": output_words, "COLOR_TARGETS(X)": rows}
+    sizes = {
+        "MAX_SAMPLES": samples,
+        "MAX_COLORS": colors,
+        "OUTPUT_WORDS": output_words,
+        "COLOR_TARGETS(X)": rows,
+    }
     defines = "".join(f"#define {name} {value}\n" for name, value in {**fields, **sizes}.items())
     return declare_struct("Merger", MERGER_STRUCT) + _constants() + defines
 
 
 def make_key(
-    program: ProgramDescriptor, values: Mapping[type, Any], colors: Sequence[Format], depth: Format | None, samples: int
-) -> MergerKey:  # fmt: skip
+    program: ProgramDescriptor,
+    values: Mapping[type, Any],
+    colors: Sequence[Format],
+    depth: Format | None,
+    samples: int,
+) -> MergerKey:
     """Return the key of a program's pipeline for these states and targets.
 
     Args:
@@ -212,7 +249,9 @@ def make_key(
     first = outputs.get(0)
     has_alpha = first is not None and first.kind == "float" and first.components == 4
     alpha_test = has_alpha and values[states.AlphaTest] is states.AlphaTest.ON
-    alpha_to_coverage = has_alpha and samples > 1 and values[states.AlphaToCoverage] is states.AlphaToCoverage.ON
+    alpha_to_coverage = (
+        has_alpha and samples > 1 and values[states.AlphaToCoverage] is states.AlphaToCoverage.ON
+    )
     keys = tuple(
         ColorKey(
             location,
@@ -223,7 +262,8 @@ def make_key(
             not format.is_integer and not values[states.BlendFunction][location].is_off,
         )
         for location, format in enumerate(colors)
-        if location in outputs and any(_written_channels(values[states.ColorWrite][location])[: format.channels])
+        if location in outputs
+        and any(_written_channels(values[states.ColorWrite][location])[: format.channels])
     )
     tests = values[states.DepthTest] is states.DepthTest.ON
     passes = _COMPARISONS[values[states.DepthFunction].value] if tests else _ALWAYS
@@ -267,11 +307,18 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
     constant = values[states.BlendColor]
     numbers[_BLEND_STATE : _BLEND_STATE + 4] = constant.red, constant.green, constant.blue, constant.alpha
     for index, side in enumerate((values[states.StencilFront], values[states.StencilBack])):
-        codes = [_STENCIL_OPERATIONS[operation] for operation in (side.stencil_fail, side.depth_fail, side.both_pass)]
+        codes = [
+            _STENCIL_OPERATIONS[operation]
+            for operation in (side.stencil_fail, side.depth_fail, side.both_pass)
+        ]
         state[_STENCIL_STATE + 2 * index] = (
             _COMPARISONS[side.function.value] | codes[0] << 4 | codes[1] << 8 | codes[2] << 12
         )
-        masks = values[states.StencilReference], values[states.StencilReadMask], values[states.StencilWriteMask]
+        masks = (
+            values[states.StencilReference],
+            values[states.StencilReadMask],
+            values[states.StencilWriteMask],
+        )
         reference, read, write = ((mask.front, mask.back)[index] for mask in masks)
         state[_STENCIL_STATE + 2 * index + 1] = reference | read << 8 | write << 16
     for location, format in enumerate(colors):
@@ -317,8 +364,8 @@ def _constants() -> str:
         "BLEND_STATE": _BLEND_STATE,
         "STENCIL_STATE": _STENCIL_STATE,
         "COLOR_STATE(location)": f"({_COLOR_STATE} + {_COLOR_WORDS} * (location))",
-        # The powers of sRGB's curve: x^(5/12) as a polynomial in x^(1/4), u^0.4 as one in u^(1/2). Near 0, where no
-        # polynomial approximates them, the curve is linear.
+        # The powers of sRGB's curve: x^(5/12) as a polynomial in x^(1/4), u^0.4 as one in u^(1/2). Near 0,
+        # where no polynomial approximates them, the curve is linear.
         "ENCODE_SRGB(x)": _fit(lambda q: q ** (5 / 3), 0.0031308**0.25, 7),
         "DECODE_SRGB(x)": _fit(lambda root: root**0.8, ((0.04045 + 0.055) / 1.055) ** 0.5, 7),
     }

@@ -1,7 +1,7 @@
 """Render targets as kernels see them, and their pending clears.
 
-- A clear is deferred to the first batch that draws into its surface. Each tile then clears its own texels, on all
-  workers in parallel, and depth is cleared where it is staged, without a round trip through memory.
+- A clear is deferred to the first batch that draws into its surface. Each tile then clears its own texels, on
+  all workers in parallel, and depth is cleared where it is staged, without a round trip through memory.
 - If another command comes first, or the pass ends without draws, the pending clears are executed as fills
   (`PassSurfaces.fill_cleared`).
 """
@@ -31,14 +31,16 @@ class RenderSurface:
 
     Attributes:
         address: the address of the plane's memory.
-        layout: in bytes, the offset of the first sample in that memory, and the distances from row to row and from
-            sample to sample.
+        layout: in bytes, the offset of the first sample in that memory, and the distances from row to row and
+            from sample to sample.
         clear: the texel of a pending clear, or None.
     """
 
     __slots__ = ("_layer", "_plane", "_samples", "address", "clear", "layout")
 
-    def __init__(self, plane: TexelPlane, layer: int, samples: int, address: int, clear: bytes | None) -> None:
+    def __init__(
+        self, plane: TexelPlane, layer: int, samples: int, address: int, clear: bytes | None
+    ) -> None:
         self._plane = plane
         self._layer = layer
         self._samples = samples

@@ -2,7 +2,8 @@
 
 - `draws` gathers draws into a batch, with the current `draw_state`; `launcher` runs the batch's kernels.
 - `vertex_arrays` and `bindings` know the addresses of what draws read; `queries` counts samples.
-- A batch is submitted when draws with another pipeline or target follow, or any other command (`Rasteriser.flush`).
+- A batch is submitted when draws with another pipeline or target follow, or any other command
+  (`Rasteriser.flush`).
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class Rasteriser:
     """The rasteriser of one device.
 
     Attributes:
-        works: whether the device is a CPU, for which the kernels are written, and reads host memory in place. A GPU
-            executes them, but stops where they load vectors at any address.
+        works: whether the device is a CPU, for which the kernels are written, and reads host memory in place.
+            A GPU executes them, but stops where they load vectors at any address.
         bindings: the bound resources.
         state: the pass, program and render states of the next draw.
         vertex_arrays: vertex arrays, and the prepared draws that changes of buffers invalidate.
@@ -95,7 +96,8 @@ class Rasteriser:
     # -- programs and vertex arrays --------------------------------------------------------------------------
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        """Emit the code of a program that draws. Its kernels are built when vertex layout and targets are known."""
+        """Emit the code of a program that draws. Its kernels are built when vertex layout and targets are
+        known."""
         self._programs[program] = Pipeline(self._context, self._builds, descriptor)
         _ = self._launcher.geometry
 
@@ -108,7 +110,8 @@ class Rasteriser:
         depth: Format | None,
         samples: int,
     ) -> list[Future[None]]:
-        """Begin to optimise all kernels of a program for these states and targets; return futures of the ends.
+        """Begin to optimise all kernels of a program for these states and targets; return futures of the
+        ends.
 
         Args:
             vertex_array: 0 if there is none yet.
@@ -122,7 +125,9 @@ class Rasteriser:
             kernels += vertex.transform, vertex.measure
         ends = [kernel.optimise() for kernel in kernels if kernel is not None]
         if colors or depth is not None:
-            ends.append(pipeline.optimise_raster(make_key(pipeline.descriptor, values, colors, depth, samples)))
+            ends.append(
+                pipeline.optimise_raster(make_key(pipeline.descriptor, values, colors, depth, samples))
+            )
         return [end for end in ends if end is not None]
 
     def destroy_program(self, program: Id) -> None:

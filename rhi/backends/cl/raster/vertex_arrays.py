@@ -1,12 +1,13 @@
 """Vertex arrays, and the draws that are prepared from them.
 
-- A prepared draw names vertices and indices by address. It holds until the index buffer changes: each index buffer has
-  a version, which callers of `prepare` compare with the one that they prepared for.
+- A prepared draw names vertices and indices by address. It holds until the index buffer changes: each index
+  buffer has a version, which callers of `prepare` compare with the one that they prepared for.
 - A draw reads only within its buffers, whatever its indices and base vertex: an index beyond the vertices
   reads the last one, and what lies beyond without indices, or beyond the instances of an indirect draw, isn't
   drawn. The range of vertices that a draw's indices name is only used if it lies in the buffers; otherwise
   the kernel looks each index up, and clamps it.
-- All changes of buffers come through here: the assembler keeps copies of indices, and boxes depend on vertices.
+- All changes of buffers come through here: the assembler keeps copies of indices, and boxes depend on
+  vertices.
 """
 
 from __future__ import annotations
@@ -138,7 +139,9 @@ class VertexArrays:
         if not descriptor.index_buffer:
             count = max(0, min(count, elements.vertices - first))
             first = first if count else 0
-        assembly = self._assembler.assemble(primitive, first, count, descriptor.index_buffer, descriptor.index_format)
+        assembly = self._assembler.assemble(
+            primitive, first, count, descriptor.index_buffer, descriptor.index_format
+        )
         slot.memory = assembly.memory
         row = np.zeros((), DRAW_STRUCT)
         row["primitives"], row["primitive"] = assembly.count // assembly.corners, assembly.corners
@@ -147,7 +150,8 @@ class VertexArrays:
             indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
         elif assembly.indexed:
             indices = (
-                self._bindings.buffer_address(descriptor.index_buffer) + descriptor.index_format.size * assembly.start
+                self._bindings.buffer_address(descriptor.index_buffer)
+                + descriptor.index_format.size * assembly.start
             )
             index_bytes = descriptor.index_format.size
         base = assembly.base + (base_vertex if descriptor.index_buffer else 0)
@@ -168,8 +172,8 @@ class VertexArrays:
     def prepare_lists(
         self, numbers: NDArray[np.int64], array: VertexArray, primitive: Primitive, draws: NDArray[Any]
     ) -> bool:
-        """Fill in prepared draws, by their numbers, for an array of draws; return False if they have to be prepared one
-        by one, because of strips, restarts, or indices that the host doesn't know."""
+        """Fill in prepared draws, by their numbers, for an array of draws; return False if they have to be
+        prepared one by one, because of strips, restarts, or indices that the host doesn't know."""
         descriptor = array.descriptor
         if primitive not in LISTS:
             return False

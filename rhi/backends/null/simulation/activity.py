@@ -1,7 +1,7 @@
 """The activity of CPU and GPU over time: the timeline of a simulated run (thesis Figures 4.1 and 6.2).
 
-- An `ActivityTimeline` has spans on two lanes. The CPU is busy or stalled (waiting for the GPU). The GPU is busy,
-  starved (without work) or halted (while an interrupt is handled, thesis 4.4.2).
+- An `ActivityTimeline` has spans on two lanes. The CPU is busy or stalled (waiting for the GPU). The GPU is
+  busy, starved (without work) or halted (while an interrupt is handled, thesis 4.4.2).
 - Times are integers: nanoseconds since the device was created. The same calls give the same timeline.
 - A timeline can be printed as text, plotted with matplotlib, and saved as a trace for Chrome and Perfetto.
 """
@@ -76,7 +76,8 @@ class FrameActivity:
 
     @property
     def latency(self) -> int | None:
-        """Nanoseconds from the CPU's start of the frame to the GPU's end of it, None if the GPU isn't done."""
+        """Nanoseconds from the CPU's start of the frame to the GPU's end of it, None if the GPU isn't
+        done."""
         return None if self.done is None else self.done - self.start
 
 
@@ -192,7 +193,9 @@ class ActivityTimeline:
         ]
         for span in self.spans:
             name = span.activity.name.lower()
-            events.append(_slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name))
+            events.append(
+                _slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name)
+            )
         events += [_slice(span, threads["GPU labels"], span.name) for span in self.labels]
         events += [
             {
@@ -249,8 +252,8 @@ class ActivityLog:
         self.presented.append((time, len(self.presented) + 1 - len(self.done)))
 
     def timeline(self, now: int, idle_since: int | None) -> ActivityTimeline:
-        """Return the timeline up to `now` on the CPU's clock. The GPU has been idle since `idle_since`; None: it is
-        busy."""
+        """Return the timeline up to `now` on the CPU's clock. The GPU has been idle since `idle_since`; None:
+        it is busy."""
         idle = self.idle.copy()
         if idle_since is not None and idle_since < now:
             idle.append(Span(Lane.GPU, Activity.STARVED, idle_since, now))

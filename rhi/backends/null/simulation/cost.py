@@ -1,8 +1,8 @@
 """The cost of commands on the simulated GPU: a small model of the work in them.
 
 - A command is reduced to a `CommandWork`: vertices, covered pixels, bytes, state changes, invocations.
-- `CostModel.nanoseconds` turns that into time. It is linear; a subclass can replace it. The numbers aren't measured.
-  They have the order of magnitude of a small GPU, so that a timeline shows what waits for what.
+- `CostModel.nanoseconds` turns that into time. It is linear; a subclass can replace it. The numbers aren't
+  measured. They have the order of magnitude of a small GPU, so that a timeline shows what waits for what.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class CostModel:
 
     Attributes:
         command: the cost of each command, in addition to its work.
-        primitive_pixels: the number of pixels that a primitive is assumed to cover if its samples aren't counted.
+        primitive_pixels: the number of pixels that a primitive is assumed to cover if its samples aren't
+            counted.
     """
 
     command: float = 20.0
@@ -46,7 +47,8 @@ class CostModel:
     primitive_pixels: float = 32.0
 
     def nanoseconds(self, work: CommandWork) -> int:
-        """Return how long the GPU takes. For commands without work of their own this is called once per op."""
+        """Return how long the GPU takes. For commands without work of their own this is called once per
+        op."""
         return round(
             self.command
             + self.vertex * work.vertices
@@ -63,9 +65,14 @@ class CostModel:
 
 
 _VERTICES_EACH = {
-    Primitive.POINTS: (1, 0), Primitive.LINES: (2, 0), Primitive.LINE_STRIP: (1, 1), Primitive.TRIANGLES: (3, 0),
-    Primitive.TRIANGLE_STRIP: (1, 2), Primitive.TRIANGLE_FAN: (1, 2), Primitive.QUADS: (4, 0),
-}  # fmt: skip
+    Primitive.POINTS: (1, 0),
+    Primitive.LINES: (2, 0),
+    Primitive.LINE_STRIP: (1, 1),
+    Primitive.TRIANGLES: (3, 0),
+    Primitive.TRIANGLE_STRIP: (1, 2),
+    Primitive.TRIANGLE_FAN: (1, 2),
+    Primitive.QUADS: (4, 0),
+}
 """Vertices per primitive, and additional vertices at the start of a strip."""
 
 

@@ -2,14 +2,16 @@
 
 - The GPU executes in order. So the CPU's knowledge is one number: the last command up to which everything is
   done. It comes from a polled or awaited fence, a query's result, or a read that waits.
-- Accessing memory or a resource that a command beyond that number uses is a hazard: it fails on some GPU that is slow
-  enough. `happened` says whether it failed in this run, by the simulated clock.
-- The hazards therefore depend on what the CPU has polled, not on costs or luck. A program that never polls has
-  the same hazards at every latency. A program without hazards is correct on any GPU that executes in order.
-- Ranges are exact, in bytes. The vertices that an indexed or indirect draw reads are known only when it is executed.
-  Until then, writes to its buffers are kept as suspects.
-- Where the CPU reads the sample counter in interrupts and the GPU runs on, the counter may have moved on when it is
-  read (thesis 4.4.2). So a draw is a hazard if it is called before the CPU knows that the counter was read.
+- Accessing memory or a resource that a command beyond that number uses is a hazard: it fails on some GPU that
+  is slow enough. `happened` says whether it failed in this run, by the simulated clock.
+- The hazards therefore depend on what the CPU has polled, not on costs or luck. A program that never polls
+  has the same hazards at every latency. A program without hazards is correct on any GPU that executes in
+  order.
+- Ranges are exact, in bytes. The vertices that an indexed or indirect draw reads are known only when it is
+  executed. Until then, writes to its buffers are kept as suspects.
+- Where the CPU reads the sample counter in interrupts and the GPU runs on, the counter may have moved on when
+  it is read (thesis 4.4.2). So a draw is a hazard if it is called before the CPU knows that the counter was
+  read.
 """
 
 from __future__ import annotations
@@ -64,11 +66,12 @@ class Hazard:
 
     Attributes:
         resource: the id of the resource in the command stream.
-        first, second: the sites of the calls, in the order of the calls. None outside user code, or where there was
-            no first call (a query that never began).
+        first, second: the sites of the calls, in the order of the calls. None outside user code, or where
+            there was no first call (a query that never began).
         calls: the names of the two calls.
         happened: whether the GPU was still using the resource in this run. If not, the GPU was fast enough by
-            luck. For a counter: whether its value included the samples of later draws, known once it was read.
+            luck. For a counter: whether its value included the samples of later draws, known once it was
+            read.
         bytes: the first byte and one past the last byte that both access; (0, 0) if bytes don't matter.
     """
 
@@ -94,7 +97,9 @@ class _DeferredDraw:
 
     __slots__ = ("arguments", "array", "buffers", "suspects", "use")
 
-    def __init__(self, use: CommandUse, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()) -> None:
+    def __init__(
+        self, use: CommandUse, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()
+    ) -> None:
         self.use = use
         self.array = array
         self.buffers = {array.index_buffer, *(stream.buffer for stream in array.streams)}
@@ -107,7 +112,9 @@ _DRAW_BYTES = DRAW.itemsize
 _UNIFORM = BindingKind.UNIFORM
 _STORAGE = BindingKind.STORAGE
 _IMAGE = BindingKind.IMAGE
-_BINDING = frozenset({Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
+_BINDING = frozenset(
+    {Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE}
+)
 """Commands that only bind. What is bound is used when something is drawn or dispatched."""
 
 
@@ -129,8 +136,8 @@ class HazardTracker:
     ) -> None:
         """Start without uses.
 
-        `is_done(serial)` says whether the simulated GPU has completed a command. `counters_race`: the CPU reads the
-        sample counter in interrupts, while the GPU runs on.
+        `is_done(serial)` says whether the simulated GPU has completed a command. `counters_race`: the CPU
+        reads the sample counter in interrupts, while the GPU runs on.
         """
         self._buffers = buffers
         self._textures = textures
@@ -144,7 +151,8 @@ class HazardTracker:
         self._streams: dict[Id, StreamMemory] = {}
         self._deferred: deque[_DeferredDraw] = deque()
         self._keys: dict[Id, list[tuple[BindingKind, int]]] = {}  # of the bindings of each program
-        # By vertex array: its descriptor, the resources that its draws use, whether any of them is a STREAM buffer.
+        # By vertex array: its descriptor, the resources that its draws use, whether any of them is a STREAM
+        # buffer.
         self._arrays: dict[Id, tuple[VertexArrayDescriptor, tuple[Id, ...], bool]] = {}
         self._context = StreamContext()
         self._pass_use: CommandUse = (0, None, -1, 0)
@@ -152,11 +160,14 @@ class HazardTracker:
         self._unfinished: dict[Id, CommandUse | None] = {}  # queries that began, or were only created (None)
         self._counters_race = counters_race
         self._counters: set[Id] = set()
-        self._unread: list[tuple[CommandUse, Id]] = []  # events whose counter isn't known to be read, no draw after
+        self._unread: list[
+            tuple[CommandUse, Id]
+        ] = []  # events whose counter isn't known to be read, no draw after
         self._raced: dict[int, int] = {}  # by an event's command: the index of its hazard
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
-        """Return for each op the method that follows a call, and whether it takes the call's `CommandUse` first."""
+        """Return for each op the method that follows a call, and whether it takes the call's `CommandUse`
+        first."""
         return tuple(self._get_follower(op) for op in Op)
 
     def _get_follower(self, op: Op) -> tuple[Callable[..., None] | None, bool]:
@@ -182,8 +193,8 @@ class HazardTracker:
         self.completed = max(self.completed, serial)
 
     def note_answer(self, query: Id) -> None:
-        """Note that the CPU has the result of a query. So its counter was read, and the counters of all earlier
-        events."""
+        """Note that the CPU has the result of a query. So its counter was read, and the counters of all
+        earlier events."""
         serial = self.latest_uses.get(query, 0)
         self.note_completed(serial)
         if query in self._counters:
@@ -218,11 +229,13 @@ class HazardTracker:
     # -- immediate calls -----------------------------------------------------------------------------------
 
     def write_stream(self, make_use: Callable[[], CommandUse], buffer: Id, begin: int, end: int) -> None:
-        """Check an immediate write by the CPU. It is no use by the GPU, so `make_use` creates its use only for a
-        hazard."""
+        """Check an immediate write by the CPU. It is no use by the GPU, so `make_use` creates its use only
+        for a hazard."""
         memory = self._streams.get(buffer)
         if memory is None:
-            self._report(HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True)
+            self._report(
+                HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True
+            )
             return
         if end <= begin:
             return
@@ -399,7 +412,8 @@ class HazardTracker:
         return self._deferred[0].use[0] if self._deferred else 0
 
     def execute_deferred(self, serial: int, indirect: Sequence[ExecutedIndirectDraws]) -> None:
-        """Check a deferred draw as the GPU executes it: its vertices are known now, and so are the writes to them."""
+        """Check a deferred draw as the GPU executes it: its vertices are known now, and so are the writes to
+        them."""
         deferred = self._deferred.popleft()
         if deferred.use[0] != serial:  # that draw failed when it was executed
             return
@@ -488,7 +502,8 @@ class HazardTracker:
                 self._check_feedback(use, bound[0], level, layer)
 
     def _check_feedback(self, use: CommandUse, texture: Id, level: int | None, layer: int) -> None:
-        """Report a hazard if the pass writes what is read of a texture: a level (None: all) and a layer (−1: all)."""
+        """Report a hazard if the pass writes what is read of a texture: a level (None: all) and a layer (−1:
+        all)."""
         descriptor = self._context.render_pass
         if descriptor is None:
             return

@@ -1,12 +1,12 @@
 """The null backend with a GPU on a simulated clock.
 
-- There are two clocks, in integer nanoseconds. The CPU's advances by a fixed time with every call, to the end of each
-  wait, and by `spend`, for the program's own work. The GPU's advances with the commands it executes, by a
-  `CostModel`.
-- Calls gather in the queue. They are submitted by a signal, a wait, a read or the end of a frame, or when `batch`
-  calls have gathered. They reach the GPU `submission_latency` later, and it executes them in order.
-- The GPU is advanced to the CPU's present time whenever the CPU could see a difference. A command's effects appear
-  when it starts; for fences and queries that is when everything before them has ended.
+- There are two clocks, in integer nanoseconds. The CPU's advances by a fixed time with every call, to the end
+  of each wait, and by `spend`, for the program's own work. The GPU's advances with the commands it executes,
+  by a `CostModel`.
+- Calls gather in the queue. They are submitted by a signal, a wait, a read or the end of a frame, or when
+  `batch` calls have gathered. They reach the GPU `submission_latency` later, and it executes them in order.
+- The GPU is advanced to the CPU's present time whenever the CPU could see a difference. A command's effects
+  appear when it starts; for fences and queries that is when everything before them has ended.
 - Each entry of the queue has its call site, as in a `CommandStream`, so that hazards (`hazards`) name lines.
 """
 
@@ -54,14 +54,15 @@ class Simulation:
         submission_latency: the time from a submission until an idle GPU starts its first command.
         wake_latency: the time from the event that the CPU waits for until the CPU continues.
         batch: the number of calls after which they are submitted without a request.
-        interrupt_latency: for a GPU whose sample counter only the CPU can read: the time from an event in the stream
-            until an interrupt handler has read the counter (thesis 4.4.2). None: a command reads the counter.
+        interrupt_latency: for a GPU whose sample counter only the CPU can read: the time from an event in the
+            stream until an interrupt handler has read the counter (thesis 4.4.2). None: a command reads the
+            counter.
         halts_at_events: whether such a GPU stops until the handler is done. If it continues, the counter has
             advanced by the time it is read.
 
     Raises:
-        ValidationError: `device-argument` for times below 0, and for a `call` of 0: a program that polls until the
-            GPU is done would poll forever.
+        ValidationError: `device-argument` for times below 0, and for a `call` of 0: a program that polls
+            until the GPU is done would poll forever.
     """
 
     cost: CostModel = field(default_factory=CostModel)
@@ -121,7 +122,8 @@ class SimulatedBackend(NullBackend):
         self._called = 0  # number of commands called, up to `_followed`
         self._submitted = 0  # number of commands submitted
         self._submissions: deque[_Submission] = deque()
-        # When the handler reads the counter; the query, the number of the event's command, and the counter then.
+        # When the handler reads the counter; the query, the number of the event's command, and the counter
+        # then.
         self._interrupts: deque[tuple[int, Id, int, int | None]] = deque()
         self._issue_times: dict[Id, int] = {}  # by timestamp, when the CPU has written it
         self._read_at: dict[Id, int] = {}  # by query, when the handler read the counter
@@ -336,7 +338,9 @@ class SimulatedBackend(NullBackend):
         self._drain("read_buffer")
         return self._buffers.read_buffer(buffer, offset, size)
 
-    def read_texture(self, texture: Id, level: int, region: descriptors.Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(
+        self, texture: Id, level: int, region: descriptors.Region, stencil: bool
+    ) -> NDArray[np.generic]:
         self._enqueue_call(Op.READ_TEXTURE, texture, level, region, stencil)
         self._drain("read_texture")
         return self._textures.read_texture(texture, level, region, stencil)
@@ -402,7 +406,9 @@ class SimulatedBackend(NullBackend):
             self._execute_submissions(until, fence)
         if self._interrupts:
             idle = not submissions or submissions[0].ready > until
-            self._handle_interrupts(until if idle else min(until, self._gpu), self._gpu, self._queries.counter)
+            self._handle_interrupts(
+                until if idle else min(until, self._gpu), self._gpu, self._queries.counter
+            )
 
     def _execute_submissions(self, until: float, fence: int | None) -> None:
         """Execute submitted commands, as in `_advance`. A command that raises is removed."""
@@ -476,8 +482,8 @@ class SimulatedBackend(NullBackend):
     def _handle_interrupts(self, until: float, start: int, before: int | None) -> None:
         """Read the counter for the interrupts up to `until`.
 
-        The counter was `before` at `start`, when the GPU began its present command. A draw is assumed to pass its
-        samples evenly over its time.
+        The counter was `before` at `start`, when the GPU began its present command. A draw is assumed to pass
+        its samples evenly over its time.
         """
         while self._interrupts and self._interrupts[0][0] <= until:
             time, query, event, exact = self._interrupts.popleft()
@@ -485,7 +491,9 @@ class SimulatedBackend(NullBackend):
             if before is not None and after is not None and start < self._gpu:
                 share = max(0, min(time, self._gpu) - start)
                 value = before + (after - before) * share // (self._gpu - start)
-            if all(later != query for _, later, _, _ in self._interrupts):  # a later write has an answer of its own
+            if all(
+                later != query for _, later, _, _ in self._interrupts
+            ):  # a later write has an answer of its own
                 self._queries.finish_write(query, value)
                 self._read_at[query] = time
             if value is not None and exact is not None and value > exact:

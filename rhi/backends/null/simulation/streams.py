@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
 CommandUse: TypeAlias = tuple[int, CodeType | None, int, int]
-"""A call that uses resources, for hazards: its number in the order of the calls, its site (code and instruction
-offset) and its op. It is a plain tuple because one is created for each draw."""
+"""A call that uses resources, for hazards: its number in the order of the calls, its site (code and
+instruction offset) and its op. It is a plain tuple because one is created for each draw."""
 
 
 class StreamMemory:
-    """The uses of a buffer that the CPU writes without order. They are sorted into pages, so that a write checks
-    only few.
+    """The uses of a buffer that the CPU writes without order. They are sorted into pages, so that a write
+    checks only few.
 
     Attributes:
         written: (begin, end) of the latest write, in bytes.
@@ -33,7 +33,8 @@ class StreamMemory:
         self.written = (0, 0)
 
     def use(self, begin: int, end: int, use: CommandUse, completed: int) -> None:
-        """Add a use of these bytes. Earlier uses by commands up to number `completed` are done and may be dropped."""
+        """Add a use of these bytes. Earlier uses by commands up to number `completed` are done and may be
+        dropped."""
         for page in range(begin >> self._shift, (max(end, begin + 1) - 1 >> self._shift) + 1):
             uses = self._pages.setdefault(page, [])
             if uses and uses[-1][0] == begin and uses[-1][1] == end:
@@ -44,7 +45,8 @@ class StreamMemory:
             uses.append((begin, end, use))
 
     def find_use(self, begin: int, end: int, completed: int) -> tuple[int, int, CommandUse] | None:
-        """Return the latest use of any of these bytes by a command after number `completed`, None if there is none."""
+        """Return the latest use of any of these bytes by a command after number `completed`, None if there is
+        none."""
         latest: tuple[int, int, CommandUse] | None = None
         for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
             for each in self._pages.get(page, ()):
@@ -98,7 +100,8 @@ def _indexed_range(
     base: int,
     memory: Mapping[Id, NDArray[np.uint8]],
 ) -> tuple[int, int] | None:
-    """Return the first and one past the last vertex that indices refer to, None if they only restart strips."""
+    """Return the first and one past the last vertex that indices refer to, None if they only restart
+    strips."""
     form, data = array.index_format, memory.get(array.index_buffer)
     if data is None:  # destroyed, which is reported as another hazard
         return None

@@ -1,7 +1,8 @@
 """Measures the work in a command, for the cost model.
 
-Work is measured right after the command was executed, from its arguments and the state at that point. Covered pixels
-are the counted samples (`NullBackend.count_samples`); without a count, the model's estimate for the draw's viewport.
+Work is measured right after the command was executed, from its arguments and the state at that point. Covered
+pixels are the counted samples (`NullBackend.count_samples`); without a count, the model's estimate for the
+draw's viewport.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ class WorkMeter:
 
     Attributes:
         samples: the samples that the command just executed passed, None if unknown.
-        indirect_draws, indirect_dispatches: the executed indirect commands with their arguments, the latest last.
+        indirect_draws, indirect_dispatches: the executed indirect commands with their arguments, the latest
+            last.
     """
 
     def __init__(self, cost: CostModel, textures: Textures, state: ExecutionState) -> None:
@@ -101,7 +103,9 @@ class WorkMeter:
             Op.CLEAR_BUFFER: lambda buffer, offset, size, value: size,
             Op.WRITE_TEXTURE: lambda texture, level, region, data: memoryview(data).nbytes,
             Op.COPY_TEXTURE: lambda source, level, region, *target: 2 * self._region_bytes(source, region),
-            Op.COPY_TEXTURE_TO_BUFFER: lambda source, level, region, *target: 2 * self._region_bytes(source, region),
+            Op.COPY_TEXTURE_TO_BUFFER: lambda source, level, region, *target: (
+                2 * self._region_bytes(source, region)
+            ),
             Op.COPY_BUFFER_TO_TEXTURE: lambda source, offset, row_bytes, target, level, region: (
                 2 * self._region_bytes(target, region)
             ),
@@ -124,7 +128,9 @@ class WorkMeter:
 
     def _filtered_bytes(self, texture: Id) -> int:
         levels = len(self._textures.textures[texture].levels)
-        return 5 * sum(self._level_bytes(texture, level) for level in range(1, levels))  # a texel needs four others
+        return 5 * sum(
+            self._level_bytes(texture, level) for level in range(1, levels)
+        )  # a texel needs four others
 
     def _level_bytes(self, texture: Id, level: int = 0) -> int:
         descriptor = self._textures.textures[texture].descriptor
@@ -146,7 +152,8 @@ class WorkMeter:
         return self._cost.covered_pixels(primitives, self._area())
 
     def _area(self) -> int:
-        """Return the number of pixels that a draw can reach: the intersection of target, viewport and scissor."""
+        """Return the number of pixels that a draw can reach: the intersection of target, viewport and
+        scissor."""
         state = self._state
         parts = (state.render_pass, state.states[Viewport], state.states[Scissor])
         cached, area = self._cached_area

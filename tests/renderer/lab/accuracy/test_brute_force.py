@@ -43,8 +43,9 @@ _MORE = 1.1
 @pytest.mark.parametrize("backend", ["gl", "cl"])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, backend: str) -> None:
-    """Times are of the processor, in the median of all combinations' in the same round. A combination is as fast as a
-    budget if its slowest round is, and one that the search has kept if its median is, or noise would be compared."""
+    """Times are of the processor, in the median of all combinations' in the same round. A combination is as
+    fast as a budget if its slowest round is, and one that the search has kept if its median is, or noise
+    would be compared."""
     setup = SweepSetup(name, backend=backend, size=(96, 54), views=2, rounds=5, settings=RenderSettings())
     values = SCENES[name]
     with open_device(backend):
@@ -56,7 +57,9 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, b
     ]
     front = compute_pareto_front(setup, reports)
     base, scene = make_plain(setup.settings), load_scene(setup.scene)
-    everything = {each: combine(base, dict(zip(values, each, strict=True))) for each in product(*values.values())}
+    everything = {
+        each: combine(base, dict(zip(values, each, strict=True))) for each in product(*values.values())
+    }
     front_keys = [tuple(point.values[setting] for setting in values) for point in front]
     errors, times = {}, dict[tuple[str, ...], list[float]]()
     frames = list_views(scene, setup)

@@ -1,4 +1,5 @@
-"""Settings that are chosen: steps along the quality settings, the front, the check, and the files that keep them."""
+"""Settings that are chosen: steps along the quality settings, the front, the check, and the files that keep
+them."""
 
 from __future__ import annotations
 
@@ -23,7 +24,16 @@ from renderer.cli import main
 from renderer.cli.accuracy import describe_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
-from renderer.lab.accuracy import ParetoPoint, SettingReport, SweepJob, SweepSetup, ValueRow, choice, choose, run_jobs
+from renderer.lab.accuracy import (
+    ParetoPoint,
+    SettingReport,
+    SweepJob,
+    SweepSetup,
+    ValueRow,
+    choice,
+    choose,
+    run_jobs,
+)
 from renderer.lab.accuracy.choice import (
     CombinationBench,
     expect_error,
@@ -47,7 +57,21 @@ def make_report(setting: str, *rows: tuple[str, float, float]) -> SettingReport:
     """Make a report of values with a mean error and a time."""
     value_rows = [
         ValueRow(
-            setting, value, False, "levels", 2.0 * error, error, None, 1.0, time, time, time, 1.0, time, time, time
+            setting,
+            value,
+            False,
+            "levels",
+            2.0 * error,
+            error,
+            None,
+            1.0,
+            time,
+            time,
+            time,
+            1.0,
+            time,
+            time,
+            time,
         )
         for value, error, time in rows
     ]
@@ -62,7 +86,9 @@ def test_each_step_saves_the_most_time_for_its_error() -> None:
     reports = {
         "shadow_size": make_report("shadow_size", ("512", 4.0, 0.4), ("1024", 1.0, 0.5), ("2048", 0.0, 1.0)),
         "fxaa": make_report("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
-        "precision": make_report("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
+        "precision": make_report(
+            "precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)
+        ),  # not faster: never taken
     }
     steps = [(step["shadow_size"], step["fxaa"], step["precision"]) for step in choice.list_steps(reports)]
     assert steps == [
@@ -74,10 +100,15 @@ def test_each_step_saves_the_most_time_for_its_error() -> None:
 
 
 def measure_together(values: dict[str, str]) -> tuple[float, float]:
-    """The error and the time of quality settings that change the cost of others: sizes multiply, and smoothing
-    helps only small images."""
+    """The error and the time of quality settings that change the cost of others: sizes multiply, and
+    smoothing helps only small images."""
     size, filters, smooth = float(values["size"]), float(values["filter"]), values["smooth"] == "on"
-    error = 8.0 / size + 2.0 / filters + (1.0 if smooth and size > 1 else 0.0) - (3.0 if smooth and size <= 1 else 0.0)
+    error = (
+        8.0 / size
+        + 2.0 / filters
+        + (1.0 if smooth and size > 1 else 0.0)
+        - (3.0 if smooth and size <= 1 else 0.0)
+    )
     return error, size * size * (1.0 + 0.5 * filters) + (0.2 if smooth else 0.0)
 
 
@@ -107,7 +138,9 @@ def test_the_search_finds_what_a_brute_force_finds() -> None:
 
 
 @pytest.mark.parametrize(("low", "is_kept"), [(3.9, True), (4.0, False)])
-def test_the_search_keeps_what_may_be_faster_than_all_that_is_more_accurate(low: float, is_kept: bool) -> None:
+def test_the_search_keeps_what_may_be_faster_than_all_that_is_more_accurate(
+    low: float, is_kept: bool
+) -> None:
     times = {"2": (3.0, 4.0), "1": (low, 5.0)}
     combinations = search(
         {"size": ("1", "2")}, [{"size": "2"}], lambda values: (-float(values["size"]), *times[values["size"]])
@@ -201,7 +234,9 @@ def test_a_time_is_kept_by_the_median_frame_of_a_walk(
 
     bench_type = make_bench(walk=walk, compare=lambda _, settings, frames: [1.0] * len(frames))
     monkeypatch.setattr(choice, "CombinationBench", bench_type)
-    checked = choose(replace(SETUP, backend="null"), points, budget_ms=10.0)  # 18 ms may be 9, by their interval
+    checked = choose(
+        replace(SETUP, backend="null"), points, budget_ms=10.0
+    )  # 18 ms may be 9, by their interval
     assert (checked.point, checked.rejected, checked.over_budget) == (points[expected], 1 - expected, 0.3)
     with pytest.raises(rhi.ValidationError, match="5 ms, the median of 10 frames of a walk"):
         choose(replace(SETUP, backend="null"), points, budget_ms=4.5)
@@ -262,9 +297,16 @@ def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
 
 def test_the_longest_jobs_are_handed_out_first(tmp_path: Path) -> None:
     ran = list[SweepJob]()
-    jobs = list_jobs(replace(SETUP, views=1), ("tangent_packing", "precision", "query_persistence", "shadow_size"))
+    jobs = list_jobs(
+        replace(SETUP, views=1), ("tangent_packing", "precision", "query_persistence", "shadow_size")
+    )
     run_jobs(jobs, CrashingExecutor(9, ran), tmp_path)
-    assert [job.setting for job in ran] == ["shadow_size", "query_persistence", "precision", "tangent_packing"]
+    assert [job.setting for job in ran] == [
+        "shadow_size",
+        "query_persistence",
+        "precision",
+        "tangent_packing",
+    ]
     assert ran == order_jobs(jobs)
 
 
@@ -283,7 +325,11 @@ def test_a_job_is_named_by_what_its_result_depends_on() -> None:
 
 def test_a_job_that_fails_leaves_the_results_of_others(tmp_path: Path) -> None:
     jobs = [SweepJob(replace(SETUP, scene="nothing"), "fxaa"), SweepJob(SETUP, "blending")]
-    with open_device("gl"), make_executor("threads:1") as executor, pytest.raises(rhi.ValidationError, match="scene"):
+    with (
+        open_device("gl"),
+        make_executor("threads:1") as executor,
+        pytest.raises(rhi.ValidationError, match="scene"),
+    ):
         run_jobs(jobs, executor, tmp_path)
     assert [path.stem for path in tmp_path.iterdir()] == [jobs[1].key]
 
@@ -324,7 +370,9 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
     assert chosen_point["held_out_views"] == 20
     assert report["choice"]["milliseconds"] == min(point["milliseconds"] for point in report["pareto_front"])
     page = (tmp_path / "out/report.html").read_text()
-    assert page.count("data:image/png;base64,") >= 4  # two charts, and the worst places of two quality settings
+    assert (
+        page.count("data:image/png;base64,") >= 4
+    )  # two charts, and the worst places of two quality settings
     assert 'src="http' not in page
     assert (tmp_path / "charts.png").stat().st_size > 1000
     assert (tmp_path / "out/images/images.png").is_file()
@@ -385,7 +433,17 @@ def test_what_is_left_out_is_said_once_for_all_values() -> None:
 @pytest.mark.usefixtures("gl")
 def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
     quality_settings = ("fxaa", "depth", "precision", "second_eye")
-    command = [sys.executable, "-m", "renderer", "accuracy", "city:blocks=2", "--backend", "gl", "--size", "32x18"]
+    command = [
+        sys.executable,
+        "-m",
+        "renderer",
+        "accuracy",
+        "city:blocks=2",
+        "--backend",
+        "gl",
+        "--size",
+        "32x18",
+    ]
     command += ["--views", "1", "--rounds", "2", "--output", str(tmp_path)]
     command += [text for setting in quality_settings for text in ("--quality-setting", setting)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)

@@ -52,10 +52,22 @@ def test_no_technique_has_a_choice_that_settings_lack(name: str) -> None:
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_a_technique_has_the_settings_that_its_parameters_name(name: str) -> None:
-    others = {"samples": 4, "tiles": CLUSTERS, "clusters": TILES, "scale": 0.25, "stippled": False,
-              "specular_channels": 1, "all_lights": True, "stencil": True, "depth_first": True, "multi_pass": False,
-              # Those of several samples: neither of the two.
-              "light_bits": 16, "normal_bits": 8, "binned": False}  # fmt: skip
+    others = {
+        "samples": 4,
+        "tiles": CLUSTERS,
+        "clusters": TILES,
+        "scale": 0.25,
+        "stippled": False,
+        "specular_channels": 1,
+        "all_lights": True,
+        "stencil": True,
+        "depth_first": True,
+        "multi_pass": False,
+        # Those of several samples: neither of the two.
+        "light_bits": 16,
+        "normal_bits": 8,
+        "binned": False,
+    }
     arguments = {field: others[field] for field in inspect.signature(TECHNIQUES[name]).parameters}
     technique = TechniqueSettings(**{"name": name, **arguments}).make_technique(name)
     assert vars(technique) == vars(TECHNIQUES[name](**arguments))
@@ -73,16 +85,22 @@ def test_values_are_settings_of_their_own_and_the_default_is_among_them(setting:
 def test_encodings_are_those_that_are_compared() -> None:
     names = {encoding.name for encoding in ENCODINGS}
     encodings = [setting for setting in QUALITY_SETTINGS.values() if setting.is_encoding]
-    assert encodings == [setting for setting in QUALITY_SETTINGS.values() if not setting.path and not setting.option]
+    assert encodings == [
+        setting for setting in QUALITY_SETTINGS.values() if not setting.path and not setting.option
+    ]
     for setting in encodings:
         assert set(setting.values.values()) <= names
         assert setting.default is not None
 
 
 @pytest.mark.parametrize(
-    "setting", [setting for setting in QUALITY_SETTINGS.values() if setting.option], ids=lambda setting: setting.name
+    "setting",
+    [setting for setting in QUALITY_SETTINGS.values() if setting.option],
+    ids=lambda setting: setting.name,
 )
-def test_values_of_a_scene_s_option_are_allowed_and_what_the_hall_has_is_among_them(setting: QualitySetting) -> None:
+def test_values_of_a_scene_s_option_are_allowed_and_what_the_hall_has_is_among_them(
+    setting: QualitySetting,
+) -> None:
     (option,) = (candidate for candidate in GENERATORS["hall"].options if candidate.name == setting.option)
     parsed = [option.parse("test", value) for value in setting.values]
     assert parsed == list(setting.values.values())

@@ -1,4 +1,5 @@
-"""Every quality setting on the exam's scenes: errors fall, or stay, from each value to the next more accurate one."""
+"""Every quality setting on the exam's scenes: errors fall, or stay, from each value to the next more accurate
+one."""
 
 from __future__ import annotations
 
@@ -18,22 +19,31 @@ from tests.renderer.conftest import open_device
 
 SETUP = SweepSetup("", size=SIZE, rounds=1)
 SCENES: dict[str, tuple[Callable[[], Scene], Callable[[Scene], Shots]]] = {
-    title: (scenario.scene, scenario.shots) for title, scenario in CULLING_SCENARIOS.items() if scenario.size == SIZE
+    title: (scenario.scene, scenario.shots)
+    for title, scenario in CULLING_SCENARIOS.items()
+    if scenario.size == SIZE
 } | {
     "city:blocks=6": (lambda: load_scene("city:blocks=6"), along("ground", 600, 606, 612)),
     "hall:columns=6,flags=4,fountains=0": (
-        lambda: load_scene("hall:columns=6,flags=4,fountains=0"), along("ground", 300, 301, 302),
+        lambda: load_scene("hall:columns=6,flags=4,fountains=0"),
+        along("ground", 300, 301, 302),
     ),
-    "glass": (lambda: load_scene("glass"), lambda scene: [(camera, 0.0) for camera in list(scene.views.values())[:2]]),
+    "glass": (
+        lambda: load_scene("glass"),
+        lambda scene: [(camera, 0.0) for camera in list(scene.views.values())[:2]],
+    ),
     "terrain:cells=64,trees=8": (
         lambda: load_scene("terrain:cells=64,trees=8"),
         lambda scene: [(camera, 0.0) for camera in list(scene.views.values())[:2]],
     ),
-}  # fmt: skip
-"""The exam's scenes at its usual size, and those that its scenes lack: local lights, motion, glass and a ground."""
+}
+"""The exam's scenes at its usual size, and those that its scenes lack: local lights, motion, glass and a
+ground."""
 ALIKE = {ErrorUnit.LEVELS: 5e-3}
 """What counts as staying: of images half a level in a hundredth of the pixels."""
-EDGES = "a smaller image is enlarged by bilinear samples, which smooth the edges of what has nothing else to show"
+EDGES = (
+    "a smaller image is enlarged by bilinear samples, which smooth the edges of what has nothing else to show"
+)
 FACETS = "maps with texels larger than a ball's facets cast no shadow there; finer ones shade facets at grazing angles"
 EXCEPTIONS: Mapping[tuple[str, str], str] = {
     **{
@@ -51,10 +61,14 @@ EXCEPTIONS: Mapping[tuple[str, str], str] = {
     ("scale", "two faces in one plane"): EDGES,
     ("mip_bias", "terrain:cells=64,trees=8"): "from -1 on, what is sharper flickers more",
     ("light_cutoff", "teleports"): "0.007 of a level, where filters of textures lose 5.6",
-    ("light_test", "teleports"): "planes leave out lights beside large clusters that vertices keep; hybrid asks both",
+    (
+        "light_test",
+        "teleports",
+    ): "planes leave out lights beside large clusters that vertices keep; hybrid asks both",
     ("light_test", "glass"): "the same",
     ("depth", "a parallel projection whose near plane cuts boxes"): (
-        "its depth is linear, and reversed floats are dense where it is far, not where digits of a distance are lost"
+        "its depth is linear, and reversed floats are dense where it is far, not where digits of a distance "
+        "are lost"
     ),
 }
 
@@ -63,8 +77,11 @@ def list_error_rises(setting: QualitySetting, errors: Mapping[str, float]) -> li
     """Return the values whose error is greater than that of the one before."""
     values, alike = list(errors), ALIKE.get(setting.unit, 0.0)
     pairs = pairwise(values)
-    return [f"{after}: {errors[after]:.4g} after {errors[before]:.4g}" for before, after in pairs
-            if errors[after] > errors[before] + alike]  # fmt: skip
+    return [
+        f"{after}: {errors[after]:.4g} after {errors[before]:.4g}"
+        for before, after in pairs
+        if errors[after] > errors[before] + alike
+    ]
 
 
 def measure(device: rhi.Device, title: str, setting: QualitySetting) -> dict[str, float]:
@@ -126,4 +143,7 @@ def test_a_rise_is_listed_and_a_small_difference_of_images_is_none() -> None:
 
 
 def test_exceptions_name_existing_settings_and_scenes() -> None:
-    assert all(setting in QUALITY_SETTINGS and title in SCENES and why for (setting, title), why in EXCEPTIONS.items())
+    assert all(
+        setting in QUALITY_SETTINGS and title in SCENES and why
+        for (setting, title), why in EXCEPTIONS.items()
+    )

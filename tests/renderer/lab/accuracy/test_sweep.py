@@ -91,7 +91,9 @@ def test_an_image_that_is_too_dark_is_worse_by_the_ray_tracer(monkeypatch: pytes
     read, errors = sweep.read_image_levels, []
     for shard in (1.0, 0.3):
         monkeypatch.setattr(sweep, "read_image_levels", lambda result, shard=shard: read(result) * shard)
-        errors.append([row.mean_error for row in sweep_setting(replace(TINY, views=1, rounds=1), "samples").rows])
+        errors.append(
+            [row.mean_error for row in sweep_setting(replace(TINY, views=1, rounds=1), "samples").rows]
+        )
     assert all(dark > right + 5.0 for right, dark in zip(*errors, strict=True))
 
 
@@ -123,7 +125,10 @@ def test_a_setting_that_the_scene_has_no_use_for_has_no_rows() -> None:
 
 @pytest.mark.parametrize("name", ["cloth_sub_steps", "cloth_rate", "cloth_detail", "drops"])
 def test_a_scene_setting_is_compared_with_the_scene_of_its_last_value(name: str) -> None:
-    setting, text = replace(QUALITY_SETTINGS[name], history_frames=24), "hall:columns=6,flags=0,fountains=4,cloths=4"
+    setting, text = (
+        replace(QUALITY_SETTINGS[name], history_frames=24),
+        "hall:columns=6,flags=0,fountains=4,cloths=4",
+    )
     camera, values = "banners" if "cloth" in name else "-9,2.2,0,-3,1.8,2", list(setting.values)
     setup = replace(TINY, scene=text, camera=camera, rounds=1, size=(96, 54))
     scene = load_scene(text)
@@ -139,8 +144,13 @@ def test_a_scene_setting_is_compared_with_the_scene_of_its_last_value(name: str)
 def test_a_scene_without_a_cloth_or_without_the_option_has_no_such_setting() -> None:
     assert set(sweep_setting(TINY, "cloth_rate").left_out.values()) == {"the scene lacks a cloth"}
     assert sweep.prepare_scene(load_scene("hall:cloths=1"), QUALITY_SETTINGS["cloth_rate"]) is None
-    assert sweep.find_missing_option("city:blocks=2", QUALITY_SETTINGS["drops"]) == "the scene has no option drops"
-    assert sweep.find_missing_option("model.glb", QUALITY_SETTINGS["drops"]) == "the scene has no option drops"
+    assert (
+        sweep.find_missing_option("city:blocks=2", QUALITY_SETTINGS["drops"])
+        == "the scene has no option drops"
+    )
+    assert (
+        sweep.find_missing_option("model.glb", QUALITY_SETTINGS["drops"]) == "the scene has no option drops"
+    )
     assert sweep.find_missing_option("hall:flags=2", QUALITY_SETTINGS["drops"]) is None
     assert sweep.find_missing_option("city", QUALITY_SETTINGS["fxaa"]) is None
 
@@ -172,11 +182,15 @@ def test_shards_together_measure_what_one_sweep_measures() -> None:
     samples = [sweep.sweep_shard(setup, "occluder_pixels", shard) for shard in shards]
     joined, whole = sweep.join_shards(samples), sweep_setting(setup, "occluder_pixels")
     rows = [
-        [(row.value, row.mean_error, row.max_error, row.worst) for row in report.rows] for report in (joined, whole)
+        [(row.value, row.mean_error, row.max_error, row.worst) for row in report.rows]
+        for report in (joined, whole)
     ]
     assert rows[0] == rows[1]
     assert joined.images == whole.images
-    assert [[len(value.seconds) for value in sample.values.values()] for sample in samples] == [[1] * 5, [2] * 5]
+    assert [[len(value.seconds) for value in sample.values.values()] for sample in samples] == [
+        [1] * 5,
+        [2] * 5,
+    ]
     assert [len(sample.reference_ratios) for sample in samples] == [1, 2]
     assert joined.rows[-1].ratio == 1.0
 
@@ -190,11 +204,17 @@ def test_frames_that_depend_on_earlier_ones_follow_each_other() -> None:
     )
     short = replace(TINY, first=7, last=8)
     history, compared, timed = sweep.list_frames(scene, short, setting, sweep.SweepShard())
-    assert [[frame.number for frame in frames] for frames in (history, compared, timed)] == [[], [7, 8], [7, 8]]
+    assert [[frame.number for frame in frames] for frames in (history, compared, timed)] == [
+        [],
+        [7, 8],
+        [7, 8],
+    ]
 
 
 def test_a_sweep_has_two_shards_unless_frames_depend_on_earlier_ones() -> None:
-    counts = {views: len(sweep.list_shards(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 2, 9)}
+    counts = {
+        views: len(sweep.list_shards(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 2, 9)
+    }
     assert counts == {1: 1, 2: 2, 9: 2}
     assert len(sweep.list_shards(replace(TINY, rounds=1), "fxaa")) == 1  # each has a round
     assert len(sweep.list_shards(TINY, "pyramid_texels")) == len(sweep.list_shards(TINY, "normal_bits")) == 1
@@ -246,10 +266,15 @@ def test_lights_that_reach_a_point_are_counted_by_range_and_cone() -> None:
     spot = scene.lights.spot[0]
     away = 0.5 * float(spot["range"])
     camera = Camera.look_at(spot["position"], spot["position"] + spot["direction"])
-    before, behind = away * np.asarray(spot["direction"], np.float64), -away * np.asarray(spot["direction"], np.float64)
+    before, behind = (
+        away * np.asarray(spot["direction"], np.float64),
+        -away * np.asarray(spot["direction"], np.float64),
+    )
     only = type("Lights", (), {"point": scene.lights.point[:0], "spot": scene.lights.spot[:1]})
     stage: Any = type("Stage", (), {"lights": only})
-    counts = [sweep.count_reached(stage, camera, position[None]) for position in (before, behind, 3.0 * before)]
+    counts = [
+        sweep.count_reached(stage, camera, position[None]) for position in (before, behind, 3.0 * before)
+    ]
     assert counts == [1, 0, 0]
 
 

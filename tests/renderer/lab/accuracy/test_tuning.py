@@ -120,8 +120,12 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
     sky = load_scene(COMMAND[1]).paths["sky"]
     for path_frames in walks:
         assert len(path_frames.path) == 4
-        assert all(np.allclose(path_frames.path.camera(i).position, sky.camera(700 + i).position) for i in range(4))
-        assert all(np.allclose(path_frames.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4))
+        assert all(
+            np.allclose(path_frames.path.camera(i).position, sky.camera(700 + i).position) for i in range(4)
+        )
+        assert all(
+            np.allclose(path_frames.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4)
+        )
     assert len(walks) == 5  # four pairs, and those that decide
 
 
@@ -232,7 +236,9 @@ def test_a_trial_that_is_refused_says_why(
 
 
 @pytest.mark.usefixtures("gl")
-def test_the_best_pair_is_tried_with_leaves_of_several_objects(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_best_pair_is_tried_with_leaves_of_several_objects(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tried = []
 
     def try_none(

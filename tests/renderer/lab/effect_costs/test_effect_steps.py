@@ -1,4 +1,5 @@
-"""The effect steps: an effect that a scene lacks costs nothing, and removing it takes away exactly what it added."""
+"""The effect steps: an effect that a scene lacks costs nothing, and removing it takes away exactly what it
+added."""
 
 from __future__ import annotations
 
@@ -54,17 +55,21 @@ def test_a_scene_without_an_effect_has_no_command_of_it(name: str) -> None:
 def test_a_frame_without_an_effect_is_that_of_a_scene_that_never_had_it(name: str) -> None:
     number = NAMES.index(name)
     never, removed = remove(number)
-    assert_same(never.commands, removed.commands, description=f"frames that never had {name} and that have it no more")
+    assert_same(
+        never.commands, removed.commands, description=f"frames that never had {name} and that have it no more"
+    )
     leftovers, _ = compare_frames(never, removed)
     assert list_faults(number, never, removed, leftovers) == []
     created = removed.commands.stream.filter(Op.CREATE_PROGRAM)
     assert leftovers.device_calls <= 4 * len(created)  # two for each program that was compiled, twice a frame
 
 
-LATER = [step.name for step in EFFECT_STEPS if step.switch is not None and step.name not in ("msaa", "overlay")]
+LATER = [
+    step.name for step in EFFECT_STEPS if step.switch is not None and step.name not in ("msaa", "overlay")
+]
 SWITCHED = [name for name in LATER if name != "fxaa"]
-"""What is switched at run time by itself: several samples take the place of FXAA, and the overlay shows what was drawn
-in frames before."""
+"""What is switched at run time by itself: several samples take the place of FXAA, and the overlay shows what
+was drawn in frames before."""
 
 
 @pytest.mark.nightly
@@ -73,13 +78,18 @@ in frames before."""
     [(first, second) for first in SWITCHED for second in LATER if NAMES.index(first) < NAMES.index(second)],
 )
 def test_an_effect_that_is_removed_beside_a_later_one_leaves_nothing_behind(name: str, other: str) -> None:
-    """A later effect may match the effect pattern, so only the two frames are compared; shadow maps that are left
-    may lie elsewhere in their atlas."""
+    """A later effect may match the effect pattern, so only the two frames are compared; shadow maps that are
+    left may lie elsewhere in their atlas."""
     number = NAMES.index(name)
     never, removed = remove_step(number, NAMES.index(other) + 1)
     leftovers, _ = compare_frames(never, removed)
-    assert Counter(command.op for command in never.commands) == Counter(command.op for command in removed.commands)
-    assert leftovers.calls == 0, (never.call_counts - removed.call_counts, removed.call_counts - never.call_counts)
+    assert Counter(command.op for command in never.commands) == Counter(
+        command.op for command in removed.commands
+    )
+    assert leftovers.calls == 0, (
+        never.call_counts - removed.call_counts,
+        removed.call_counts - never.call_counts,
+    )
     assert set(leftovers.allocated_bytes) <= ALLOWED_LEFTOVERS, leftovers.allocated_bytes
 
 

@@ -1,4 +1,5 @@
-"""The hard cases, one test each for each device. `renderer.lab.exam` has them, with their references and tolerances."""
+"""The hard cases, one test each for each device. `renderer.lab.exam` has them, with their references and
+tolerances."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from tests.renderer.conftest import open_device
 
 
 def list_exams() -> list[object]:
-    """Each case on gl, cl and in the nightly run wgpu, and on the null device those that need nothing of a device."""
+    """Each case on gl, cl and in the nightly run wgpu, and on the null device those that need nothing of a
+    device."""
     return [
         pytest.param(name, number, marks=pytest.mark.nightly if case.is_long or name == "wgpu" else ())
         for name in ("gl", "cl", "wgpu", "null")

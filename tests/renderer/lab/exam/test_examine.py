@@ -68,7 +68,10 @@ def test_every_requirement_is_a_boolean_capability(null: rhi.Device) -> None:
 
 def test_every_case_says_what_it_is_about_and_why_its_tolerance_is_right() -> None:
     for case in CASES.values():
-        assert all(text and not text.endswith(".") for text in (case.description, case.reference, case.unit, case.why))
+        assert all(
+            text and not text.endswith(".")
+            for text in (case.description, case.reference, case.unit, case.why)
+        )
         assert case.tolerance >= 0.0
     assert len({case.description for case in CASES.values()}) == len(CASES)
 
@@ -96,7 +99,10 @@ def test_an_unknown_case_is_refused() -> None:
 def test_the_table_has_a_column_for_each_backend_and_counts(null: rhi.Device) -> None:
     computes = replace(CASE, requires=("compute",))
     rows = run(
-        null, computes, replace(CASE, number=8, requires=("shading",)), replace(computes, number=9, tolerance=0.1)
+        null,
+        computes,
+        replace(CASE, number=8, requires=("shading",)),
+        replace(computes, number=9, tolerance=0.1),
     )
     alone = run(null, replace(CASE, number=10))
     text = format_rows_by_backend([*rows, *alone, replace(rows[0], backend="other")])

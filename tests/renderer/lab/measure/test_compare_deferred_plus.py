@@ -38,7 +38,13 @@ def test_the_report_has_the_steps_of_all_techniques_and_of_culling(
     assert culling["instances"] >= culling["visible"] == culling["first"] + culling["second"] > 0
     assert culling["missed"] == pytest.approx(100.0 * culling["second"] / culling["instances"])
     assert culling["culled"] == pytest.approx(100.0 * (1.0 - culling["visible"] / culling["instances"]))
-    names = ["likely: test boxes", "likely: list draws", "missed: test boxes", "missed: list draws", "remember"]
+    names = [
+        "likely: test boxes",
+        "likely: list draws",
+        "missed: test boxes",
+        "missed: list draws",
+        "remember",
+    ]
     assert [name for name in names if culling["steps"].get(name, 0.0) > 0.0] == names
     with Image.open(path) as image:
         assert image.size == (3 * 48, 2 * 32)

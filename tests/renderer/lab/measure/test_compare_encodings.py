@@ -23,7 +23,9 @@ def test_rows_have_the_errors_and_times_of_each_encoding(
     assert len(rows) == len(ENCODINGS)
     assert 0.2 < rows["octahedral 2 × 8, rounded"]["mean_error"] < 0.4
     assert rows["octahedral 2 × 16, best of 4"]["max_error"] < 0.0025
-    reversed_depth, standard = (rows[f"position by a ray, D32F{name}"]["max_error"] for name in (" reversed", ""))
+    reversed_depth, standard = (
+        rows[f"position by a ray, D32F{name}"]["max_error"] for name in (" reversed", "")
+    )
     assert reversed_depth < 0.5 < 1000.0 < standard < 5000.0
     assert rows["position by a ray, D32F reversed, in the image"]["max_error"] < 0.001
     assert rows["position by the world's matrix, in the image"]["max_error"] > 10.0

@@ -27,9 +27,19 @@ from renderer.scene import Camera, Lights, Perspective, scaling, translation
 from renderer.visibility import NoCulling
 
 ROW = [
-    "test", "cones", "depth_mask", "pre_filter", "lights", "pairs", "over_exact", "missed", "tests_made",
-    "collect_ms", "draw_ms", "kernels",
-]  # fmt: skip
+    "test",
+    "cones",
+    "depth_mask",
+    "pre_filter",
+    "lights",
+    "pairs",
+    "over_exact",
+    "missed",
+    "tests_made",
+    "collect_ms",
+    "draw_ms",
+    "kernels",
+]
 HALL = "hall:columns=6,rows=2,flags=0,detail=3"
 
 
@@ -62,8 +72,9 @@ def test_a_row_says_what_a_test_keeps_and_costs(capsys: pytest.CaptureFixture[st
 
 
 def test_tests_of_cones_and_the_depth_mask_drop_lights_that_light_no_pixel(gl: rhi.Device) -> None:
-    """A near wall hides the left half of a far one. Of the lights one is at the far wall, one between the walls; one
-    shines at the far wall, and one does so beside the view, into which the sphere around its cone reaches."""
+    """A near wall hides the left half of a far one. Of the lights one is at the far wall, one between the
+    walls; one shines at the far wall, and one does so beside the view, into which the sphere around its cone
+    reaches."""
     size = scaling((20, 40, 0.1))
     builder = make_boxes(translation((-10, 0, -2)) @ size, translation((0, 0, -40)) @ size)
     builder.lights.add_point((0, 0, -39), 2.0)
@@ -75,19 +86,34 @@ def test_tests_of_cones_and_the_depth_mask_drop_lights_that_light_no_pixel(gl: r
     scene = builder.build()
     with Renderer(gl, scene, size=(32, 32), visibility=NoCulling(scene)) as renderer:
         rows = compare_light_culling(
-            renderer, camera, [4], ["exact"], tile=32, cones=["sphere", "tight"], depth_masks=[False, True], rounds=1
+            renderer,
+            camera,
+            [4],
+            ["exact"],
+            tile=32,
+            cones=["sphere", "tight"],
+            depth_masks=[False, True],
+            rounds=1,
         )
     assert [(row["cones"], row["depth_mask"], row["pairs"], row["missed"]) for row in rows] == [
-        ("sphere", False, 4, 0), ("sphere", True, 3, 0), ("tight", False, 3, 0), ("tight", True, 2, 0),
-    ]  # fmt: skip
+        ("sphere", False, 4, 0),
+        ("sphere", True, 3, 0),
+        ("tight", False, 3, 0),
+        ("tight", True, 2, 0),
+    ]
 
 
 @pytest.mark.usefixtures("gl")
 def test_tests_of_cones_and_masks_are_named_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = compare(capsys, "--lights", "4", "--tests", "none", "--cones", "sphere,planes", "--depth-mask", "both")
+    rows = compare(
+        capsys, "--lights", "4", "--tests", "none", "--cones", "sphere,planes", "--depth-mask", "both"
+    )
     assert [(row["cones"], row["depth_mask"]) for row in rows] == [
-        ("sphere", True), ("sphere", False), ("planes", True), ("planes", False),
-    ]  # fmt: skip
+        ("sphere", True),
+        ("sphere", False),
+        ("planes", True),
+        ("planes", False),
+    ]
 
 
 def test_the_scene_has_its_own_lights_and_technique_afterwards(gl: rhi.Device) -> None:
@@ -173,7 +199,12 @@ def test_overlaps_are_found_in_every_slice() -> None:
     depth = np.linspace(0.0001, 1.0, 64 * 64).reshape(64, 64)
     overlaps = overlapping_cells(grid, compute_light_volumes(lights, camera), depth)
     # Slices begin at 0.1, 0.47, 2.2 and 10.6 metres.
-    assert overlaps.tolist() == [[False, False, True], [False, False, True], [True, False, False], [True, True, False]]
+    assert overlaps.tolist() == [
+        [False, False, True],
+        [False, False, True],
+        [True, False, False],
+        [True, True, False],
+    ]
 
 
 def test_a_device_that_draws_nothing_has_no_surfaces(null: rhi.Device) -> None:

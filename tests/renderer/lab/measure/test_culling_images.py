@@ -161,7 +161,9 @@ def test_the_lines_lead_from_the_eye_along_what_it_sees() -> None:
 
 
 @pytest.mark.usefixtures("gl")
-def test_debug_visibility_writes_an_image_and_counts(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_debug_visibility_writes_an_image_and_counts(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / "new" / "culled.png"
     command = ["debug", "visibility", "city:blocks=6,detail=2", "--size", "160x90", "--output", str(path)]
     assert main([*command, "--frame", "900", "--warm-up", "2", "--backend", "gl", "--json"]) == 0

@@ -7,7 +7,11 @@ from frames import make_boxes
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 
 from renderer import techniques
-from renderer.lab.measure.light_evaluations import CountingTechnique, count_light_evaluations, find_counting_pass
+from renderer.lab.measure.light_evaluations import (
+    CountingTechnique,
+    count_light_evaluations,
+    find_counting_pass,
+)
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, scaling, translation
 from renderer.visibility import NoCulling
@@ -20,7 +24,8 @@ COUNTED = [name for name, make in techniques.TECHNIQUES.items() if find_counting
 
 
 def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
-    """Make walls that fill the image, at these distances from the eye, and lights a metre before the first one."""
+    """Make walls that fill the image, at these distances from the eye, and lights a metre before the first
+    one."""
     builder = make_boxes(*(translation((0, 0, -distance)) @ scaling((40, 40, 0.1)) for distance in distances))
     for number in range(points):
         builder.lights.add_point((0.01 * number, 0, 1 - min(distances)), reach)
@@ -30,14 +35,20 @@ def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100
     return builder.build()
 
 
-def count(device: Device, scene: Scene, technique: techniques.Technique, size: tuple[int, int] = SIZE) -> int | None:
+def count(
+    device: Device, scene: Scene, technique: techniques.Technique, size: tuple[int, int] = SIZE
+) -> int | None:
     with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=size) as renderer:
         return count_light_evaluations(renderer, scene.views["eye"])
 
 
 def test_the_techniques_of_the_papers_can_be_counted() -> None:
-    assert {"forward", "forward_multipass", "deferred", "light_pre_pass", "inferred", "light_indexed"} <= set(COUNTED)
-    assert {"forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"} <= set(COUNTED)
+    assert {"forward", "forward_multipass", "deferred", "light_pre_pass", "inferred", "light_indexed"} <= set(
+        COUNTED
+    )
+    assert {"forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"} <= set(
+        COUNTED
+    )
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
@@ -59,7 +70,9 @@ def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device:
 
 
 @pytest.mark.parametrize("name", COUNTED)
-def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_everywhere(gl: Device, name: str) -> None:
+def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_everywhere(
+    gl: Device, name: str
+) -> None:
     size = (256, 192)  # of 4 × 3 tiles of clusters
     number = count(gl, walls(5.0, points=1, reach=1.2), techniques.TECHNIQUES[name](), size)
     assert number is not None
@@ -70,14 +83,20 @@ def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_ev
 
 
 def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Device) -> None:
-    """Objects are drawn front to back by their farthest corners: that of the near, thick wall is the farther one."""
-    thick, thin = translation((0, 0, -10)) @ scaling((40, 40, 10)), translation((0, 0, -8)) @ scaling((40, 40, 0.1))
+    """Objects are drawn front to back by their farthest corners: that of the near, thick wall is the farther
+    one."""
+    thick, thin = (
+        translation((0, 0, -10)) @ scaling((40, 40, 10)),
+        translation((0, 0, -8)) @ scaling((40, 40, 0.1)),
+    )
     builder = make_boxes(thick, thin)
     builder.lights.add_point((0, 0, -1), 100.0)
     builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
     scene = builder.build()
     assert count(gl, scene, techniques.Forward()) == count(gl, scene, techniques.Clustered()) == 2 * PIXELS
-    assert count(gl, scene, techniques.Deferred()) == count(gl, scene, techniques.ForwardMultipass()) == PIXELS
+    assert (
+        count(gl, scene, techniques.Deferred()) == count(gl, scene, techniques.ForwardMultipass()) == PIXELS
+    )
 
 
 @pytest.mark.parametrize("make", [techniques.Forward, techniques.Clustered, techniques.ForwardMultipass])
@@ -91,7 +110,9 @@ def test_what_a_mask_leaves_out_looks_at_no_light(
 
 
 @pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
-def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(gl: Device, points: int, each: int) -> None:
+def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(
+    gl: Device, points: int, each: int
+) -> None:
     """One more light reaches the wall at a single place, so it is on the list of the object."""
     scene = walls(5.0, points=points)
     scene.lights.add_point((15.0, 0.0, -4.9), 1.0)
@@ -110,7 +131,9 @@ def test_masked_volumes_leave_out_what_is_before_them(gl: Device, make: type[tec
     assert 0 < (count(gl, scene, make(stencil=True)) or 0) < (count(gl, scene, make()) or 0)
 
 
-@pytest.mark.parametrize("technique", [techniques.Forward(samples=4), techniques.FxaaTechnique(techniques.Forward())])
+@pytest.mark.parametrize(
+    "technique", [techniques.Forward(samples=4), techniques.FxaaTechnique(techniques.Forward())]
+)
 def test_what_is_not_known_how_to_count_is_not_counted(gl: Device, technique: techniques.Technique) -> None:
     assert count(gl, walls(5.0, points=1), technique) is None
 
@@ -131,7 +154,11 @@ def test_counting_leaves_the_renderer_as_it_was(gl: Device) -> None:
 def test_a_counted_technique_has_its_own_passes_and_one_more(null: Device) -> None:
     scene = walls(5.0, points=1)
     with Renderer(
-        null, scene, technique=CountingTechnique(techniques.Deferred()), visibility=NoCulling(scene), size=SIZE
+        null,
+        scene,
+        technique=CountingTechnique(techniques.Deferred()),
+        visibility=NoCulling(scene),
+        size=SIZE,
     ) as renderer:
         renderer.render(scene.views["eye"])
         _, plan = renderer.plan(scene.views["eye"])

@@ -1,4 +1,5 @@
-"""How the cost of techniques grows with lights and objects, as counters: light evaluations and instances drawn."""
+"""How the cost of techniques grows with lights and objects, as counters: light evaluations and instances
+drawn."""
 
 from __future__ import annotations
 
@@ -58,19 +59,25 @@ def test_more_lights_of_the_same_density_cost_what_is_visible_of_them(
 
 
 @pytest.mark.parametrize("name", ["deferred", "tiled_deferred", "clustered_deferred"])
-def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects(gl: rhi.Device, name: str) -> None:
+def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects(
+    gl: rhi.Device, name: str
+) -> None:
     counts = {count(gl, wall(side, 8, 1.0), TECHNIQUES[name](), EYE) for side in (1, 4, 16)}
     assert len(counts) == 1
     assert counts.pop() > 0
 
 
-def test_forward_shading_looks_at_all_lights_of_an_object_and_at_fewer_of_each_of_many(gl: rhi.Device) -> None:
+def test_forward_shading_looks_at_all_lights_of_an_object_and_at_fewer_of_each_of_many(
+    gl: rhi.Device,
+) -> None:
     of_one, of_four, of_sixteen = (count(gl, wall(side, 8, 1.0), Forward(), EYE) for side in (1, 4, 16))
     assert of_one == 8 * SIZE[0] * SIZE[1]
     assert of_one > of_four > of_sixteen > 0
 
 
-def test_forward_shading_by_all_lights_looks_at_all_of_them_however_many_objects_there_are(gl: rhi.Device) -> None:
+def test_forward_shading_by_all_lights_looks_at_all_of_them_however_many_objects_there_are(
+    gl: rhi.Device,
+) -> None:
     counts = [count(gl, wall(side, 8, 1.0), Forward(all_lights=True), EYE) for side in (1, 4, 16)]
     pixels = 8 * SIZE[0] * SIZE[1]
     assert counts[0] == pixels
@@ -89,5 +96,7 @@ def test_a_light_at_a_time_draws_objects_times_lights_and_volumes_are_as_many_as
             null.stream.clear()
             renderer.render(EYE)
             (light_draws,) = (draws for draws in null.stream.draws() if draws.labels == ("point lights",))
-            drawn.append(light_draws["draws"] if technique.name == "forward_multipass" else light_draws["instances"])
+            drawn.append(
+                light_draws["draws"] if technique.name == "forward_multipass" else light_draws["instances"]
+            )
     assert drawn == [side * side * lights, lights]

@@ -74,8 +74,20 @@ def test_a_table_aligns_text_left_and_numbers_right() -> None:
 
 def test_rows_have_titles_and_words() -> None:
     rows = [
-        {"name": "a", "processor_milliseconds": 1.5, "software_state_changes": 3, "is_masked": True, "lights": None},
-        {"name": "b", "processor_milliseconds": 2.5, "software_state_changes": 4, "is_masked": False, "lights": 1024},
+        {
+            "name": "a",
+            "processor_milliseconds": 1.5,
+            "software_state_changes": 3,
+            "is_masked": True,
+            "lights": None,
+        },
+        {
+            "name": "b",
+            "processor_milliseconds": 2.5,
+            "software_state_changes": 4,
+            "is_masked": False,
+            "lights": 1024,
+        },
     ]
     titles = ["name", "processor ms", "software states", "is masked", "lights"]
     cells = [["a", 1.5, 3, "on", "-"], ["b", 2.5, 4, "off", 1024]]

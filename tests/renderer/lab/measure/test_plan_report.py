@@ -25,7 +25,9 @@ def test_the_report_names_passes_textures_and_what_is_left_out() -> None:
         "directional lights": "the scene has 1 directional light",
         "point lights": "1 of 1 point light reaches what is in view",
     }
-    assert {left.name: left.reason for left in report.left_out}["spot lights"] == "the scene has no spot light"
+    assert {left.name: left.reason for left in report.left_out}[
+        "spot lights"
+    ] == "the scene has no spot light"
 
 
 def test_the_report_lists_the_memory_of_images_and_of_the_rest() -> None:
@@ -58,20 +60,23 @@ def test_what_was_destroyed_is_not_in_memory() -> None:
 
 
 def checkered(*, two_sides: bool = False) -> Scene:
-    """Make sixteen objects in a row of four materials and two meshes in turn; a half of the materials are metals, and
-    the fourth may have two sides."""
+    """Make sixteen objects in a row of four materials and two meshes in turn; a half of the materials are
+    metals, and the fourth may have two sides."""
     builder = SceneBuilder("checkered")
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
     shared = [{}, {"roughness": 0.5}, {"shininess": 9.0}, {"roughness": 0.1, "double_sided": two_sides}]
     materials = [builder.add_material(**values) for values in shared]
     for i in range(16):
-        builder.add_objects(builder.add_node(translation((i - 8, 0, 0))), meshes[i // 4 % 2], materials[i % 4])
+        builder.add_objects(
+            builder.add_node(translation((i - 8, 0, 0))), meshes[i // 4 % 2], materials[i % 4]
+        )
     return builder.build()
 
 
 @pytest.mark.parametrize(("two_sides", "kinds", "draws"), [(False, 2, 1), (True, 3, 2)])
 def test_the_report_counts_what_changes_between_objects(two_sides: bool, kinds: int, draws: int) -> None:
-    """Four materials, each with two meshes; in a group of its own, one with two sides is drawn by a second draw."""
+    """Four materials, each with two meshes; in a group of its own, one with two sides is drawn by a second
+    draw."""
     camera = Camera.look_at((-40, 0, 40), (0, 0, 0))
     report = describe_plan(checkered(two_sides=two_sides), Forward(), camera, (64, 36))
     rows = {row.order: (row.programs, row.materials, row.meshes, row.draws) for row in report.orders}

@@ -15,7 +15,17 @@ from renderer.lab.measure.ray_tracer import RayTracer
 from renderer.lab.measure.ray_tracer.shading import optical_depth
 from renderer.lab.measure.ray_tracer.surfaces import decode_srgb, encode_srgb
 from renderer.lab.measure.ray_tracer.tracer import inverse_tone_map, tone_map
-from renderer.scene import Bloom, Camera, Fog, Orthographic, Perspective, SceneBuilder, StereoRig, scaling, translation
+from renderer.scene import (
+    Bloom,
+    Camera,
+    Fog,
+    Orthographic,
+    Perspective,
+    SceneBuilder,
+    StereoRig,
+    scaling,
+    translation,
+)
 from tests.renderer.fog_reference import integrate_fog
 
 PROJECTION = Perspective(fov=1.0, aspect=1.0)
@@ -28,12 +38,17 @@ def make_floor(**material: object) -> SceneBuilder:
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     mesh = builder.add_mesh(BUILT_IN["box"]())
     options = {"base_color": (0.5, 0.25, 0.125), "specular_color": (0, 0, 0), **material}
-    builder.add_objects(builder.add_node(translation((0, -0.5, 0)) @ scaling((20, 1, 20))), mesh,
-                        builder.add_material(**options))  # fmt: skip
+    builder.add_objects(
+        builder.add_node(translation((0, -0.5, 0)) @ scaling((20, 1, 20))),
+        mesh,
+        builder.add_material(**options),
+    )
     return builder
 
 
-def trace_light(builder: SceneBuilder, eye: tuple[float, float, float], at: tuple[float, float, float]) -> np.ndarray:
+def trace_light(
+    builder: SceneBuilder, eye: tuple[float, float, float], at: tuple[float, float, float]
+) -> np.ndarray:
     """Return the light (3,) that comes to an eye from the middle of its image."""
     camera = Camera.look_at(eye, at, projection=PROJECTION)
     color = RayTracer(builder.build()).trace(camera, (8, 8), np.array([(4.0, 4.0)]))
@@ -84,10 +99,15 @@ def test_an_eye_whose_image_is_squeezed_sees_as_far_to_the_sides_as_one_whose_is
 
 def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
     builder = make_floor()
-    builder.add_objects(builder.add_node(translation((0, 1.5, 0))), builder.add_mesh(BUILT_IN["box"]()),
-                        builder.add_material())  # fmt: skip
+    builder.add_objects(
+        builder.add_node(translation((0, 1.5, 0))),
+        builder.add_mesh(BUILT_IN["box"]()),
+        builder.add_material(),
+    )
     builder.lights.add_directional((1, -1, 0), intensity=1.0, casts_shadow=True)
-    camera = Camera.look_at((1.5, 30, 0), (1.5, 0, 0), (0, 0, -1), projection=Orthographic(6.0, 1.0, 0.0, 100.0))
+    camera = Camera.look_at(
+        (1.5, 30, 0), (1.5, 0, 0), (0, 0, -1), projection=Orthographic(6.0, 1.0, 0.0, 100.0)
+    )
     scene = builder.build()
     x = np.array([0.6, 0.99, 1.01, 2.49, 2.51])  # the box is seen up to 0.5; its shadow goes from 0.5 to 2.5
     pixels = np.stack([(x - 1.5) / 6.0 * 64 + 32, np.full(5, 32.0)], axis=1)
@@ -99,8 +119,11 @@ def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
 def test_a_light_inside_a_closed_object_shines_and_one_behind_it_does_not() -> None:
     for height, lit in ((2.0, True), (4.0, False)):
         builder = make_floor()
-        builder.add_objects(builder.add_node(translation((0, 2.0, 0))), builder.add_mesh(BUILT_IN["box"]()),
-                            builder.add_material())  # fmt: skip
+        builder.add_objects(
+            builder.add_node(translation((0, 2.0, 0))),
+            builder.add_mesh(BUILT_IN["box"]()),
+            builder.add_material(),
+        )
         builder.lights.add_point((0.0, height, 0.0), 90.0, intensity=30.0, casts_shadow=True)
         assert bool(trace_light(builder, (0, 1, 3), (0, 0, 0.2))[0] > 1e-6) is lit
 
@@ -109,8 +132,12 @@ def test_panes_cover_what_is_behind_them_from_back_to_front() -> None:
     builder = make_floor(emissive=(0.2, 0.2, 0.2), base_color=(0, 0, 0))
     mesh = builder.add_mesh(BUILT_IN["box"]())
     for height, color, alpha in ((1.0, (0.9, 0.0, 0.0), 0.5), (2.0, (0.0, 0.9, 0.0), 0.25)):
-        pane = builder.add_material(base_color=(*color, alpha), emission=1.0, specular_color=(0, 0, 0),
-                                    alpha_mode=scenes.AlphaMode.BLEND)  # fmt: skip
+        pane = builder.add_material(
+            base_color=(*color, alpha),
+            emission=1.0,
+            specular_color=(0, 0, 0),
+            alpha_mode=scenes.AlphaMode.BLEND,
+        )
         builder.add_objects(builder.add_node(translation((0, height, 0)) @ scaling((9, 0.1, 9))), mesh, pane)
     camera = Camera.look_at((0, 5, 0.1), (0, 0, 0.1), (0, 0, -1), projection=PROJECTION)
     (color,) = RayTracer(builder.build()).trace(camera, (8, 8), np.array([(4.0, 4.0)]))
@@ -121,7 +148,9 @@ def test_panes_cover_what_is_behind_them_from_back_to_front() -> None:
 
 def test_more_rays_take_the_mean_of_the_light_of_a_pixel() -> None:
     builder = make_floor(emissive=(4.0, 4.0, 4.0))
-    camera = Camera.look_at((10, 30, 0), (10, 0, 0), (0, 0, -1), projection=Orthographic(4.0, 1.0, 0.0, 100.0))
+    camera = Camera.look_at(
+        (10, 30, 0), (10, 0, 0), (0, 0, -1), projection=Orthographic(4.0, 1.0, 0.0, 100.0)
+    )
     image = RayTracer(builder.build()).draw(camera, (9, 9), rays=16)[4]
     half = 255.0 * encode_srgb(0.5 * tone_map(np.array([4.0])))[0]
     assert image[3, 0] == pytest.approx(255.0 * encode_srgb(tone_map(np.array([4.0])))[0])
@@ -139,7 +168,9 @@ def test_fog_is_as_thick_as_its_density_added_up(falloff: float, rise: float) ->
 
 
 def test_tones_and_srgb_have_their_published_values() -> None:
-    assert encode_srgb(np.array([0.0, 0.002, 0.2140411, 1.0])) == pytest.approx([0.0, 0.02584, 0.5, 1.0], abs=1e-6)
+    assert encode_srgb(np.array([0.0, 0.002, 0.2140411, 1.0])) == pytest.approx(
+        [0.0, 0.02584, 0.5, 1.0], abs=1e-6
+    )
     assert decode_srgb(encode_srgb(np.linspace(0, 1, 99))) == pytest.approx(np.linspace(0, 1, 99), abs=1e-7)
     assert tone_map(np.array([1.0 / 0.6])) == pytest.approx(2.54 / 3.16)
     assert tone_map(inverse_tone_map(np.linspace(0, 1, 9))) == pytest.approx(np.linspace(0, 1, 9), abs=1e-12)

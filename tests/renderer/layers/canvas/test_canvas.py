@@ -66,7 +66,9 @@ def test_text_at_broken_pixels_is_put_on_the_nearest_whole_ones(drawing_device: 
     assert (crisp == moved).all()
 
 
-def test_rectangles_outlines_and_straight_lines_cover_exactly_their_pixels(drawing_device: rhi.Device) -> None:
+def test_rectangles_outlines_and_straight_lines_cover_exactly_their_pixels(
+    drawing_device: rhi.Device,
+) -> None:
     def add(canvas: Canvas) -> None:
         canvas.rect(1, 2, 3, 4, (1, 0, 0, 1))
         canvas.outlines([(6, 1, 7, 5)], (0, 1, 0, 1))
@@ -83,13 +85,17 @@ def test_rectangles_outlines_and_straight_lines_cover_exactly_their_pixels(drawi
 
 
 def test_the_strips_of_an_outline_do_not_overlap(drawing_device: rhi.Device) -> None:
-    pixels = draw(drawing_device, (12, 12), lambda canvas: canvas.outlines([(1, 1, 9, 8)], (0.5, 0.5, 0.5, 0.5), 2))
+    pixels = draw(
+        drawing_device, (12, 12), lambda canvas: canvas.outlines([(1, 1, 9, 8)], (0.5, 0.5, 0.5, 0.5), 2)
+    )
     assert set(np.unique(pixels)) <= {0, 127, 128}
 
 
 def test_later_ones_cover_earlier_ones_and_premultiplied_light_is_added(drawing_device: rhi.Device) -> None:
     def add(canvas: Canvas) -> None:
-        canvas.rects([(0, 0, 8, 4), (2, 0, 2, 4), (4, 0, 2, 4)], [(0, 0, 1, 1), (0.4, 0, 0, 0.4), (0.4, 0, 0, 0)])
+        canvas.rects(
+            [(0, 0, 8, 4), (2, 0, 2, 4), (4, 0, 2, 4)], [(0, 0, 1, 1), (0.4, 0, 0, 0.4), (0.4, 0, 0, 0)]
+        )
 
     row = draw(drawing_device, (8, 4), add)[2].astype(int)
     assert np.abs(row[1] - (0, 0, 255, 255)).max() == 0

@@ -1,4 +1,5 @@
-"""Fonts and the layout of text, against Pillow's own measures and a layout that goes character by character."""
+"""Fonts and the layout of text, against Pillow's own measures and a layout that goes character by
+character."""
 
 from __future__ import annotations
 
@@ -16,7 +17,9 @@ PRINTABLE = [*range(32, 127), *range(160, 256)]
 FILE = Path(__file__).parents[3] / "renderer" / "canvas" / "DejaVuSans.ttf"
 PANGRAM = "AVATAR To. WAVE Yo, LT 'P.' 0123456789 fi ffl Äöüß éñçø ÀÝÞ ÷×"
 
-kerns = pytest.mark.skipif(not features.check("raqm"), reason="Pillow has no HarfBuzz: apt install libfribidi0")
+kerns = pytest.mark.skipif(
+    not features.check("raqm"), reason="Pillow has no HarfBuzz: apt install libfribidi0"
+)
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +70,23 @@ def check_layout(font: Font, text: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "", " ", "A", PANGRAM, "\n", "\t", "a\n", "a\n\nb", "\ta", "a\tb\tc", "iii\tWWWWWW\ti\n\t\tx\ty",
-        "four\tMMMM\tnext", "tab at the end\t", "bell \x07, delete \x7f, C1 \x85, return \r.", "€ ∞ 漢 😀 \ud800",
+        "",
+        " ",
+        "A",
+        PANGRAM,
+        "\n",
+        "\t",
+        "a\n",
+        "a\n\nb",
+        "\ta",
+        "a\tb\tc",
+        "iii\tWWWWWW\ti\n\t\tx\ty",
+        "four\tMMMM\tnext",
+        "tab at the end\t",
+        "bell \x07, delete \x7f, C1 \x85, return \r.",
+        "€ ∞ 漢 😀 \ud800",
     ],
-)  # fmt: skip
+)
 def test_a_text_is_laid_out_as_one_by_one(font: Font, text: str) -> None:
     check_layout(font, text)
 

@@ -196,8 +196,10 @@ def draw_panels(device: Device, scale: int) -> np.ndarray:
     """Return the panels with values that don't change."""
     rng = np.random.default_rng(5)
     times = rng.uniform(1.0, 60.0, 100)
-    tree = [TimerNode("frame", 12.0, 3.0, [TimerNode("shadows", 4.5, 1.0), TimerNode("forward", 7.0, 2.0)]),
-            TimerNode("overlay", 0.5, 2.5)]  # fmt: skip
+    tree = [
+        TimerNode("frame", 12.0, 3.0, [TimerNode("shadows", 4.5, 1.0), TimerNode("forward", 7.0, 2.0)]),
+        TimerNode("overlay", 0.5, 2.5),
+    ]
     corners = rng.uniform(-50.0, 50.0, (60, 3))
     traversal = CullingTraversal(
         True, corners, corners + rng.uniform(1.0, 9.0, (60, 3)), rng.integers(0, 4, 60).astype(np.uint8)
@@ -280,7 +282,9 @@ def test_the_ground_of_a_city_leaves_out_the_land_around_it(scene: Scene) -> Non
     assert (upper[small] <= high).all()
 
 
-def test_a_camera_that_sees_nothing_and_an_image_smaller_than_the_panels_are_fine(null: Device, scene: Scene) -> None:
+def test_a_camera_that_sees_nothing_and_an_image_smaller_than_the_panels_are_fine(
+    null: Device, scene: Scene
+) -> None:
     away = Camera.look_at((0, 5000, 0), (0, 6000, 0))
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=(40, 30)) as renderer:
         overlay = Overlay(null, scale=2)
@@ -321,7 +325,10 @@ def test_every_outcome_has_its_color_on_the_map(gl: Device, outcome: TraversalOu
 
 def test_of_too_many_boxes_the_map_shows_the_largest(gl: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(panels, "MAX_BOXES", 2)
-    corners, sides = np.array([(x, 0.0, 10.0) for x in (10.0, 30.0, 50.0, 70.0)]), np.array([4.0, 9.0, 5.0, 8.0])
+    corners, sides = (
+        np.array([(x, 0.0, 10.0) for x in (10.0, 30.0, 50.0, 70.0)]),
+        np.array([4.0, 9.0, 5.0, 8.0]),
+    )
     traversal = CullingTraversal(
         False, corners, corners + sides[:, None], np.full(4, TraversalOutcome.HIDDEN, np.uint8)
     )

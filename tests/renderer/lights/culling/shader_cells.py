@@ -15,5 +15,7 @@ from rhi.shading import evaluate
 
 def evaluate_cells(pairs: Pairs | ConePairs) -> NDArray[Any]:
     """Return the cell of each pair."""
-    cells: NDArray[Any] = evaluate(block_cell, pairs.grid, pairs.tiles, 1, pairs.near, pairs.far, dtype=np.float64)
+    cells: NDArray[Any] = evaluate(
+        block_cell, pairs.grid, pairs.tiles, 1, pairs.near, pairs.far, dtype=np.float64
+    )
     return cells

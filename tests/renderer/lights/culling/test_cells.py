@@ -1,4 +1,5 @@
-"""Cells: which pixels and depths they have, and their slices. What devices find of them is examined by the exam."""
+"""Cells: which pixels and depths they have, and their slices. What devices find of them is examined by the
+exam."""
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ def test_the_sides_of_an_off_axis_eye_are_shifted() -> None:
     assert np.allclose(ours["low_slope"] - other["low_slope"], np.array(OffAxisPerspective().shift) / focal)
 
 
-# -- depths --------------------------------------------------------------------------------------------------------
+# -- depths --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("projection_name", PROJECTIONS)
@@ -79,7 +80,7 @@ def test_the_farthest_depth_is_the_end_of_the_grid(far: float, depth: Depth, dty
     assert evaluate(rounded_distance_range, grid, grid.background, dtype=dtype)[1] == 80.0
 
 
-# -- masks and radii ----------------------------------------------------------------------------------------------
+# -- masks and radii -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -112,7 +113,7 @@ def test_a_padded_radius_is_larger_by_the_rounding_of_the_greatest_coordinates(p
     assert np.allclose(padded - radius, 2.0**-20 * (radius + reach + np.abs(centre).sum()), rtol=1e-7)
 
 
-# -- slices --------------------------------------------------------------------------------------------------------
+# -- slices --------------------------------------------------------------------------------------------------
 
 
 def test_slices_are_filaments() -> None:
@@ -141,9 +142,13 @@ def test_a_grid_refuses_what_cannot_be_divided() -> None:
             return m
 
     for wrong_options in (
-        {"size": (0, 4)}, {"tile": 0}, {"slices": 0}, {"projection": Rolled()}, {"slices": 4, "first_slice": 0.05},
+        {"size": (0, 4)},
+        {"tile": 0},
+        {"slices": 0},
+        {"projection": Rolled()},
+        {"slices": 4, "first_slice": 0.05},
         {"slices": 4, "first_slice": 200.0},
-    ):  # fmt: skip
+    ):
         options = {"projection": Perspective(far=100.0), "size": (4, 4), "tile": 4} | wrong_options
         with pytest.raises(ValidationError, match="lights-bad-grid"):
             make_grid(options.pop("projection"), options.pop("size"), options.pop("tile"), **options)

@@ -1,5 +1,5 @@
-"""Tests of spot lights' cones against cells in float64: none drops a pair that overlaps, at any angle. On devices the
-exam runs them."""
+"""Tests of spot lights' cones against cells in float64: none drops a pair that overlaps, at any angle. On
+devices the exam runs them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,11 @@ def test_no_cone_that_overlaps_is_dropped_in_float64(pairs: ConePairs, name: str
 def test_cone_tests_differ_by_what_they_keep(pairs: ConePairs) -> None:
     around = overlaps_sphere_first(pairs)
     passed = {
-        name: int((around & evaluate(test.function, evaluate_cells(pairs), pairs.cones, 0.0, dtype=np.float64)).sum())
+        name: int(
+            (
+                around & evaluate(test.function, evaluate_cells(pairs), pairs.cones, 0.0, dtype=np.float64)
+            ).sum()
+        )
         for name, test in CONE_TESTS.items()
     }
     assert passed["tight"] < passed["planes"] < passed["sphere"]
@@ -68,11 +72,22 @@ ASIDE, BEHIND = 1.0, -1.0
 """Where a point a metre beside the axis is along it: at 45° from the axis, and at 135°."""
 
 
-@pytest.mark.parametrize(("along", "angle", "passed"), [
-    (ASIDE, 0.1, False), (ASIDE, 44.0, False), (ASIDE, 46.0, True), (ASIDE, 90.0, True), (ASIDE, 120.0, True),
-    (ASIDE, 180.0, True), (BEHIND, 89.0, False), (BEHIND, 91.0, False), (BEHIND, 134.0, False), (BEHIND, 136.0, True),
-    (BEHIND, 180.0, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("along", "angle", "passed"),
+    [
+        (ASIDE, 0.1, False),
+        (ASIDE, 44.0, False),
+        (ASIDE, 46.0, True),
+        (ASIDE, 90.0, True),
+        (ASIDE, 120.0, True),
+        (ASIDE, 180.0, True),
+        (BEHIND, 89.0, False),
+        (BEHIND, 91.0, False),
+        (BEHIND, 134.0, False),
+        (BEHIND, 136.0, True),
+        (BEHIND, 180.0, True),
+    ],
+)
 def test_a_cell_of_a_point_is_kept_if_the_angle_reaches_it(along: float, angle: float, passed: bool) -> None:
     cell = Cell(low=(1, 0), low_slope=(0, 0), high=(1, 0), high_slope=(0, 0), near=along, far=along)
     for name in ("cone_sphere", "tight"):

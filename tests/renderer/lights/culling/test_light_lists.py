@@ -47,10 +47,14 @@ def make_lights(points: int = 90, spots: int = 40, seed: int = 1) -> Lights:
 
 
 def reference_pairs(
-    camera: Camera, grid: ClusterGrid, lights: Lights, near: np.ndarray | None = None, far: np.ndarray | None = None
+    camera: Camera,
+    grid: ClusterGrid,
+    lights: Lights,
+    near: np.ndarray | None = None,
+    far: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the cells (c, l) that the spheres of point and spot lights certainly overlap, and those that they may, in
-    float64."""
+    """Find the cells (c, l) that the spheres of point and spot lights certainly overlap, and those that they
+    may, in float64."""
     columns, rows, slices = grid.count
     z, y, x = np.meshgrid(np.arange(slices), np.arange(rows), np.arange(columns), indexing="ij")
     tiles = np.column_stack([x.ravel(), y.ravel()])
@@ -60,13 +64,17 @@ def reference_pairs(
     axes = camera.rotation * np.array([[1], [1], [-1]])
     point = (lights.point["position"] - camera.position) @ axes.T
     cones = {
-        "apex": (lights.spot["position"] - camera.position) @ axes.T, "range": lights.spot["range"],
-        "axis": lights.spot["direction"] @ axes.T, "cosine": np.cos(lights.spot["outer"].astype(np.float64)),
-    }  # fmt: skip
+        "apex": (lights.spot["position"] - camera.position) @ axes.T,
+        "range": lights.spot["range"],
+        "axis": lights.spot["direction"] @ axes.T,
+        "cosine": np.cos(lights.spot["outer"].astype(np.float64)),
+    }
     spheres = evaluate(bounding_sphere, cones, dtype=np.float64)
     centres = np.concatenate([point, spheres[:, :3]])
     radii = np.concatenate([lights.point["range"], spheres[:, 3]]).astype(np.float64)
-    away = np.column_stack([distances(corners, np.broadcast_to(centre, (len(tiles), 3))) for centre in centres])
+    away = np.column_stack(
+        [distances(corners, np.broadcast_to(centre, (len(tiles), 3))) for centre in centres]
+    )
     slack = 1e-5 * (1.0 + np.abs(corners).max((1, 2))[:, None] + np.abs(centres).max(1))
     return away < radii - slack, away < radii + slack
 
@@ -102,7 +110,9 @@ def make(device: Device) -> Iterator[Callable[..., LightLists]]:
         grid.destroy()
 
 
-def collect(grid: LightLists, device: Device, camera: Camera, lights: Lights, **options: object) -> LightListData:
+def collect(
+    grid: LightLists, device: Device, camera: Camera, lights: Lights, **options: object
+) -> LightListData:
     grid.collect(device, camera, SIZE, lights, **options)
     return grid.read()
 
@@ -179,7 +189,7 @@ def test_any_number_of_lights_is_listed(
     as_pairs(lists, lights)
 
 
-# -- overflow ------------------------------------------------------------------------------------------------------
+# -- overflow ------------------------------------------------------------------------------------------------
 
 
 def test_full_lists_are_in_the_masks_and_grow(device: Device, make: Callable[..., LightLists]) -> None:
@@ -200,7 +210,9 @@ def test_full_lists_are_in_the_masks_and_grow(device: Device, make: Callable[...
         assert grid.overflows == (2 if less else 0)
 
 
-def test_room_follows_the_number_of_cells_unless_it_was_said(device: Device, make: Callable[..., LightLists]) -> None:
+def test_room_follows_the_number_of_cells_unless_it_was_said(
+    device: Device, make: Callable[..., LightLists]
+) -> None:
     lights, camera = make_lights(), look(PROJECTIONS["perspective"])
     for options, rooms in (({}, [64 * 4, 64 * 16]), ({"capacity": 300}, [300, 300])):
         grid = make(tile=16, **options)
@@ -209,11 +221,13 @@ def test_room_follows_the_number_of_cells_unless_it_was_said(device: Device, mak
             assert grid.capacity == room
 
 
-# -- resolutions, depths -------------------------------------------------------------------------------------------
+# -- resolutions, depths -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (1680, 1050), (1, 1)])
-def test_a_grid_fits_every_resolution(device: Device, make: Callable[..., LightLists], size: tuple[int, int]) -> None:
+def test_a_grid_fits_every_resolution(
+    device: Device, make: Callable[..., LightLists], size: tuple[int, int]
+) -> None:
     """A light that just reaches each corner's pixel is on the list of the cell that the pixel finds."""
     projection = Perspective(aspect=size[0] / size[1], far=60.0)
     camera, lights = look(projection), Lights()
@@ -233,7 +247,12 @@ def test_a_grid_follows_the_images_size_and_the_number_of_lights(
     device: Device, make: Callable[..., LightLists]
 ) -> None:
     camera, grid = look(PROJECTIONS["perspective"]), make(capacity=100_000)
-    for size, points, spots in (((333, 187), 90, 0), ((640, 360), 40, 60), ((64, 64), 300, 10), ((333, 187), 90, 0)):
+    for size, points, spots in (
+        ((333, 187), 90, 0),
+        ((640, 360), 40, 60),
+        ((64, 64), 300, 10),
+        ((333, 187), 90, 0),
+    ):
         fresh, lights = make(capacity=100_000), make_lights(points, spots)
         for light_lists in (grid, fresh):
             light_lists.collect(device, camera.with_aspect(size[0] / size[1]), size, lights)
@@ -248,7 +267,9 @@ def project_depths(projection: Projection, z: np.ndarray) -> np.ndarray:
     ahead = np.where(np.isfinite(z), z, 1.0)
     m = projection.matrix
     depth = (m[2, 3] - m[2, 2] * ahead) / (m[3, 3] - m[3, 2] * ahead)
-    return np.where(np.isfinite(z), depth, 0.0 if projection.depth is Depth.REVERSED else 1.0).astype(np.float32)
+    return np.where(np.isfinite(z), depth, 0.0 if projection.depth is Depth.REVERSED else 1.0).astype(
+        np.float32
+    )
 
 
 @pytest.mark.nightly_cases("cl-*-True-*", "cl-perspective-False-1", reason=ONLY_KERNELS)
@@ -264,7 +285,9 @@ def test_no_surface_is_lit_by_fewer_lights_than_reach_it(
     z = np.where(x > 250, 12.0, z)  # flat tiles
     z[(y < 40) & (x < 90)] = np.inf
     texture = create_depth_texture(device, project_depths(camera.projection, z))
-    grid = make(tile=16, slices=slices, sphere_test="exact", cone_test="tight", depth_mask=masked, capacity=200_000)
+    grid = make(
+        tile=16, slices=slices, sphere_test="exact", cone_test="tight", depth_mask=masked, capacity=200_000
+    )
     listed = as_pairs(collect(grid, device, camera, lights, depth=texture), lights)
 
     pixels = np.column_stack([rng.integers(0, SIZE[0], 3000), rng.integers(0, SIZE[1], 3000)])
@@ -311,12 +334,16 @@ def test_a_light_between_the_surfaces_of_a_tile_is_dropped_by_the_mask(
     passed = {}
     for masked in (False, True):
         grid = make(sphere_test="exact", depth_mask=masked)
-        passed[masked] = as_pairs(collect(grid, device, camera, lights, depth=texture), lights)[middle].tolist()
+        passed[masked] = as_pairs(collect(grid, device, camera, lights, depth=texture), lights)[
+            middle
+        ].tolist()
     assert passed == {False: [True, True, True], True: [True, False, True]}
     texture.destroy()
 
 
-def test_lists_can_be_made_in_a_recorded_command_buffer(device: Device, make: Callable[..., LightLists]) -> None:
+def test_lists_can_be_made_in_a_recorded_command_buffer(
+    device: Device, make: Callable[..., LightLists]
+) -> None:
     lights, camera, grid = make_lights(), look(PROJECTIONS["perspective"]), make(capacity=100_000)
     expected = collect(grid, device, camera, lights)
     grid.lists.clear()

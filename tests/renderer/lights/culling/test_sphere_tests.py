@@ -89,5 +89,7 @@ def test_no_pair_of_a_hundred_thousand_is_dropped(device: rhi.Device, projection
     for name, passed in run(device, many).items():
         assert not (many.overlap & ~passed).any(), name
         test = SPHERE_TESTS[name].function
-        exact = evaluate(test, evaluate_cells(many), many.centres, many.radii * (1 + 1e-9) + 1e-9, dtype=np.float64)
+        exact = evaluate(
+            test, evaluate_cells(many), many.centres, many.radii * (1 + 1e-9) + 1e-9, dtype=np.float64
+        )
         assert not (many.overlap & ~exact).any(), name

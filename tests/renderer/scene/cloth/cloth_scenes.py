@@ -11,7 +11,8 @@ from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, tr
 from renderer.scene.cloth import ClothGrid, ClothSimulation, Fabric, Gust, Wind, make_cloth_grid
 
 BREEZE = Wind(
-    (0.2, 0.0, 0.6), (Gust((0.0, 0.2, 2.0), (0.3, 0.4, 0.0), 0.7), Gust((0.5, 0.0, 1.0), (1.1, 0.3, 0.0), 0.4))
+    (0.2, 0.0, 0.6),
+    (Gust((0.0, 0.2, 2.0), (0.3, 0.4, 0.0), 0.7), Gust((0.5, 0.0, 1.0), (1.1, 0.3, 0.0), 0.4)),
 )
 
 
@@ -36,12 +37,17 @@ def read_points(cloths: ClothSimulation) -> np.ndarray:
     return vertices["position"].reshape(len(cloths), -1, 3)
 
 
-def make_scene(count: int = 3, *, gap: float = 3.0, shadows: bool = False, cast: bool = True, **options: Any) -> Scene:
-    """Make `count` cloths in a row along x, `gap` metres apart, 2 m above a floor, in front of them a camera."""
+def make_scene(
+    count: int = 3, *, gap: float = 3.0, shadows: bool = False, cast: bool = True, **options: Any
+) -> Scene:
+    """Make `count` cloths in a row along x, `gap` metres apart, 2 m above a floor, in front of them a
+    camera."""
     builder = SceneBuilder("washing")
     cloth_grid = make_square(fabric=Fabric(density=0.2))
     floor = builder.add_material(base_color=(0.6, 0.6, 0.6))
-    builder.add_objects(builder.add_node(scaling((40.0, 1.0, 40.0))), builder.add_mesh(BUILT_IN["plane"]()), floor)
+    builder.add_objects(
+        builder.add_node(scaling((40.0, 1.0, 40.0))), builder.add_mesh(BUILT_IN["plane"]()), floor
+    )
     linen = builder.add_material(base_color=(0.9, 0.8, 0.6), double_sided=True)
     meshes = [builder.add_mesh(cloth_grid.make_mesh(), f"cloth {i}", cloth_grid.bounds) for i in range(count)]
     nodes = builder.add_nodes(translation([(gap * i, 2.0, 0.0) for i in range(count)]))

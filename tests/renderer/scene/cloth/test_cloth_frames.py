@@ -60,7 +60,14 @@ def test_cloths_that_are_simulated_while_hidden_take_each_frame_s_steps_and_no_m
     scene, counts = make_scene(3, gap=8.0), []
     with open_renderer(null, scene) as renderer:
         renderer.simulates_hidden = True
-        for camera, frame in ((scene.views["all"], 0), (ONE, 1), (AWAY, 2), (AWAY, 600), (AWAY, 601), (ONE, 602)):
+        for camera, frame in (
+            (scene.views["all"], 0),
+            (ONE, 1),
+            (AWAY, 2),
+            (AWAY, 600),
+            (AWAY, 601),
+            (ONE, 602),
+        ):
             null.stream.clear()
             counted = renderer.render(camera, frame / 60).statistics
             counts.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
@@ -76,7 +83,9 @@ def test_a_cloth_whose_node_is_hidden_takes_no_step(null: rhi.Device) -> None:
         assert renderer.render(AWAY, 2 / 60).statistics.simulation_steps == 1
 
 
-def test_a_frame_away_from_all_cloths_is_that_of_a_scene_whose_cloths_have_no_simulation(null: rhi.Device) -> None:
+def test_a_frame_away_from_all_cloths_is_that_of_a_scene_whose_cloths_have_no_simulation(
+    null: rhi.Device,
+) -> None:
     """But for a buffer of vertices of its own, nothing is created, uploaded or issued."""
     streams = []
     for is_simulated in (True, False):

@@ -29,11 +29,16 @@ def test_constraints_of_a_batch_share_no_point_and_each_is_there_once(rows: int,
     }
     assert steps <= {(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)}
     expected = (  # without those between the pins of the first row
-        (rows - 1) * (columns - 1) + (rows - 1) * columns + 2 * (rows - 1) * (columns - 1)
-        + (rows - 1) * max(columns - 2, 0) + max(rows - 2, 0) * columns
-    )  # fmt: skip
+        (rows - 1) * (columns - 1)
+        + (rows - 1) * columns
+        + 2 * (rows - 1) * (columns - 1)
+        + (rows - 1) * max(columns - 2, 0)
+        + max(rows - 2, 0) * columns
+    )
     assert (
-        len({*zip(constraints["a"].tolist(), constraints["b"].tolist(), strict=True)}) == len(constraints) == expected
+        len({*zip(constraints["a"].tolist(), constraints["b"].tolist(), strict=True)})
+        == len(constraints)
+        == expected
     )
 
 
@@ -60,33 +65,41 @@ def test_folds_are_as_long_as_the_flat_cloth() -> None:
     assert np.linalg.norm(np.diff(at, axis=0), axis=1).sum() == pytest.approx(2.4, rel=0.03)
 
 
-@pytest.mark.parametrize("make", [
-    lambda: make_cloth_grid(GRID[:1], PINS[:1]),
-    lambda: make_cloth_grid(GRID[0], PINS),
-    lambda: make_cloth_grid(np.zeros((200, 200, 3)), np.ones((200, 200), bool)),
-    lambda: make_cloth_grid(GRID, np.zeros((3, 3), bool)),
-    lambda: make_cloth_grid(GRID, np.ones((3, 3), bool)),
-    lambda: make_cloth_grid(GRID, PINS.astype(int)),
-    lambda: make_cloth_grid(GRID, PINS[:2]),
-    lambda: make_cloth_grid(np.full_like(GRID, np.nan), PINS),
-    lambda: make_cloth_grid(GRID * 1e4, PINS),
-    lambda: make_cloth_grid(GRID * 0.0, PINS),
-    lambda: make_cloth_grid(GRID, PINS, flat=np.full_like(GRID, np.inf)),
-    lambda: make_cloth_grid(GRID, PINS, bounds=((0, -2, 0), (1.9, 0, 0))),
-    lambda: make_cloth_grid(GRID, PINS, bounds=((0, -2, np.nan), (2, 0, 0))),
-    lambda: Fabric(density=0.0),
-    lambda: Fabric(drag=-1.0),
-    lambda: Fabric(stretch=np.nan),
-    lambda: Wind((np.nan, 0, 0)),
-    lambda: Wind((1001.0, 0, 0)),
-    lambda: Wind((0, 0, 0), (Gust((1, 0, 0), (0, 0, 0), 1.0),) * 5),
-    lambda: Gust((0, 0, 0), (np.inf, 0, 0), 1.0),
-    lambda: Gust((0, 0, 0), (0, 0, 0), 0.001),
-    lambda: Gust((0, 0), (0, 0, 0), 1.0),
-    lambda: ClothSimulation(0, make_square()), lambda: ClothSimulation(65_536, make_square()),
-    lambda: make_square(sub_steps=0), lambda: make_square(sub_steps=65), lambda: make_square(100, 100, sub_steps=14),
-    lambda: make_square(interval=0.00099), lambda: make_square(interval=0.101), lambda: make_square(interval=np.nan),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: make_cloth_grid(GRID[:1], PINS[:1]),
+        lambda: make_cloth_grid(GRID[0], PINS),
+        lambda: make_cloth_grid(np.zeros((200, 200, 3)), np.ones((200, 200), bool)),
+        lambda: make_cloth_grid(GRID, np.zeros((3, 3), bool)),
+        lambda: make_cloth_grid(GRID, np.ones((3, 3), bool)),
+        lambda: make_cloth_grid(GRID, PINS.astype(int)),
+        lambda: make_cloth_grid(GRID, PINS[:2]),
+        lambda: make_cloth_grid(np.full_like(GRID, np.nan), PINS),
+        lambda: make_cloth_grid(GRID * 1e4, PINS),
+        lambda: make_cloth_grid(GRID * 0.0, PINS),
+        lambda: make_cloth_grid(GRID, PINS, flat=np.full_like(GRID, np.inf)),
+        lambda: make_cloth_grid(GRID, PINS, bounds=((0, -2, 0), (1.9, 0, 0))),
+        lambda: make_cloth_grid(GRID, PINS, bounds=((0, -2, np.nan), (2, 0, 0))),
+        lambda: Fabric(density=0.0),
+        lambda: Fabric(drag=-1.0),
+        lambda: Fabric(stretch=np.nan),
+        lambda: Wind((np.nan, 0, 0)),
+        lambda: Wind((1001.0, 0, 0)),
+        lambda: Wind((0, 0, 0), (Gust((1, 0, 0), (0, 0, 0), 1.0),) * 5),
+        lambda: Gust((0, 0, 0), (np.inf, 0, 0), 1.0),
+        lambda: Gust((0, 0, 0), (0, 0, 0), 0.001),
+        lambda: Gust((0, 0), (0, 0, 0), 1.0),
+        lambda: ClothSimulation(0, make_square()),
+        lambda: ClothSimulation(65_536, make_square()),
+        lambda: make_square(sub_steps=0),
+        lambda: make_square(sub_steps=65),
+        lambda: make_square(100, 100, sub_steps=14),
+        lambda: make_square(interval=0.00099),
+        lambda: make_square(interval=0.101),
+        lambda: make_square(interval=np.nan),
+    ],
+)
 def test_what_is_no_cloth_is_refused(make: object) -> None:
     assert refused_rule(make) == "scene-bad-cloth"
     assert make_square(100, 100, sub_steps=13).sub_steps == 13

@@ -30,7 +30,9 @@ def test_no_wind_and_no_fabric_takes_a_cloth_out_of_its_bounds(
     size: float,
     is_narrow: bool,
 ) -> None:
-    bounds = ((-0.6 * size, -1.1 * size, -0.1 * size), (0.6 * size, 0.1 * size, 0.1 * size)) if is_narrow else None
+    bounds = (
+        ((-0.6 * size, -1.1 * size, -0.1 * size), (0.6 * size, 0.1 * size, 0.1 * size)) if is_narrow else None
+    )
     cloth_grid = make_square(4, 3, size, fabric=Fabric(0.2, *values), bounds=bounds)
     cloths = ClothSimulation(2, cloth_grid, Wind(constant, (Gust(gust, (0.4, 0.3, 0.1), 0.1),)))
     (low, high), away = cloth_grid.bounds, np.linalg.norm(cloth_grid.bounds[1] - cloth_grid.bounds[0])
@@ -39,7 +41,9 @@ def test_no_wind_and_no_fabric_takes_a_cloth_out_of_its_bounds(
         points = read_points(cloths)
         assert (points >= low).all()
         assert (points <= high).all()
-        assert (np.linalg.norm(points - cloth_grid.anchors, axis=-1) <= cloth_grid.reaches * (1.0 + 1e-5)).all()
+        assert (
+            np.linalg.norm(points - cloth_grid.anchors, axis=-1) <= cloth_grid.reaches * (1.0 + 1e-5)
+        ).all()
         assert (points[:, ~cloth_grid.is_free] == cloth_grid.points[~cloth_grid.is_free]).all()
         assert np.abs(cloths.read()[1]).max() <= 960.0 * away
     assert np.isfinite(cloths.vertices(np.arange(2))["normal"]).all()
@@ -72,8 +76,11 @@ def test_a_cloth_comes_to_rest_straight_below_its_pins(device: rhi.Device) -> No
 
 @pytest.mark.parametrize("rate", [2.0, 4.0])
 def test_a_steady_wind_holds_it_at_the_angle_at_which_forces_balance(device: rhi.Device, rate: float) -> None:
-    """Along its swing a point of a stiff cloth has g sin a of its weight, and `rate` (w cos a) of the wind."""
-    cloths = ClothSimulation(1, make_square(fabric=Fabric(drag=rate, damping=2.0, bend=0.0)), Wind((0.0, 0.0, 2.0)))
+    """Along its swing a point of a stiff cloth has g sin a of its weight, and `rate` (w cos a) of the
+    wind."""
+    cloths = ClothSimulation(
+        1, make_square(fabric=Fabric(drag=rate, damping=2.0, bend=0.0)), Wind((0.0, 0.0, 2.0))
+    )
     edge = advance_on(device, cloths, 1, 300)[0].reshape(6, 5, 3)[-1].mean(0)
     cloths.release(device)
     assert np.arctan2(edge[2], -edge[1]) == pytest.approx(np.arctan(2.0 * rate / 9.81), abs=0.03)
@@ -90,7 +97,9 @@ def test_steps_are_the_same_whenever_they_are_taken_and_with_whom() -> None:
     advance(second, 8, 10, [2])
     advance(second, 8, 10, [0])
     assert np.array_equal(read_points(first), read_points(second))
-    assert not np.array_equal(read_points(first)[0], read_points(first)[1])  # gusts reach each at a time of its own
+    assert not np.array_equal(
+        read_points(first)[0], read_points(first)[1]
+    )  # gusts reach each at a time of its own
 
 
 def test_a_step_of_any_length_is_its_sub_steps(device: rhi.Device) -> None:
@@ -105,7 +114,12 @@ def test_a_step_of_any_length_is_its_sub_steps(device: rhi.Device) -> None:
 
 
 def test_gusts_last_as_long_in_steps_of_any_length() -> None:
-    assert Wind(gusts=(Gust((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5),)).count_steps(1 / 60).tolist() == [30, 1, 1, 1]
+    assert Wind(gusts=(Gust((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5),)).count_steps(1 / 60).tolist() == [
+        30,
+        1,
+        1,
+        1,
+    ]
     assert BREEZE.count_steps(0.1).tolist() == [7, 4, 1, 1]
 
 

@@ -1,4 +1,5 @@
-"""Water: waves against their analytic solution, the same steps on devices, and steps only where it is seen."""
+"""Water: waves against their analytic solution, the same steps on devices, and steps only where it is
+seen."""
 
 from __future__ import annotations
 
@@ -41,7 +42,9 @@ def measure_error(device: rhi.Device, cells: int, damping: float) -> float:
     """Return the greatest error in 5 s of a standing wave of 2 m and 1 cm, in its height."""
     start = 0.01 * np.cos(np.pi * np.linspace(0.0, 1.0, cells + 1)) * np.ones((cells + 1, 1))
     water, worst = (
-        WaterSimulation(1, WaterPool(cells=(cells, cells), depth=0.1, damping=damping, rain=0.0, start=start)),
+        WaterSimulation(
+            1, WaterPool(cells=(cells, cells), depth=0.1, damping=damping, rain=0.0, start=start)
+        ),
         0.0,
     )
     rate = np.sqrt(9.81 * 0.1) * np.pi / 2.0
@@ -56,8 +59,11 @@ def measure_error(device: rhi.Device, cells: int, damping: float) -> float:
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.8])
-def test_a_standing_wave_is_the_analytic_one_to_the_square_of_the_cells(device: rhi.Device, damping: float) -> None:
-    """The scheme's error of speed is the 1/24 of (π cell / 2 m)², less what the length of a step gives back."""
+def test_a_standing_wave_is_the_analytic_one_to_the_square_of_the_cells(
+    device: rhi.Device, damping: float
+) -> None:
+    """The scheme's error of speed is the 1/24 of (π cell / 2 m)², less what the length of a step gives
+    back."""
     coarse, fine = measure_error(device, 8, damping), measure_error(device, 32, damping)
     assert 0.005 < coarse < 0.05
     assert fine < coarse / 14.0
@@ -102,7 +108,9 @@ def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize(("missed", "is_forgotten"), [(1, True), (0, False)])
-def test_what_returns_after_its_memory_is_as_if_it_had_been_seen_always(missed: int, is_forgotten: bool) -> None:
+def test_what_returns_after_its_memory_is_as_if_it_had_been_seen_always(
+    missed: int, is_forgotten: bool
+) -> None:
     pool = WaterPool(**{**RAIN, "damping": 6.0})
     memory = pool.memory
     assert memory is not None
@@ -160,7 +168,9 @@ def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device)
 def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
     scene = load_scene("yard:pools=1,columns=0")
     with Renderer(drawing_device, scene, size=(96, 54)) as renderer:
-        flat, waves = (renderer.render(scene.views["pool"], seconds).image.read().astype(int) for seconds in (0.0, 2.0))
+        flat, waves = (
+            renderer.render(scene.views["pool"], seconds).image.read().astype(int) for seconds in (0.0, 2.0)
+        )
     changed = np.abs(waves - flat).max(axis=2) > 4
     assert 0.01 < changed.mean() < 0.6
     assert not changed[:10].any()  # only the water moves
@@ -169,13 +179,21 @@ def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"size": (0.0, 1.0)}, {"depth": float("nan")}, {"damping": -1.0}, {"rain": 61.0}, {"drop": 0.2},
-        {"radius": 0.0}, {"max_height": 0.0}, {"cells": (1, 4)}, {"cells": (128, 128)},
+        {"size": (0.0, 1.0)},
+        {"depth": float("nan")},
+        {"damping": -1.0},
+        {"rain": 61.0},
+        {"drop": 0.2},
+        {"radius": 0.0},
+        {"max_height": 0.0},
+        {"cells": (1, 4)},
+        {"cells": (128, 128)},
         {"cells": (100, 100), "depth": 1.0},
-        {"start": np.zeros((3, 3))}, {"start": np.full((49, 49), 0.11)},
+        {"start": np.zeros((3, 3))},
+        {"start": np.full((49, 49), 0.11)},
     ],
     ids=lambda wrong: "-".join(wrong),
-)  # fmt: skip
+)
 def test_what_is_no_pool_is_refused(wrong: dict[str, Any]) -> None:
     WaterPool(start=np.full((49, 49), 0.1), rain=60.0, drop=0.1, cells=(48, 48), depth=0.3)  # the control
     assert refused_rule(lambda: WaterPool(**wrong)) == "scene-bad-water"

@@ -1,4 +1,5 @@
-"""Fixtures of the OpenCL backend's tests. Creating a backend takes 2 ms if PoCL has cached the probe kernel."""
+"""Fixtures of the OpenCL backend's tests. Creating a backend takes 2 ms if PoCL has cached the probe
+kernel."""
 
 from __future__ import annotations
 

@@ -39,9 +39,12 @@ SIZE = (130, 70)
 
 
 def draw(
-    device: Device, program: Program[...], *states: Any, format: Format = Format.RGBA8,
+    device: Device,
+    program: Program[...],
+    *states: Any,
+    format: Format = Format.RGBA8,
     color: tuple[float, ...] = (0.2, 0.4, 0.6, 0.5),
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """Draw many small triangles and a rectangle, which use all kernels; return the image."""
     rng = np.random.default_rng(0)
     positions = np.zeros((1500, 4))
@@ -128,7 +131,8 @@ def test_quick_and_optimised_kernels_draw_the_same_bits(
 
 
 class Waves(Shader):
-    """Built-ins of PoCL's library, shared memory, a barrier, a loop and a branch that lanes don't take together."""
+    """Built-ins of PoCL's library, shared memory, a barrier, a loop and a branch that lanes don't take
+    together."""
 
     work_group = (64,)
     numbers: StorageRW[float]
@@ -187,7 +191,8 @@ def run_waves(device: Device, program: Program[...]) -> NDArray[Any]:
 def test_a_compute_program_that_was_prepared_waits_for_no_build(
     monkeypatch: pytest.MonkeyPatch, device: Device
 ) -> None:
-    """Another process optimises it, before it is dispatched for the first time; one that wasn't is built there."""
+    """Another process optimises it, before it is dispatched for the first time; one that wasn't is built
+    there."""
     built: list[kernel_cache.Request] = []
     compile = builds.Builds.compile
 
@@ -230,11 +235,14 @@ def test_a_kernel_that_ends_its_compiler_is_left_as_it_is_and_the_next_is_optimi
     device: Device,
 ) -> None:
     program, other = device.program(Harmful), device.program(Backwards)
-    launch = builds.Launch(("compute",), ((bytes(8), (0,)), 0))  # an address that isn't memory of the driver's
+    launch = builds.Launch(
+        ("compute",), ((bytes(8), (0,)), 0)
+    )  # an address that isn't memory of the driver's
     get_compute_kernel(device, program)._optimisation.launch = launch  # type: ignore[union-attr]
     device.prepare([rhi.DrawPlan(program), rhi.DrawPlan(other)]).result()
     prepared = [
-        get_compute_kernel(device, compute_program)._optimisation.program for compute_program in (program, other)
+        get_compute_kernel(device, compute_program)._optimisation.program
+        for compute_program in (program, other)
     ]  # type: ignore[union-attr]
     assert prepared[0] is None
     assert prepared[1] is not None
@@ -356,8 +364,11 @@ def test_without_another_process_the_kernels_at_hand_remain(
         np.testing.assert_array_equal(draw(device, program), expected)
 
 
-def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The other processes are halted once they have their jobs: to wait for them would take until they are killed."""
+def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The other processes are halted once they have their jobs: to wait for them would take until they are
+    killed."""
     processes: list[subprocess.Popen[bytes]] = []
     halted: list[subprocess.Popen[bytes]] = []
     start = Compiler.__init__
@@ -420,10 +431,18 @@ def test_source_that_the_driver_refuses_raises_at_the_draw_that_uses_it(
             text = "int undeclared(void) {\n    return nothing;\n}\n" + emitted.text
             return StageText(text, tuple(("bad.py", line) for line in (10, 20, 30)))
 
-        bad = device.program(ProgramDescriptor(
-            "Bad", descriptor.stages, descriptor.bindings, descriptor.attributes, descriptor.outputs,
-            descriptor.work_group, emit, varyings=descriptor.varyings,
-        ))  # fmt: skip
+        bad = device.program(
+            ProgramDescriptor(
+                "Bad",
+                descriptor.stages,
+                descriptor.bindings,
+                descriptor.attributes,
+                descriptor.outputs,
+                descriptor.work_group,
+                emit,
+                varyings=descriptor.varyings,
+            )
+        )
         image = device.texture(SIZE, Format.RGBA8)
         mesh = device.mesh(rectangle())
         with device.render_pass(image, clear=(0, 1, 0, 1)):

@@ -84,7 +84,9 @@ def test_without_pyopencl_the_error_says_what_to_install() -> None:
     assert output == "device-driver pip install pyopencl\n"
 
 
-def test_a_compiler_older_than_the_cpu_is_distinguished_from_other_failures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_older_than_the_cpu_is_distinguished_from_other_failures(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def refuse(*_: object) -> tuple[cl.Program, bool]:
         raise RuntimeError("error: unknown target CPU 'generic'\nand more")
 
@@ -141,7 +143,9 @@ def test_a_device_is_chosen_by_its_number_or_a_part_of_its_name() -> None:
 
 
 @pytest.mark.parametrize("name", ["no such name", "99"])
-def test_an_unknown_device_is_refused_with_those_there_are(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_an_unknown_device_is_refused_with_those_there_are(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     monkeypatch.setenv("RHI_CL_DEVICE", name)
     with pytest.raises(DeviceError) as caught:
         open_context()
@@ -168,7 +172,9 @@ def test_a_device_that_was_asked_for_is_the_only_one_tried(monkeypatch: pytest.M
         open_context()
 
 
-def test_a_folder_named_later_leaves_that_of_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_named_later_leaves_that_of_the_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """PoCL, which has read its variable, would not be found in another."""
     folder = os.environ["POCL_CACHE_DIR"]
     assert open_context().cache.works

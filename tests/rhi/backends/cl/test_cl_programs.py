@@ -92,7 +92,9 @@ def test_only_numbers_that_change_are_set_again(cl_kit: ClKit, monkeypatch: pyte
     program = cl_kit.program(describe_program(FILL))
     arguments: list[object] = []
     set_arg: Callable[..., None] = cl.Kernel.set_arg
-    monkeypatch.setattr(cl.Kernel, "set_arg", lambda kernel, *each: (arguments.append(each[1]), set_arg(kernel, *each)))
+    monkeypatch.setattr(
+        cl.Kernel, "set_arg", lambda kernel, *each: (arguments.append(each[1]), set_arg(kernel, *each))
+    )
     for count, numbers in ((4, [4]), (4, []), (2, [2]), (2, []), (3, [3])):
         arguments.clear()
         buffer = cl_kit.buffer(bytes(16))

@@ -1,9 +1,10 @@
 """Runs the conformance kit on gl while other code takes the thread before every line of a test.
 
-`python foreign_code.py [--blind] TESTS…` prints a line of JSON: how often the thread was taken, the number of tests
-that passed, and the names of those that failed.
+`python foreign_code.py [--blind] TESTS…` prints a line of JSON: how often the thread was taken, the number of
+tests that passed, and the names of those that failed.
 
-- Outside of passes the device must find its context again by itself. Inside one, it is made current explicitly.
+- Outside of passes the device must find its context again by itself. Inside one, it is made current
+  explicitly.
 - With `--blind` it is kept from finding it: then tests must fail.
 - Devices have no validation, so that draws are prepared as in a program.
 """

@@ -13,6 +13,8 @@ _hosts: list[moderngl.Context] = []
 def create(*, validation: bool = False) -> GlBackend:
     """Create a host, which lives as long as the process, and a backend beside it."""
     _hosts.append(
-        moderngl.create_context(330, standalone=True, backend="egl", libgl="libEGL.so.1", libegl="libEGL.so.1")
+        moderngl.create_context(
+            330, standalone=True, backend="egl", libgl="libEGL.so.1", libegl="libEGL.so.1"
+        )
     )
     return create_backend(validation=validation, context="current")

@@ -66,7 +66,10 @@ def test_copies_between_buffers_and_textures_go_to_the_backends_own_context(gl_k
     backend, other = gl_kit.backend, create_backend()
     texels = np.arange(4 * 4 * 4, dtype=np.uint8)
     whole = Region(0, 0, 4, 4)
-    for each in (backend, other):  # the ids are those of both, and what one does in the other's context is seen
+    for each in (
+        backend,
+        other,
+    ):  # the ids are those of both, and what one does in the other's context is seen
         each.create_buffer(901, BufferDescriptor(64))
         each.create_texture(902, TextureDescriptor((4, 4), Format.RGBA8))
     backend.write_buffer(901, 0, texels.tobytes())
@@ -144,5 +147,7 @@ live.close()
 
 def test_contexts_of_devices_that_were_dropped_are_released_with_the_next_device() -> None:
     """2.4 MiB each stayed; and a device that lives beside them goes on."""
-    done = subprocess.run([sys.executable, "-c", DROP], capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", DROP], capture_output=True, text=True, timeout=120, check=True
+    )
     assert float(done.stdout) < 1 << 20

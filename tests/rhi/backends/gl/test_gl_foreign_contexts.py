@@ -1,4 +1,5 @@
-"""Other code makes its own OpenGL context current, or changes the state of ours: the device draws as before."""
+"""Other code makes its own OpenGL context current, or changes the state of ours: the device draws as
+before."""
 
 from __future__ import annotations
 
@@ -73,8 +74,14 @@ def draw_all(device: rhi.Device, image: rhi.Texture) -> None:
 # -- between passes: made current again ----------------------------------------------------------------------
 
 
-def test_a_pass_draws_after_another_context_was_current(device: rhi.Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+def test_a_pass_draws_after_another_context_was_current(
+    device: rhi.Device, take_over: Callable[[], None]
+) -> None:
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     for _ in range(2):
         take_over()
         with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -109,9 +116,15 @@ USES: dict[str, Callable[[rhi.Device, dict[str, Any]], object]] = {
 @pytest.mark.parametrize("use", USES)
 @pytest.mark.parametrize("take_over", TAKE_OVER, indirect=True)
 @pytest.mark.parametrize("device", ["direct", "recorded"], indirect=True)
-def test_each_call_finds_its_context_again(device: rhi.Device, take_over: Callable[[], None], use: str) -> None:
+def test_each_call_finds_its_context_again(
+    device: rhi.Device, take_over: Callable[[], None], use: str
+) -> None:
     texture = device.texture(np.full((4, 4, 4), 5, "u1"), rhi.Format.RGBA8, levels=None)
-    resources = {"buffer": device.buffer(np.array([1, 2, 3, 4])), "zeros": device.buffer(32), "texture": texture}
+    resources = {
+        "buffer": device.buffer(np.array([1, 2, 3, 4])),
+        "zeros": device.buffer(32),
+        "texture": texture,
+    }
     take_over()
     assert USES[use](device, resources) is not False
     assert resources["buffer"].read().tolist() == [1, 2, 3, 4]
@@ -149,8 +162,14 @@ def test_a_dispatch_keeps_its_bindings(device: rhi.Device, take_over: Callable[[
     assert (first.read().tolist(), second.read().tolist()) == ([1] * 4, [2] * 4)
 
 
-def test_a_command_buffer_is_executed_in_its_own_context(device: rhi.Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+def test_a_command_buffer_is_executed_in_its_own_context(
+    device: rhi.Device, take_over: Callable[[], None]
+) -> None:
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
         commands.draw(program, mesh)
     for _ in range(2):
@@ -162,7 +181,11 @@ def test_a_command_buffer_is_executed_in_its_own_context(device: rhi.Device, tak
 
 def test_answers_come_from_the_device_s_own_queries(device: rhi.Device, foreign: moderngl.Context) -> None:
     """The foreign context has queries of the same names, with other answers."""
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     queries = [device.occlusion_query() for _ in range(4)]
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         for query in queries:
@@ -178,7 +201,11 @@ def test_answers_come_from_the_device_s_own_queries(device: rhi.Device, foreign:
 
 
 def test_states_hold_across_another_context(device: rhi.Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     with device.states(rhi.Scissor(0, 0, 8, 8), rhi.CullMode.NONE):
         for _ in range(2):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -196,13 +223,17 @@ def test_a_device_closes_after_another_context_was_current(take_over: Callable[[
     buffer.destroy()
 
 
-# -- inside a pass: refused by name, unless the device was made current ------------------------------------------
+# -- inside a pass: refused by name, unless the device was made current --------------------------------------
 
 
 def test_draws_into_another_context_are_refused_at_the_end_of_the_pass(
     device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     with pytest.raises(rhi.DeviceError) as caught, device.render_pass(image, clear=(0, 0, 0, 0)):
         take_over()
         device.draw(program, mesh)
@@ -215,7 +246,11 @@ def test_draws_into_another_context_are_refused_at_the_end_of_the_pass(
 def test_they_are_refused_at_the_next_call_that_creates_something(
     device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(program, mesh)
         take_over()
@@ -225,8 +260,14 @@ def test_they_are_refused_at_the_next_call_that_creates_something(
     assert count_filled(image) == PIXELS
 
 
-def test_a_device_made_current_inside_a_pass_goes_on_drawing(device: rhi.Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
+def test_a_device_made_current_inside_a_pass_goes_on_drawing(
+    device: rhi.Device, take_over: Callable[[], None]
+) -> None:
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Tinted),
+    )
     tint = device.uniform(Tint(color=(1, 1, 1, 1)))
     with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE):
         with device.states(rhi.Scissor(0, 0, 64, 32)):
@@ -238,8 +279,14 @@ def test_a_device_made_current_inside_a_pass_goes_on_drawing(device: rhi.Device,
     assert count_filled(image) == PIXELS * 3 // 4
 
 
-def test_a_context_that_is_given_back_in_time_is_not_noticed(device: rhi.Device, foreign: moderngl.Context) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+def test_a_context_that_is_given_back_in_time_is_not_noticed(
+    device: rhi.Device, foreign: moderngl.Context
+) -> None:
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     own = device.backend_as(GlBackend).context
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         foreign.mglo.__enter__()
@@ -269,7 +316,11 @@ def test_what_a_first_draw_creates_is_not_created_in_another_context(
     device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
     """The variant of a program with an alpha test."""
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     tested = rhi.AlphaTest.ON, rhi.AlphaFunction.GREATER, rhi.AlphaReference(0.5), rhi.Scissor(0, 0, 32, 64)
     for _ in range(2):
         with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -280,7 +331,12 @@ def test_what_a_first_draw_creates_is_not_created_in_another_context(
             with device.states(*tested):
                 device.draw(program, mesh)
         assert count_filled(image) == PIXELS // 2
-        tested = rhi.AlphaTest.ON, rhi.AlphaFunction.LESS_EQUAL, rhi.AlphaReference(1.0), rhi.Scissor(0, 0, 32, 64)
+        tested = (
+            rhi.AlphaTest.ON,
+            rhi.AlphaFunction.LESS_EQUAL,
+            rhi.AlphaReference(1.0),
+            rhi.Scissor(0, 0, 32, 64),
+        )
 
 
 @pytest.mark.parametrize("indexed", [False, True])
@@ -311,7 +367,11 @@ def test_quads_are_not_expanded_in_another_context(
 def test_queries_count_again_after_a_pass_that_was_lost(
     device: rhi.Device, foreign: moderngl.Context, emulated: bool
 ) -> None:
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Colored),
+    )
     query, lost = device.occlusion_query(emulated=emulated), device.occlusion_query(emulated=emulated)
     with pytest.raises(rhi.DeviceError), device.render_pass(image, clear=(0, 0, 0, 0)):
         with lost:
@@ -337,7 +397,7 @@ def test_labels_stay_paired_after_a_pass_that_was_lost(device: rhi.Device, forei
     assert gl.get_integer(0x826D) == before
 
 
-# -- other code changes the state of the device's context ---------------------------------------------------------
+# -- other code changes the state of the device's context ----------------------------------------------------
 
 DISTURBANCES: dict[str, Callable[[Any], object]] = {
     "clip control": lambda gl: gl.ClipControl(0x8CA2, 0x935E),
@@ -382,7 +442,8 @@ NUMBERS = (
     0x0B40, 0x0B45, 0x0B46, 0x0B72, 0x0B74, 0x0B92, 0x0B93, 0x0B97, 0x0C23, 0x0CF0, 0x0CF2, 0x0CF4, 0x0CF5, 0x0D00,
     0x0D02, 0x0D04, 0x0D05, 0x826D, 0x88EF, 0x8CA6, 0x8E4F, 0x935C, 0x935D,
 )  # fmt: skip
-"""Polygon mode, face, winding, depth mask and comparison, stencil, color mask, transfers, labels, framebuffer, …"""
+"""Polygon mode, face, winding, depth mask and comparison, stencil, color mask, transfers, labels,
+framebuffer, …"""
 
 
 def read_state(gl: Any) -> dict[str, Any]:
@@ -419,8 +480,15 @@ def test_make_current_restores_the_state_that_other_code_changed(kind: str, vali
 def test_make_current_restores_lines_that_are_wide_and_edges_with_an_offset() -> None:
     with rhi.create_device("gl") as device:
         gl = device.backend_as(GlBackend).gl
-        image, program, mesh = device.texture(SIZE, rhi.Format.RGBA8), device.program(Colored), device.mesh(rectangle())
-        with device.render_pass(image), device.states(rhi.PolygonMode.LINE, rhi.LineWidth(5.0), rhi.DepthBias(2.0)):
+        image, program, mesh = (
+            device.texture(SIZE, rhi.Format.RGBA8),
+            device.program(Colored),
+            device.mesh(rectangle()),
+        )
+        with (
+            device.render_pass(image),
+            device.states(rhi.PolygonMode.LINE, rhi.LineWidth(5.0), rhi.DepthBias(2.0)),
+        ):
             device.draw(program, mesh)
             before = read_state(gl)
             assert (before["0x2a02"][0], before["0xb40"][0], before["0xb21"][0]) == (1, 0x1B01, 5.0)
@@ -433,7 +501,11 @@ def test_make_current_restores_lines_that_are_wide_and_edges_with_an_offset() ->
 
 def test_make_current_restores_the_bindings_that_other_code_changed(device: rhi.Device) -> None:
     own = device.backend_as(GlBackend)
-    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
+    image, mesh, program = (
+        device.texture(SIZE, rhi.Format.RGBA8),
+        device.mesh(rectangle()),
+        device.program(Tinted),
+    )
     tint, other = device.uniform(Tint(color=(1, 1, 1, 1))), own.context.buffer(reserve=256)
     counts = []
     for restored in (False, True):
@@ -447,7 +519,7 @@ def test_make_current_restores_the_bindings_that_other_code_changed(device: rhi.
     assert counts == [0, PIXELS]
 
 
-# -- where the context can't be made current ---------------------------------------------------------------------
+# -- where the context can't be made current -----------------------------------------------------------------
 
 
 def test_a_context_that_another_thread_holds_is_named() -> None:

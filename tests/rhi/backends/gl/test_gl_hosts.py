@@ -1,4 +1,5 @@
-"""Devices beside contexts of other code: states stay apart, textures are shared, images show in its framebuffer."""
+"""Devices beside contexts of other code: states stay apart, textures are shared, images show in its
+framebuffer."""
 
 from __future__ import annotations
 
@@ -29,14 +30,34 @@ from rhi.shading import Shader, Texture2D, fragment_coordinate, vec2, vec4, vert
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
 SIZE = (8, 6)
 READ = {
-    "program": 0x8B8D, "vertex array": 0x85B5, "draw framebuffer": 0x8CA6, "read framebuffer": 0x8CAA,
-    "depth function": 0x0B74, "depth mask": 0x0B72, "blend source": 0x80C9, "cull face": 0x0B45, "front face": 0x0B46,
-    "active texture": 0x84E0, "array buffer": 0x8894, "pack alignment": 0x0D05, "unpack alignment": 0x0CF5,
-    "provoking vertex": 0x8E4F, "clip origin": 0x935C, "clip depth": 0x935D,
-}  # fmt: skip
+    "program": 0x8B8D,
+    "vertex array": 0x85B5,
+    "draw framebuffer": 0x8CA6,
+    "read framebuffer": 0x8CAA,
+    "depth function": 0x0B74,
+    "depth mask": 0x0B72,
+    "blend source": 0x80C9,
+    "cull face": 0x0B45,
+    "front face": 0x0B46,
+    "active texture": 0x84E0,
+    "array buffer": 0x8894,
+    "pack alignment": 0x0D05,
+    "unpack alignment": 0x0CF5,
+    "provoking vertex": 0x8E4F,
+    "clip origin": 0x935C,
+    "clip depth": 0x935D,
+}
 """States that a program in the same context would change."""
-SWITCHES = {"blend": 0x0BE2, "depth test": 0x0B71, "scissor test": 0x0C11, "cull": 0x0B44, "dither": 0x0BD0,
-            "sRGB": 0x8DB9, "point size": 0x8642, "restart": 0x8D69}  # fmt: skip
+SWITCHES = {
+    "blend": 0x0BE2,
+    "depth test": 0x0B71,
+    "scissor test": 0x0C11,
+    "cull": 0x0B44,
+    "dither": 0x0BD0,
+    "sRGB": 0x8DB9,
+    "point size": 0x8642,
+    "restart": 0x8D69,
+}
 
 
 class Host:
@@ -45,7 +66,9 @@ class Host:
     def __init__(self) -> None:
         self.context = moderngl.create_context(330, standalone=True, **EGL)
         self.gl = EntryPoints(self.context.mglo._context.load)
-        self.get_current = ctypes.PYFUNCTYPE(ctypes.c_void_p)(self.context.mglo._context.load("eglGetCurrentContext"))
+        self.get_current = ctypes.PYFUNCTYPE(ctypes.c_void_p)(
+            self.context.mglo._context.load("eglGetCurrentContext")
+        )
         self.address = self.get_current()
         self.framebuffer = self.context.simple_framebuffer(SIZE)
         self.framebuffer.use()
@@ -245,8 +268,10 @@ def test_levels_and_layers_of_the_hosts_textures_are_known(host: Host, device: D
     host.context.finish()
     adopted = [device.adopt_texture(each) for each in (flat, layered, cube)]
     assert [(each.format, each.levels, each.layers) for each in adopted] == [
-        (Format.R32F, 4, 1), (Format.RG16F, 1, 3), (Format.RGBA8, 1, 6),
-    ]  # fmt: skip
+        (Format.R32F, 4, 1),
+        (Format.RG16F, 1, 3),
+        (Format.RGBA8, 1, 6),
+    ]
 
 
 def test_the_host_reads_a_texture_of_the_device(host: Host, device: Device) -> None:
@@ -257,8 +282,12 @@ def test_the_host_reads_a_texture_of_the_device(host: Host, device: Device) -> N
 
 
 def test_closing_deletes_what_the_device_made_and_nothing_else(host: Host) -> None:
-    is_texture = ctypes.PYFUNCTYPE(ctypes.c_ubyte, ctypes.c_uint)(host.context.mglo._context.load("glIsTexture"))
-    is_buffer = ctypes.PYFUNCTYPE(ctypes.c_ubyte, ctypes.c_uint)(host.context.mglo._context.load("glIsBuffer"))
+    is_texture = ctypes.PYFUNCTYPE(ctypes.c_ubyte, ctypes.c_uint)(
+        host.context.mglo._context.load("glIsTexture")
+    )
+    is_buffer = ctypes.PYFUNCTYPE(ctypes.c_ubyte, ctypes.c_uint)(
+        host.context.mglo._context.load("glIsBuffer")
+    )
     theirs = host.context.texture(SIZE, 4)
     with rhi.create_device("gl", context="current") as device:
         image, buffer = device.texture(SIZE, Format.RGBA8), device.buffer(16)
@@ -297,7 +326,10 @@ def test_textures_of_several_samples_are_refused(host: Host, device: Device) -> 
 
 def test_a_device_that_shares_nothing_refuses_textures_of_others() -> None:
     with rhi.create_device("null") as device:
-        for call in (lambda: device.adopt_texture(1), lambda: device.native_texture(device.texture(SIZE, Format.R8))):
+        for call in (
+            lambda: device.adopt_texture(1),
+            lambda: device.native_texture(device.texture(SIZE, Format.R8)),
+        ):
             with pytest.raises(ValidationError, match=r"^\[device-capability\]"):
                 call()
 
@@ -312,7 +344,9 @@ def test_without_a_current_context_nothing_is_adopted(host: Host) -> None:
 
 
 @pytest.mark.parametrize(("version", "description"), [(b"3.1 (Old)", "3.1 (Old)"), (None, "unknown version")])
-def test_the_version_of_a_context_that_shares_nothing_is_reported(version: bytes | None, description: str) -> None:
+def test_the_version_of_a_context_that_shares_nothing_is_reported(
+    version: bytes | None, description: str
+) -> None:
     text = ctypes.create_string_buffer(version) if version is not None else None
     get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint)(lambda _: ctypes.addressof(text) if text else None)
     api: Any = SimpleNamespace(get_proc_address=lambda _: ctypes.cast(get, ctypes.c_void_p).value)
@@ -389,10 +423,24 @@ def test_a_context_of_x11_without_a_window_shares_with_a_device(display: Display
 @pytest.mark.nightly
 def test_the_kit_passes_beside_another_context() -> None:
     folders = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", "--pyargs", "rhi.conformance"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        "--pyargs",
+        "rhi.conformance",
+    ]
     done = subprocess.run(
-        [*command, "--rhi-backend", "hosted_backend:create"], env=os.environ | {"PYTHONPATH": folders},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [*command, "--rhi-backend", "hosted_backend:create"],
+        env=os.environ | {"PYTHONPATH": folders},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-3000:]
     assert "hosted_backend:create" in done.stdout

@@ -1,4 +1,5 @@
-"""Devices beside contexts of well-known libraries: the image shows in their windows, and their context stays current.
+"""Devices beside contexts of well-known libraries: the image shows in their windows, and their context stays
+current.
 
 Each runs in a process of its own, in a virtual X server (nightly).
 """

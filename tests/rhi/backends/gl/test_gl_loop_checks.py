@@ -12,11 +12,13 @@ from rhi import ShaderError
 from rhi.shading import Shader, Storage, StorageRW
 
 MAX_ITERATIONS = 65_534
-"""Turns of a shader whose only loop looks at its condition once more; each other loop takes one turn at least."""
+"""Turns of a shader whose only loop looks at its condition once more; each other loop takes one turn at
+least."""
 
 
 class LoopCounter(Shader):
-    """Counts the turns of a `for`, a `while`, and a loop that a `break` leaves; Mesa unrolls the one in it."""
+    """Counts the turns of a `for`, a `while`, and a loop that a `break` leaves; Mesa unrolls the one in
+    it."""
 
     requested: Storage[int]
     completed: StorageRW[int]
@@ -61,7 +63,9 @@ def test_a_loop_that_is_cut_short_is_named_with_validation(
         if "llvmpipe" not in device.capabilities.device:
             pytest.skip("llvmpipe's own fault")
         completed = device.storage(int, 3)
-        device.dispatch(device.program(LoopCounter), 1, requested=device.storage(int, requested), completed=completed)
+        device.dispatch(
+            device.program(LoopCounter), 1, requested=device.storage(int, requested), completed=completed
+        )
         if cut and validates:
             with pytest.raises(ShaderError, match="65535 iterations") as caught:
                 device.finish()

@@ -75,7 +75,9 @@ def test_the_alpha_test_moves_no_line() -> None:
     source = add_alpha_test(describe_program(), AlphaFunction.GREATER)
     assert source is not None
     lines = source.text.split("\n")
-    assert lines[: len(FRAGMENT.split("\n")) - 1] == FRAGMENT.replace("main", "rhi_inner_main").split("\n")[:-1]
+    assert (
+        lines[: len(FRAGMENT.split("\n")) - 1] == FRAGMENT.replace("main", "rhi_inner_main").split("\n")[:-1]
+    )
     assert "color.a > rhi_alpha_reference" in source.text
 
 
@@ -118,7 +120,7 @@ def test_main_may_be_written_with_void(gl_kit: GlKit) -> None:
     gl_kit.program(describe_program(vertex=VERTEX.replace("main()", "main( void )")))
 
 
-# -- llvmpipe's limit of turns, which the backend's page states -----------------------------------------------------
+# -- llvmpipe's limit of turns, which the backend's page states ----------------------------------------------
 
 
 class Iterations(Struct):
@@ -146,7 +148,12 @@ class Counted(Shader):
 
 @pytest.mark.parametrize(
     ("requested", "executed"),
-    [((65534, 1), (65534, 1)), ((65535, 0), (65535, 0)), ((65536, 0), (65535, 0)), ((40000, 40000), (40000, 25534))],
+    [
+        ((65534, 1), (65534, 1)),
+        ((65535, 0), (65535, 0)),
+        ((65536, 0), (65535, 0)),
+        ((40000, 40000), (40000, 25534)),
+    ],
 )
 def test_llvmpipe_ends_loops_after_65535_iterations_in_all(
     requested: tuple[int, int], executed: tuple[int, int]

@@ -91,7 +91,9 @@ def device() -> Iterator[rhi.Device]:
         yield device
 
 
-def test_indexed_quads_read_their_indices_back_once(device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_indexed_quads_read_their_indices_back_once(
+    device: rhi.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows = rectangle()[[0, 1, 2, 5]]
     read, reads = Buffers.read, []
 
@@ -124,7 +126,9 @@ def test_a_fence_nobody_signals_is_not_waited_for(gl_kit: GlKit) -> None:
 
 
 @pytest.mark.parametrize(("layer", "layered"), [(-1, 1), (0, 0), (2, 0)])
-def test_an_image_is_bound_whole_or_as_one_layer_the_first_included(gl_kit: GlKit, layer: int, layered: int) -> None:
+def test_an_image_is_bound_whole_or_as_one_layer_the_first_included(
+    gl_kit: GlKit, layer: int, layered: int
+) -> None:
     """llvmpipe shows no difference between all layers and the first; other drivers may."""
     backend = gl_kit.backend
     image = gl_kit.new_id()
@@ -136,7 +140,8 @@ def test_an_image_is_bound_whole_or_as_one_layer_the_first_included(gl_kit: GlKi
 
 @pytest.mark.parametrize("usage", list(BufferUsage), ids=lambda usage: usage.value)
 def test_a_destroyed_buffer_gives_its_memory_back(gl_kit: GlKit, usage: BufferUsage) -> None:
-    """moderngl doesn't delete buffers that it didn't make. The C heap may keep 64 MiB (`rhi.backends.gl.llvmpipe`)."""
+    """moderngl doesn't delete buffers that it didn't make. The C heap may keep 64 MiB
+    (`rhi.backends.gl.llvmpipe`)."""
     size, process = 24 << 20, psutil.Process()
 
     def make_and_destroy(count: int) -> int:

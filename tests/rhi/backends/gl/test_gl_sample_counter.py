@@ -67,7 +67,9 @@ def test_a_count_is_the_sum_of_all_drawn_before_it(draws: list[list[int]], ready
 def test_a_result_that_comes_early_waits_for_those_before_it() -> None:
     fake = FakeQueries()
     late: set[int] = {1}
-    counter = SampleCounter(fake.begin, fake.end, lambda n: None if n in late else fake.samples[n], fake.freed.append)
+    counter = SampleCounter(
+        fake.begin, fake.end, lambda n: None if n in late else fake.samples[n], fake.freed.append
+    )
     counter.start()
     fake.draw(3)
     first = counter.take()
@@ -197,8 +199,11 @@ def test_no_query_is_active_when_the_context_goes(kind: QueryKind, monkeypatch: 
 
 @pytest.mark.parametrize("kind", [QueryKind.OCCLUSION, QueryKind.COUNTER])
 @pytest.mark.parametrize("is_new", [False, True], ids=["drawing", "created"])
-def test_no_query_is_active_while_another_device_has_the_thread(gl_kit: GlKit, kind: QueryKind, is_new: bool) -> None:
-    """Drivers of some GPUs would add what the other draws. llvmpipe doesn't, so counts alone can't show it here."""
+def test_no_query_is_active_while_another_device_has_the_thread(
+    gl_kit: GlKit, kind: QueryKind, is_new: bool
+) -> None:
+    """Drivers of some GPUs would add what the other draws. llvmpipe doesn't, so counts alone can't show it
+    here."""
 
     def list_active() -> int:
         active = ctypes.c_int()

@@ -64,7 +64,9 @@ def test_a_device_has_no_anisotropy_where_it_may_never_end_unless_it_is_asked_fo
     assert replace(plain, max_anisotropy=16.0, disabled_features=()) == asked
     assert (plain.max_anisotropy, len(plain.disabled_features)) == ((1.0, 1) if hangs else (16.0, 0))
     main([])
-    assert capsys.readouterr().out.count("disabled: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
+    assert (
+        capsys.readouterr().out.count("disabled: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
+    )
 
 
 def test_the_driver_is_known_by_name_and_version(monkeypatch: pytest.MonkeyPatch) -> None:

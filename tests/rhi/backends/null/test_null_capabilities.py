@@ -121,7 +121,11 @@ def slots(kind, count):
             target(rhi.Format.RGBA32F, rhi.Format.R8, rhi.Format.RGBA8, rhi.Format.R8),
             None,
         ),  # 16 + 1 + 8 + 1 bytes
-        ("webgpu", target(rhi.Format.RGBA8, rhi.Format.RGB10A2, rhi.Format.RGBA16F, rhi.Format.RGBA8UI), None),  # 28
+        (
+            "webgpu",
+            target(rhi.Format.RGBA8, rhi.Format.RGB10A2, rhi.Format.RGBA16F, rhi.Format.RGBA8UI),
+            None,
+        ),  # 28
         (
             "webgpu",
             target(rhi.Format.RGBA8, rhi.Format.R8, rhi.Format.RGBA32F, rhi.Format.R32F, rhi.Format.R8),

@@ -161,7 +161,8 @@ def test_emulated_queries_of_a_device_are_right_whatever_the_latencies(frames, i
 def race(spent=(50_000, 0), waits=False, **times):
     """(counted samples, backend) of a query around one draw of 1,000 samples, which ten like it follow.
 
-    The CPU spends time after the query's begin and after its end, or waits until it knows that the counter was read.
+    The CPU spends time after the query's begin and after its end, or waits until it knows that the counter
+    was read.
     """
     backend = make_backend(submission_latency=0, **times)
     for query in (BEFORE, AFTER):
@@ -190,8 +191,9 @@ def test_a_counter_that_is_read_while_the_gpu_runs_on_is_wrong_and_a_hazard():
         samples, backend = race(spent, **RUNS_ON)
         assert samples == counted
         assert [(h.kind, h.resource, h.happened) for h in backend.hazards] == [
-            (HazardKind.COUNTER_RACE, BEFORE, happened[0]), (HazardKind.COUNTER_RACE, AFTER, happened[1])
-        ]  # fmt: skip
+            (HazardKind.COUNTER_RACE, BEFORE, happened[0]),
+            (HazardKind.COUNTER_RACE, AFTER, happened[1]),
+        ]
 
 
 def test_two_counters_that_the_gpu_writes_and_a_gpu_that_halts_are_exact_and_no_hazard():
@@ -262,7 +264,9 @@ def test_a_fence_behind_the_event_says_nothing_of_its_interrupt():
     st.integers(0, 20_000),
     st.integers(0, 20_000),
 )
-def test_the_same_program_has_the_same_races_at_every_latency_and_only_they_count_wrongly(calls, interrupt, submission):
+def test_the_same_program_has_the_same_races_at_every_latency_and_only_they_count_wrongly(
+    calls, interrupt, submission
+):
     """`read` asks until there is an answer, so what the CPU knows doesn't depend on the time."""
 
     def run(**times):

@@ -35,9 +35,18 @@ def words(*values):
     return np.array(values, np.int64).astype(np.uint32)
 
 
-def draw_indirect(backend, vertex_array=INDEXED, draws=1, offset=0, stride=20, count_buffer=0, count_offset=0):
+def draw_indirect(
+    backend, vertex_array=INDEXED, draws=1, offset=0, stride=20, count_buffer=0, count_offset=0
+):
     backend.draw_indirect(
-        vertex_array, descriptors.Primitive.TRIANGLES, ARGUMENTS, offset, draws, stride, count_buffer, count_offset
+        vertex_array,
+        descriptors.Primitive.TRIANGLES,
+        ARGUMENTS,
+        offset,
+        draws,
+        stride,
+        count_buffer,
+        count_offset,
     )
 
 

@@ -136,7 +136,7 @@ def test_an_event_that_finds_no_memory_for_its_end_keeps_what_its_beginning_got(
         check_whole(device)
 
 
-# -- compilation -----------------------------------------------------------------------------------------------
+# -- compilation ---------------------------------------------------------------------------------------------
 
 
 def test_a_program_that_the_driver_refuses_can_be_made_again():
@@ -149,7 +149,7 @@ def test_a_program_that_the_driver_refuses_can_be_made_again():
         assert device.program(second).name == "second"
 
 
-# -- loss ------------------------------------------------------------------------------------------------------
+# -- loss ----------------------------------------------------------------------------------------------------
 
 
 def test_a_device_lost_anywhere_says_so_from_then_on_and_can_be_closed(clean):
@@ -176,7 +176,7 @@ def test_a_lost_device_answers_no_question():
     backend.close()
 
 
-# -- late fences -----------------------------------------------------------------------------------------------
+# -- late fences ---------------------------------------------------------------------------------------------
 
 
 def test_a_late_fence_is_seen_so_many_frames_later():
@@ -218,7 +218,7 @@ def test_what_waits_for_a_late_fence_is_kept_alive():
         assert buffer.id not in live(device)
 
 
-# -- silent queries --------------------------------------------------------------------------------------------
+# -- silent queries ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("emulated", [False, True])
@@ -250,7 +250,7 @@ def test_timers_go_on_when_a_timestamp_never_comes():
         assert [node.name for node in device.timers] == ["frame"]
 
 
-# -- by seed ---------------------------------------------------------------------------------------------------
+# -- by seed -------------------------------------------------------------------------------------------------
 
 
 def test_a_seed_draws_one_fault_that_the_program_meets(clean):
@@ -258,7 +258,9 @@ def test_a_seed_draws_one_fault_that_the_program_meets(clean):
     drawn = [Faults.from_seed(seed, stream) for seed in range(60)]
     assert drawn == [Faults.from_seed(seed, stream) for seed in range(60)]
     names = [[name for name in Faults.__slots__ if getattr(fault, name) not in (None, 0)] for fault in drawn]
-    assert {name for each in names for name in each} == set(Faults.__slots__) - {"compilation"}  # of place 0 only
+    assert {name for each in names for name in each} == set(Faults.__slots__) - {
+        "compilation"
+    }  # of place 0 only
     assert any(fault.compilation == 0 for fault in drawn)
     assert len({fault.loss for fault in drawn}) > 5
 

@@ -44,7 +44,9 @@ def with_program(backend, *bindings):
 
 def uniform_backend(**times):
     """A backend whose draws read a uniform range of STREAM."""
-    return with_program(make_backend(**times), descriptors.Binding("camera", descriptors.BindingKind.UNIFORM, 0))
+    return with_program(
+        make_backend(**times), descriptors.Binding("camera", descriptors.BindingKind.UNIFORM, 0)
+    )
 
 
 def finish(backend, value=1):
@@ -169,7 +171,8 @@ def test_every_command_that_touches_memory_counts(use):
 )
 def test_all_rows_of_a_command_count(backend, use, expected):
     backend.create_texture(
-        TEXTURE, descriptors.TextureDescriptor((1, 2), Format.RGBA8, descriptors.TextureKind.D2_ARRAY, layers=3)
+        TEXTURE,
+        descriptors.TextureDescriptor((1, 2), Format.RGBA8, descriptors.TextureKind.D2_ARRAY, layers=3),
     )
     use(backend)
     assert found_bytes(backend) == expected
@@ -236,7 +239,8 @@ def indices(*values):
 
 
 @pytest.mark.parametrize(
-    ("primitive", "last"), [(descriptors.Primitive.TRIANGLES, 256), (descriptors.Primitive.TRIANGLE_STRIP, 88)]
+    ("primitive", "last"),
+    [(descriptors.Primitive.TRIANGLES, 256), (descriptors.Primitive.TRIANGLE_STRIP, 88)],
 )
 def test_an_indexed_draw_reads_the_vertices_its_indices_name(primitive, last):
     """The largest index restarts only strips."""
@@ -268,7 +272,9 @@ def test_a_suspect_counts_only_for_the_buffer_it_was_written_to(backend):
     streams = tuple(
         descriptors.VertexStream(buffer, offset, 8, False, ()) for buffer, offset in ((STREAM, 0), (7, 128))
     )
-    backend.create_vertex_array(VERTICES, descriptors.VertexArrayDescriptor(1, streams, STATIC, IndexFormat.UINT16))
+    backend.create_vertex_array(
+        VERTICES, descriptors.VertexArrayDescriptor(1, streams, STATIC, IndexFormat.UINT16)
+    )
     backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0)
     backend.write_buffer(7, 0, bytes(8))  # where STREAM is read
     backend.write_buffer(7, 128, bytes(8))
@@ -405,7 +411,9 @@ def test_using_what_was_destroyed_is_found():
     backend.destroy(7)
     assert not backend.hazards
     draw(backend)
-    assert [(h.kind, h.resource, h.calls) for h in backend.hazards] == [(KINDS.USED_DESTROYED, 7, ("destroy", "draw"))]
+    assert [(h.kind, h.resource, h.calls) for h in backend.hazards] == [
+        (KINDS.USED_DESTROYED, 7, ("destroy", "draw"))
+    ]
 
 
 def test_indices_that_were_destroyed_are_one_hazard_and_no_crash():
@@ -476,7 +484,7 @@ def test_a_stencil_test_writes_only_a_target_that_has_stencil(form, has_feedback
     assert feedback(DEPTH, changes, form=form) == [KINDS.PASS_FEEDBACK] * has_feedback
 
 
-# -- any program, any latency ----------------------------------------------------------------------------------
+# -- any program, any latency --------------------------------------------------------------------------------
 
 
 @dataclass
@@ -509,7 +517,9 @@ USED, ASKED = ("draw", 0, 16), [("ask", 0, 0), ("write", 0, 4)]
 @settings(max_examples=150)
 @example([USED, ("signal", 0, 0), ("wait", 0, 0), ("write", 0, 4)], 100, 20, 1000)
 @example([("signal", 0, 0), USED, ("wait", 0, 0), ("write", 0, 4)], 100, 20, 1000)  # a fence before the use
-@example([USED, ("signal", 0, 0), *ASKED, ("spend", 5000, 0), *ASKED], 100, 20, 1000)  # one that isn't reached, first
+@example(
+    [USED, ("signal", 0, 0), *ASKED, ("spend", 5000, 0), *ASKED], 100, 20, 1000
+)  # one that isn't reached, first
 @given(ACTIONS, st.integers(0, 20_000), st.integers(1, 20), st.integers(0, 3000))
 def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels):
     backend = uniform_backend(submission_latency=latency, batch=batch)

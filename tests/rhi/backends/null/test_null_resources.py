@@ -97,9 +97,14 @@ def test_a_destroyed_resource_was_there_for_the_commands_before(backend):
 
 
 OPERATIONS = st.lists(
-    st.tuples(st.sampled_from(["write", "copy", "clear", "run"]), st.integers(0, 7), st.integers(0, 7),
-              st.integers(0, 255)), max_size=30,
-)  # fmt: skip
+    st.tuples(
+        st.sampled_from(["write", "copy", "clear", "run"]),
+        st.integers(0, 7),
+        st.integers(0, 7),
+        st.integers(0, 255),
+    ),
+    max_size=30,
+)
 
 
 @given(OPERATIONS)

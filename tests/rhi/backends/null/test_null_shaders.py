@@ -79,7 +79,9 @@ def weigh(device: rhi.Device, count: int = 6) -> np.ndarray:
     factors["factor"] = 3.0, 5.0
     scales.write(factors)
     for row in range(2):
-        device.dispatch(program, -(-count // 4), scale=scales[row], items=device.storage(Item, items), weights=weights)
+        device.dispatch(
+            program, -(-count // 4), scale=scales[row], items=device.storage(Item, items), weights=weights
+        )
     return weights.read()
 
 

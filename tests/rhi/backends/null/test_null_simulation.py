@@ -9,11 +9,26 @@ from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 
 import rhi
 from rhi.backends import null
-from rhi.backends.null import Activity, CommandWork, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
+from rhi.backends.null import (
+    Activity,
+    CommandWork,
+    CostModel,
+    Lane,
+    NullBackend,
+    SimulatedBackend,
+    Simulation,
+)
 from rhi.backends.null.simulation.cost import count_primitives
 from rhi.commands.ops import Op
 from rhi.contract import descriptors
-from rhi.contract.descriptors import BufferDescriptor, PassDescriptor, Primitive, QueryKind, Region, TextureDescriptor
+from rhi.contract.descriptors import (
+    BufferDescriptor,
+    PassDescriptor,
+    Primitive,
+    QueryKind,
+    Region,
+    TextureDescriptor,
+)
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode, Scissor, StateChange, Viewport
 
@@ -68,7 +83,9 @@ CREATIONS = {
     "texture": lambda backend: backend.create_texture(900, TextureDescriptor((4, 4), Format.RGBA8)),
     "sampler": lambda backend: backend.create_sampler(900, descriptors.SamplerDescriptor()),
     "program": lambda backend: backend.create_program(900, hand_made_program("p")),
-    "vertex array": lambda backend: backend.create_vertex_array(900, descriptors.VertexArrayDescriptor(PLAIN, ())),
+    "vertex array": lambda backend: backend.create_vertex_array(
+        900, descriptors.VertexArrayDescriptor(PLAIN, ())
+    ),
     "query": lambda backend: backend.create_query(900, QueryKind.TIMESTAMP),
 }
 
@@ -335,7 +352,10 @@ def works(call, **options):
     cost = Watched()
     backend = make_backend(cost)
     backend.create_texture(
-        1, TextureDescriptor((64, 32), Format.RGBA8, levels=options.pop("levels", 1), samples=options.pop("samples", 1))
+        1,
+        TextureDescriptor(
+            (64, 32), Format.RGBA8, levels=options.pop("levels", 1), samples=options.pop("samples", 1)
+        ),
     )
     backend.create_texture(2, TextureDescriptor((64, 32), Format.RGBA8))
     cost.asked.clear()
@@ -351,16 +371,25 @@ def works(call, **options):
         (lambda b: b.write_buffer(STATIC, 0, bytes(12)), CommandWork(Op.WRITE_BUFFER, bytes=12)),
         (lambda b: b.copy_buffer(STATIC, 0, STATIC, 64, 12), CommandWork(Op.COPY_BUFFER, bytes=24)),
         (lambda b: b.clear_buffer(STATIC, 0, 64, 0), CommandWork(Op.CLEAR_BUFFER, bytes=64)),
-        (lambda b: b.write_texture(1, 0, Region(0, 0, 4, 4), bytes(64)), CommandWork(Op.WRITE_TEXTURE, bytes=64)),
-        (lambda b: b.copy_texture(1, 0, Region(0, 0, 4, 4), 2, 0, 0, 0, 0), CommandWork(Op.COPY_TEXTURE, bytes=128)),
+        (
+            lambda b: b.write_texture(1, 0, Region(0, 0, 4, 4), bytes(64)),
+            CommandWork(Op.WRITE_TEXTURE, bytes=64),
+        ),
+        (
+            lambda b: b.copy_texture(1, 0, Region(0, 0, 4, 4), 2, 0, 0, 0, 0),
+            CommandWork(Op.COPY_TEXTURE, bytes=128),
+        ),
         (lambda b: b.resolve_texture(1, 2), CommandWork(Op.RESOLVE_TEXTURE, bytes=64 * 32 * 4 * 2)),
         (lambda b: b.dispatch(2, 3, 4), CommandWork(Op.DISPATCH, invocations=24)),
         (lambda b: b.dispatch_indirect(STATIC, 0), CommandWork(Op.DISPATCH_INDIRECT, bytes=12)),
         (lambda b: b.bind_program(7), CommandWork(Op.BIND_PROGRAM, state_changes=1)),
-        (lambda b: b.set_states([StateChange(CullMode, CullMode.NONE)]), CommandWork(Op.SET_STATES, state_changes=1)),
+        (
+            lambda b: b.set_states([StateChange(CullMode, CullMode.NONE)]),
+            CommandWork(Op.SET_STATES, state_changes=1),
+        ),
         (lambda b: draw(b, 2), CommandWork(Op.DRAW, 6, 2000)),
     ],
-)  # fmt: skip
+)
 def test_a_command_costs_what_is_in_it(call, work):
     assert works(call) == [work]
 
@@ -431,16 +460,24 @@ def test_indirect_draws_cost_what_their_arguments_say():
 @pytest.mark.parametrize(
     ("primitive", "vertices", "count"),
     [
-        (Primitive.POINTS, 5, 5), (Primitive.LINES, 5, 2), (Primitive.LINE_STRIP, 5, 4), (Primitive.TRIANGLES, 5, 1),
-        (Primitive.TRIANGLE_STRIP, 5, 3), (Primitive.TRIANGLE_FAN, 2, 0), (Primitive.QUADS, 9, 2),
+        (Primitive.POINTS, 5, 5),
+        (Primitive.LINES, 5, 2),
+        (Primitive.LINE_STRIP, 5, 4),
+        (Primitive.TRIANGLES, 5, 1),
+        (Primitive.TRIANGLE_STRIP, 5, 3),
+        (Primitive.TRIANGLE_FAN, 2, 0),
+        (Primitive.QUADS, 9, 2),
     ],
-)  # fmt: skip
+)
 def test_primitives_are_counted_by_their_kind(primitive, vertices, count):
     assert count_primitives(primitive, vertices) == count
 
 
 def test_work_costs_by_default_what_the_page_says():
-    assert CostModel().nanoseconds(CommandWork(Op.DRAW, 1000, 2000, 3000, 1, 4000)) == 20 + 500 + 100 + 60 + 100 + 400
+    assert (
+        CostModel().nanoseconds(CommandWork(Op.DRAW, 1000, 2000, 3000, 1, 4000))
+        == 20 + 500 + 100 + 60 + 100 + 400
+    )
 
 
 def test_the_model_is_linear_and_replaceable():

@@ -1,4 +1,5 @@
-"""The wgpu backend: what is missing is named, errors of wgpu are errors by name, and passes have few segments."""
+"""The wgpu backend: what is missing is named, errors of wgpu are errors by name, and passes have few
+segments."""
 
 from __future__ import annotations
 
@@ -61,14 +62,18 @@ def test_an_adapter_that_does_not_exist_is_refused_with_those_that_do(
 # -- devices -----------------------------------------------------------------------------------------------
 
 
-def test_the_core_profile_has_what_a_null_device_says_of_webgpu(usable: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_core_profile_has_what_a_null_device_says_of_webgpu(
+    usable: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
     monkeypatch.setenv("RHI_SLOW_ANISOTROPY", "1")
     expected = PROFILES["webgpu"]
     own = {"backend", "device", "driver", "shading", "rejected_devices", "disabled_features"}
     with rhi.create_device("wgpu") as device:
         names = {field.name for field in fields(expected)} - own
-        assert {name: getattr(device.capabilities, name) for name in names} == {n: getattr(expected, n) for n in names}
+        assert {name: getattr(device.capabilities, name) for name in names} == {
+            n: getattr(expected, n) for n in names
+        }
         assert (draw_once(device, SIZE, Format.R8, rectangle()) == 255).all()
 
 
@@ -152,7 +157,11 @@ for call in calls:
 @pytest.mark.parametrize("close", ["device.close()", ""], ids=["closed", "left open"])
 def test_a_lost_device_is_an_error_of_each_call_and_never_ends_the_process(usable: None, close: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", _LOST.format(close=close)], capture_output=True, text=True, check=False, timeout=100
+        [sys.executable, "-c", _LOST.format(close=close)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["device-lost"] * 5
@@ -226,6 +235,6 @@ def test_fans_and_quads_without_indices_share_their_index_buffers(device: Device
                 with device.render_pass(image, clear=(0, 0, 0, 0)):
                     device.draw(program, mesh)
                     device.draw(program, mesh)
-        assert {kind: size >= 6 * count for kind, (size, _) in draws._shared_indices.items()} == dict.fromkeys(
-            (Primitive.TRIANGLE_FAN, Primitive.QUADS), True
-        )
+        assert {
+            kind: size >= 6 * count for kind, (size, _) in draws._shared_indices.items()
+        } == dict.fromkeys((Primitive.TRIANGLE_FAN, Primitive.QUADS), True)

@@ -9,18 +9,43 @@ import sys
 
 import pytest
 
-DEFAULT_GROUPS = ("buffers", "textures", "compute", "depth", "stencil", "blending", "targets", "sampling", "queries")
+DEFAULT_GROUPS = (
+    "buffers",
+    "textures",
+    "compute",
+    "depth",
+    "stencil",
+    "blending",
+    "targets",
+    "sampling",
+    "queries",
+)
 """Groups of operations that take a sixth of the whole kit's time, and find most faults."""
 
 
 def run(*tests: str, profile: str = "native") -> int:
     """Run tests of the kit on wgpu, assert that none fails, and return the number of those that pass."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tb=short", "--pyargs", *tests]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--tb=short",
+        "--pyargs",
+        *tests,
+    ]
     done = subprocess.run(
-        [*command, "--rhi-backend", "wgpu"], capture_output=True, text=True, check=False,
+        [*command, "--rhi-backend", "wgpu"],
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "RHI_WGPU_PROFILE": profile},
-    )  # fmt: skip
-    totals = re.findall(r"total +(\d+) passed +(\d+) failed", done.stdout)  # of tests of any backend, and of wgpu's
+    )
+    totals = re.findall(
+        r"total +(\d+) passed +(\d+) failed", done.stdout
+    )  # of tests of any backend, and of wgpu's
     assert totals, done.stdout + done.stderr
     assert all(failed == "0" for _, failed in totals), done.stdout
     return sum(int(passed) for passed, _ in totals)

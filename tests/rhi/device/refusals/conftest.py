@@ -1,4 +1,5 @@
-"""Devices for tests of refusals: null devices, shared by all of them. After each refusal they must go on working."""
+"""Devices for tests of refusals: null devices, shared by all of them. After each refusal they must go on
+working."""
 
 from __future__ import annotations
 

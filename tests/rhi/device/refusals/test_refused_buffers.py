@@ -83,7 +83,9 @@ def test_the_refusal_of_a_dtype_shows_both_layouts(recording: Device) -> None:
     ("offset", "target", "size"),
     [(0, 0, 17), (8, 0, 9), (0, 8, 9), (-1, 0, 4), (0, -4, 4), (0, 0, 0), (16, 0, None)],
 )
-def test_a_copy_must_lie_in_both_buffers(recording: Device, offset: int, target: int, size: int | None) -> None:
+def test_a_copy_must_lie_in_both_buffers(
+    recording: Device, offset: int, target: int, size: int | None
+) -> None:
     with recording.buffer(16) as first, recording.buffer(16) as second:
         with refuses(rules.BUFFER_RANGE, recording):
             first.copy_to(second, size=size, offset=offset, target_offset=target)

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 from refused_shaders import Everything, Passing
 
-from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Mesh, Primitive, Texture, ValidationError
+from rhi import (
+    DRAW,
+    Access,
+    CullMode,
+    Device,
+    Format,
+    IndirectDraws,
+    Mesh,
+    Primitive,
+    Texture,
+    ValidationError,
+)
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import VertexRows, corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
@@ -58,7 +69,11 @@ def test_a_draw_needs_a_pass(recording: Device, image: Texture, mesh: Mesh) -> N
 def test_a_refused_draw_shows_the_user_s_frames(recording: Device, name: str) -> None:
     """Beside them two frames, and no Python error that led to the refusal."""
     program, wrong = recording.program(Colored), wrong_meshes()[name]
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(wrong) as mesh, recording.render_pass(image):
+    with (
+        recording.texture(SIZE, Format.R8) as image,
+        recording.mesh(wrong) as mesh,
+        recording.render_pass(image),
+    ):
         draws: list[Callable[[], None]] = [
             lambda: recording.draw(program, mesh),
             lambda: program.draw(mesh),
@@ -70,7 +85,11 @@ def test_a_refused_draw_shows_the_user_s_frames(recording: Device, name: str) ->
                 draw()
             text = "".join(traceback.format_exception(caught.value))
             assert "During handling" not in text
-            own = [frame for frame in traceback.extract_tb(caught.value.__traceback__) if frame.filename != __file__]
+            own = [
+                frame
+                for frame in traceback.extract_tb(caught.value.__traceback__)
+                if frame.filename != __file__
+            ]
             assert len(own) <= 2
 
 
@@ -238,12 +257,16 @@ WRONG_CLIPS = {
 
 
 @pytest.mark.parametrize("name", WRONG_CLIPS)
-def test_clips_are_a_rectangle_for_each_draw(recording: Device, name: str, image: Texture, mesh: Mesh) -> None:
+def test_clips_are_a_rectangle_for_each_draw(
+    recording: Device, name: str, image: Texture, mesh: Mesh
+) -> None:
     program = recording.program(Colored)
     with recording.render_pass(image):
         with refuses(rules.DEVICE_ARGUMENT, recording):
             loose(recording).draw_clipped(program, mesh, mesh.draws([0, 3], 3), WRONG_CLIPS[name])
-        recording.draw_clipped(program, mesh, mesh.draws([0, 3], 3), [(0, 0, 0, 0), (-(1 << 30), 0, 1 << 30, 1)])
+        recording.draw_clipped(
+            program, mesh, mesh.draws([0, 3], 3), [(0, 0, 0, 0), (-(1 << 30), 0, 1 << 30, 1)]
+        )
 
 
 def test_many_draws_stay_in_the_mesh(recording: Device, image: Texture, mesh: Mesh) -> None:
@@ -307,12 +330,16 @@ def test_indirect_arguments_lie_in_their_buffer(
 
 
 @pytest.mark.parametrize("offset", [-4, 2, 8])
-def test_an_indirect_count_lies_in_its_buffer(recording: Device, offset: int, image: Texture, mesh: Mesh) -> None:
+def test_an_indirect_count_lies_in_its_buffer(
+    recording: Device, offset: int, image: Texture, mesh: Mesh
+) -> None:
     program = recording.program(Colored)
     with recording.buffer(np.zeros(10, "u4")) as buffer, recording.buffer(np.zeros(2, "u4")) as count:
         with recording.render_pass(image):
             with refuses(rules.INDIRECT_RANGE, recording):
-                recording.draw_indirect(program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=offset))
+                recording.draw_indirect(
+                    program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=offset)
+                )
             recording.draw_indirect(program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=4))
 
 

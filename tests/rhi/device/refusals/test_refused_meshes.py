@@ -53,9 +53,13 @@ HALVES = np.dtype([("position", "f2", 2)])
 DOUBLES = np.dtype([("weight", "f8"), ("position", "f4", 3), ("tint", "u1", 4)])
 
 
-@pytest.mark.parametrize("layout", [PACKED, HALVES, DOUBLES, Corner.dtype], ids=["packed", "half", "double", "plain"])
+@pytest.mark.parametrize(
+    "layout", [PACKED, HALVES, DOUBLES, Corner.dtype], ids=["packed", "half", "double", "plain"]
+)
 @pytest.mark.parametrize(("step", "others"), [(1, 0), (1, 0xFF), (2, 0)])
-def test_vertices_are_finite_in_any_layout(recording: Device, layout: np.dtype[Any], step: int, others: int) -> None:
+def test_vertices_are_finite_in_any_layout(
+    recording: Device, layout: np.dtype[Any], step: int, others: int
+) -> None:
     rows = np.zeros(60_000, layout)
     rows.view("u1")[:] = others  # what isn't a float may look like NaN, and isn't
     floats = [name for name in layout.names or () if layout[name].base.kind == "f"]

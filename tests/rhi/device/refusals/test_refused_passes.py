@@ -95,7 +95,9 @@ def test_targets_have_one_number_of_samples(recording: rhi.Device) -> None:
     ],
     ids=str,
 )
-def test_a_clear_is_four_finite_numbers_per_target(recording: rhi.Device, clear: Any, image: rhi.Texture) -> None:
+def test_a_clear_is_four_finite_numbers_per_target(
+    recording: rhi.Device, clear: Any, image: rhi.Texture
+) -> None:
     with refuses(rules.PASS_CLEAR, recording):
         recording.render_pass(image, clear=clear)
     recording.render_pass(image, clear=(0, 0, 0, 0))
@@ -276,10 +278,15 @@ def test_a_refused_scope_leaves_no_trace(recording: rhi.Device) -> None:
             lambda: rhi.StencilBack(depth_fail=rhi.StencilOperation.KEEP),
         ),
         (lambda: rhi.BlendFunction("one"), lambda: rhi.BlendFunction(rhi.BlendFactor.ONE)),
-        (lambda: rhi.BlendFunction(source_alpha=1), lambda: rhi.BlendFunction(source_alpha=rhi.BlendFactor.ONE)),
+        (
+            lambda: rhi.BlendFunction(source_alpha=1),
+            lambda: rhi.BlendFunction(source_alpha=rhi.BlendFactor.ONE),
+        ),
     ],
 )
-def test_a_state_s_numbers_are_checked_when_it_is_made(recording: rhi.Device, wrong: Any, fitting: Any) -> None:
+def test_a_state_s_numbers_are_checked_when_it_is_made(
+    recording: rhi.Device, wrong: Any, fitting: Any
+) -> None:
     with refuses(rules.STATE_VALUE, recording):
         wrong()
     fitting()

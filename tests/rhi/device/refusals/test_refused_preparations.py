@@ -45,12 +45,17 @@ def test_one_bad_plan_of_many_refuses_all(recording: Device) -> None:
 @pytest.mark.parametrize(
     ("targets", "fits"),
     [
-        ([Format.RGBA8] * 8, True), ([Format.RGBA8] * 9, False),
-        ([Format.D32F], True), ([Format.D32F, Format.D32F], False), ([5], False),
+        ([Format.RGBA8] * 8, True),
+        ([Format.RGBA8] * 9, False),
+        ([Format.D32F], True),
+        ([Format.D32F, Format.D32F], False),
+        ([5], False),
     ],
     ids=str,
-)  # fmt: skip
-def test_targets_are_formats_or_textures_as_many_as_a_pass_takes(recording: Device, targets: Any, fits: bool) -> None:
+)
+def test_targets_are_formats_or_textures_as_many_as_a_pass_takes(
+    recording: Device, targets: Any, fits: bool
+) -> None:
     program = recording.program(Colored)
     if fits:
         assert recording.prepare(program, targets=targets).done()

@@ -49,7 +49,9 @@ def test_query_indices_fit_the_draws_and_the_set(
         recording.draw_counted(program, mesh, draws, queries, right)
 
 
-def test_a_set_has_a_query_for_each_draw(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_a_set_has_a_query_for_each_draw(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
+) -> None:
     program = recording.program(Colored)
     with recording.render_pass(image):
         with refuses(rules.QUERY_INDICES, recording):
@@ -58,7 +60,9 @@ def test_a_set_has_a_query_for_each_draw(recording: Device, queries: QuerySet, m
         recording.draw_counted(program, mesh, mesh.draws(np.zeros(4, int), 3), queries)
 
 
-def test_draws_are_an_array_within_the_mesh(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_draws_are_an_array_within_the_mesh(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
+) -> None:
     program, draws = recording.program(Colored), mesh.draws([0, 3], 3)
     with recording.render_pass(image):
         with refuses(rules.DRAW_ARRAY, recording):
@@ -70,7 +74,9 @@ def test_draws_are_an_array_within_the_mesh(recording: Device, queries: QuerySet
         recording.draw_counted(program, mesh, draws, queries)
 
 
-def test_draws_are_counted_inside_a_pass(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_draws_are_counted_inside_a_pass(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
+) -> None:
     program, draws = recording.program(Colored), mesh.draws()
     with refuses(rules.DRAW_OUTSIDE_PASS, recording):
         recording.draw_counted(program, mesh, draws, queries)
@@ -131,7 +137,9 @@ def test_a_closed_device_counts_nothing(backend: str) -> None:
         device.draw_counted(program, mesh, mesh.draws(), queries)
 
 
-def test_a_set_has_answers_once_it_was_asked(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_a_set_has_answers_once_it_was_asked(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
+) -> None:
     with refuses(rules.QUERY_STATE, recording):
         queries.wait()
     with refuses(rules.QUERY_STATE, recording):
@@ -152,7 +160,9 @@ def test_a_set_has_a_number_of_queries(recording: Device, size: Any) -> None:
 # -- in command buffers ------------------------------------------------------------------------------------
 
 
-def test_a_command_buffer_asks_a_set_once(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_a_command_buffer_asks_a_set_once(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
+) -> None:
     program, draws, other = recording.program(Colored), mesh.draws(), recording.query_set(1)
     with recording.record() as commands, commands.render_pass(image):
         commands.draw_counted(program, mesh, draws, queries)
@@ -175,7 +185,9 @@ def test_a_set_lives_until_the_last_submission(recording: Device, mesh: Mesh, im
         recording.submit(commands)
 
 
-def test_a_command_buffer_counts_by_its_device_s_sets(recording: Device, backend: str, mesh: Mesh, image: Any) -> None:
+def test_a_command_buffer_counts_by_its_device_s_sets(
+    recording: Device, backend: str, mesh: Mesh, image: Any
+) -> None:
     program, draws = recording.program(Colored), mesh.draws()
     with rhi.create_device(backend) as other, recording.record() as commands, commands.render_pass(image):
         with refuses(rules.RESOURCE_FOREIGN, recording):

@@ -34,7 +34,9 @@ ELSEWHERE = {
 }
 """Rules that are not tested here, and why."""
 
-NAMES = sorted(name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE)
+NAMES = sorted(
+    name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE
+)
 FOLDERS = (Path(__file__).parent, Path(rhi.conformance.__file__).parent / "validation")
 SOURCES = [path for folder in FOLDERS for path in sorted(folder.glob("test_*.py"))]
 
@@ -60,12 +62,15 @@ def test_each_rule_has_a_failing_case(name: str) -> None:
 
 def test_a_rule_whose_name_begins_another_s_or_stands_in_prose_has_no_case() -> None:
     text = (
-        "with refuses(rules.TEXTURE_SIZE_LIMIT, device):\n    'refuses(rules.QUERY_INDICES'  # refuses(rules.QUADS, x)"
+        "with refuses(rules.TEXTURE_SIZE_LIMIT, device):\n"
+        "    'refuses(rules.QUERY_INDICES'  # refuses(rules.QUADS, x)"
     )
     assert collect_refused_rules(text) == {"TEXTURE_SIZE_LIMIT"}
 
 
-@pytest.mark.parametrize("name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule)))
+@pytest.mark.parametrize(
+    "name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule))
+)
 def test_a_rule_is_a_sentence_with_a_name(name: str) -> None:
     rule: Rule = getattr(rules, name)
     assert rule.id == rule.id.lower()

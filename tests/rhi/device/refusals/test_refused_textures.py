@@ -33,14 +33,22 @@ def test_a_size_is_two_whole_numbers(recording: Device, size: Any) -> None:
 @pytest.mark.parametrize(
     ("kind", "layers", "fits"),
     [
-        (TextureKind.D2, 2, False), (TextureKind.D2, 1, True),
-        (TextureKind.D2_ARRAY, 0, False), (TextureKind.D2_ARRAY, 1, True), (TextureKind.D2_ARRAY, 7, True),
-        (TextureKind.D3, 0, False), (TextureKind.D3, 5, True),
-        (TextureKind.CUBE, 5, False), (TextureKind.CUBE, 6, True), (TextureKind.CUBE, 12, False),
+        (TextureKind.D2, 2, False),
+        (TextureKind.D2, 1, True),
+        (TextureKind.D2_ARRAY, 0, False),
+        (TextureKind.D2_ARRAY, 1, True),
+        (TextureKind.D2_ARRAY, 7, True),
+        (TextureKind.D3, 0, False),
+        (TextureKind.D3, 5, True),
+        (TextureKind.CUBE, 5, False),
+        (TextureKind.CUBE, 6, True),
+        (TextureKind.CUBE, 12, False),
     ],
     ids=str,
-)  # fmt: skip
-def test_each_kind_has_its_number_of_layers(recording: Device, kind: TextureKind, layers: int, fits: bool) -> None:
+)
+def test_each_kind_has_its_number_of_layers(
+    recording: Device, kind: TextureKind, layers: int, fits: bool
+) -> None:
     if fits:
         recording.texture((4, 4), Format.R8, kind=kind, layers=layers).destroy()
     else:
@@ -104,11 +112,15 @@ def test_depth_is_not_3d(recording: Device) -> None:
 @pytest.mark.parametrize(
     "array",
     [
-        np.zeros((4, 4, 2), "u1"), np.zeros((4, 4, 4), "f4"), np.zeros((4, 4), "u1"), np.zeros(4, "u1"),
-        np.zeros((1, 1, 4, 4, 4), "u1"), np.zeros((4, 4, 4), "i1"),
+        np.zeros((4, 4, 2), "u1"),
+        np.zeros((4, 4, 4), "f4"),
+        np.zeros((4, 4), "u1"),
+        np.zeros(4, "u1"),
+        np.zeros((1, 1, 4, 4, 4), "u1"),
+        np.zeros((4, 4, 4), "i1"),
     ],
     ids=lambda a: f"{a.shape}{a.dtype}",
-)  # fmt: skip
+)
 def test_texels_must_have_the_format_s_shape_and_dtype(recording: Device, array: Any) -> None:
     with recording.texture((4, 4), Format.RGBA8) as texture:
         with refuses(rules.TEXTURE_DATA, recording):
@@ -208,7 +220,10 @@ def test_mipmaps_need_a_format_that_can_be_filtered(recording: Device, format: F
 
 
 def test_a_copy_keeps_the_format(recording: Device) -> None:
-    with recording.texture((4, 4), Format.RGBA8) as first, recording.texture((4, 4), Format.RGBA8_SRGB) as second:
+    with (
+        recording.texture((4, 4), Format.RGBA8) as first,
+        recording.texture((4, 4), Format.RGBA8_SRGB) as second,
+    ):
         with refuses(rules.TEXTURE_FORMAT, recording):
             first.copy_to(second)
     with recording.texture((4, 4), Format.RGBA8) as first, recording.texture((4, 4), Format.RGBA8) as second:
@@ -430,10 +445,18 @@ def test_memory_for_reads_is_made_by_reads_only(recording: Device) -> None:
 
 @pytest.mark.parametrize(
     ("format", "shape", "dtype"),
-    [(Format.RGBA8UI, (4, 4, 3), "u1"), (Format.RG8, (4, 4, 3), "u1"), (Format.RGBA8, (4, 4, 2), "u1"),
-     (Format.RGBA8, (4, 4, 3), "f4"), (Format.RGBA16F, (4, 4, 3), "f4"), (Format.R11G11B10F, (4, 4, 3), "u4")],
-)  # fmt: skip
-def test_only_colors_may_lack_alpha(recording: Device, format: Format, shape: tuple[int, ...], dtype: str) -> None:
+    [
+        (Format.RGBA8UI, (4, 4, 3), "u1"),
+        (Format.RG8, (4, 4, 3), "u1"),
+        (Format.RGBA8, (4, 4, 2), "u1"),
+        (Format.RGBA8, (4, 4, 3), "f4"),
+        (Format.RGBA16F, (4, 4, 3), "f4"),
+        (Format.R11G11B10F, (4, 4, 3), "u4"),
+    ],
+)
+def test_only_colors_may_lack_alpha(
+    recording: Device, format: Format, shape: tuple[int, ...], dtype: str
+) -> None:
     with recording.texture((4, 4), format) as texture, refuses(rules.TEXTURE_DATA, recording):
         texture.write(np.zeros(shape, dtype))
 
@@ -448,10 +471,18 @@ def test_a_compressed_texture_is_only_written_and_sampled(recording: Device) -> 
         recording.buffer(1024) as buffer,
     ):
         calls: list[Callable[[], object]] = [
-            texture.read, texture.read_layers, texture.read_async, texture.generate_mipmaps, texture.at, texture.image,
-            lambda: texture.lock(Access.READ), lambda: texture.copy_to(other), lambda: other.copy_to(texture),
-            lambda: texture.copy_to_buffer(buffer), lambda: texture.copy_from_buffer(buffer),
-        ]  # fmt: skip
+            texture.read,
+            texture.read_layers,
+            texture.read_async,
+            texture.generate_mipmaps,
+            texture.at,
+            texture.image,
+            lambda: texture.lock(Access.READ),
+            lambda: texture.copy_to(other),
+            lambda: other.copy_to(texture),
+            lambda: texture.copy_to_buffer(buffer),
+            lambda: texture.copy_from_buffer(buffer),
+        ]
         for call in calls:
             with refuses(rules.TEXTURE_FORMAT, recording):
                 call()
@@ -474,7 +505,9 @@ def test_blocks_are_bytes_of_their_format(recording: Device, shape: tuple[int, .
     [(0, 0, 3, 2, True), (4, 4, 2, 1, True), (8, 4, 1, 1, True), (2, 0, 1, 1, False), (0, 2, 1, 1, False),
      (0, 0, 4, 2, False), (0, 0, 3, 3, False), (12, 0, 1, 1, False), (-4, 0, 1, 1, False)],
 )  # fmt: skip
-def test_blocks_lie_inside_the_level(recording: Device, x: int, y: int, columns: int, rows: int, fits: bool) -> None:
+def test_blocks_lie_inside_the_level(
+    recording: Device, x: int, y: int, columns: int, rows: int, fits: bool
+) -> None:
     """A level of 10×7 texels has 3×2 blocks."""
     blocks = np.zeros((rows, columns, 8), "u1")
     with recording.texture((10, 7), CompressedFormat.BC1) as texture:
@@ -501,7 +534,9 @@ def test_a_device_that_stores_blocks_gets_them_as_they_are() -> None:
     for profile, native in ((stores, True), ("everything", False)):
         with rhi.create_device("null", profile=profile) as device:
             device.texture(blocks, CompressedFormat.BC1)
-            (created,), (written,) = (device.stream.filter(op) for op in (Op.CREATE_TEXTURE, Op.WRITE_TEXTURE))
+            (created,), (written,) = (
+                device.stream.filter(op) for op in (Op.CREATE_TEXTURE, Op.WRITE_TEXTURE)
+            )
             assert created["descriptor"].compressed is (CompressedFormat.BC1 if native else None)
             assert created["descriptor"].format is Format.RGBA8
             assert written["region"] == Region(0, 0, 12, 8)

@@ -120,7 +120,9 @@ def test_matrices_that_are_only_read_are_read_by_columns() -> None:
 
 
 @pytest.mark.parametrize("shader", [CopyTurns, ReadNatively])
-def test_matrices_that_are_written_or_seen_by_native_code_have_their_rows_in_order(shader: type[sl.Shader]) -> None:
+def test_matrices_that_are_written_or_seen_by_native_code_have_their_rows_in_order(
+    shader: type[sl.Shader],
+) -> None:
     text = source(shader)
     assert text.count("layout(std430, row_major, binding = 0)") == 1
     assert "rhi_rows" not in text

@@ -1,4 +1,5 @@
-"""The languages of Vulkan: GLSL 4.50 and, where glslang is installed, SPIR-V; and languages that a port adds."""
+"""The languages of Vulkan: GLSL 4.50 and, where glslang is installed, SPIR-V; and languages that a port
+adds."""
 
 from __future__ import annotations
 
@@ -274,7 +275,10 @@ def test_a_port_adds_a_language_by_one_function(listing):
     assert descriptor.emit(listing, Stage.VERTEX) is descriptor.emit(listing, Stage.VERTEX)
     with pytest.raises(ShaderError) as error:
         descriptor.emit(listing, Stage.FRAGMENT)
-    assert (error.value.rule.id, error.value.allowed) == ("shading-native", "glsl, opencl16, vulkan, spirv, wgsl")
+    assert (error.value.rule.id, error.value.allowed) == (
+        "shading-native",
+        "glsl, opencl16, vulkan, spirv, wgsl",
+    )
 
 
 def test_a_language_is_registered_once(monkeypatch):

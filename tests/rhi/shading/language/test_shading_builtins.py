@@ -1,4 +1,5 @@
-"""Every row of the table of built-ins: each overload compiles on the driver, each function returns the right value."""
+"""Every row of the table of built-ins: each overload compiles on the driver, each function returns the right
+value."""
 
 import math
 import struct
@@ -196,15 +197,36 @@ VALUES = {
 }
 ELSEWHERE = {
     # tests of their own in test_shading_values.py and test_shading_table.py
-    "uniform", "broadcast_first",
-    "atomic_add", "atomic_min", "atomic_max", "atomic_and", "atomic_or", "atomic_xor", "atomic_exchange",
-    "atomic_compare_exchange", "barrier", "memory_barrier", "global_id", "local_id", "group_id",
+    "uniform",
+    "broadcast_first",
+    "atomic_add",
+    "atomic_min",
+    "atomic_max",
+    "atomic_and",
+    "atomic_or",
+    "atomic_xor",
+    "atomic_exchange",
+    "atomic_compare_exchange",
+    "barrier",
+    "memory_barrier",
+    "global_id",
+    "local_id",
+    "group_id",
     # what they give depends on a draw: the conformance kit
-    "ddx", "ddy", "fwidth", "discard", "vertex_index", "instance_index", "draw_index", "fragment_coordinate",
-    "point_coordinate", "front_facing", "primitive_index",
+    "ddx",
+    "ddy",
+    "fwidth",
+    "discard",
+    "vertex_index",
+    "instance_index",
+    "draw_index",
+    "fragment_coordinate",
+    "point_coordinate",
+    "front_facing",
+    "primitive_index",
     # what it promises: the kit's test_outside.py, test_shading_index_ranges.py
     "unchecked",
-}  # fmt: skip
+}
 
 
 def test_every_builtin_has_its_value(run_everywhere):
@@ -213,7 +235,8 @@ def test_every_builtin_has_its_value(run_everywhere):
         "class Test(Shader):\n"
         "    a: Storage[float]\n    ints: Storage[int]\n    uints: Storage[uint]\n    out: StorageRW[float]\n"
         "    def compute(self) -> None:\n"
-        "        x = self.a[0]\n        y = self.a[1]\n        n = self.ints[0]\n        u = self.uints[0]\n" + lines
+        "        x = self.a[0]\n        y = self.a[1]\n        n = self.ints[0]\n        u = self.uints[0]\n"
+        + lines
     )
     inputs = {
         "a": np.array([0.5, -1.75], "f4"),

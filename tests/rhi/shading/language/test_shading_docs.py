@@ -1,4 +1,5 @@
-"""docs/shading.md is correct: its code runs, and its shaders compile; docs/shading-builtins.md names all built-ins."""
+"""docs/shading.md is correct: its code runs, and its shaders compile; docs/shading-builtins.md names all
+built-ins."""
 
 import importlib.util
 import re
@@ -23,7 +24,9 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
         spec.loader.exec_module(module)
     finally:
         del sys.modules["page"]
-    shaders = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader]
+    shaders = [
+        v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader
+    ]
     assert len(shaders) == 7
     for shader in shaders:
         link(shader)

@@ -1,4 +1,5 @@
-"""Structs as CPU values and as classes; that their layouts are those of devices, the kit's test_compute.py asks."""
+"""Structs as CPU values and as classes; that their layouts are those of devices, the kit's test_compute.py
+asks."""
 
 import math
 

@@ -1,4 +1,5 @@
-"""The table of built-ins: a new built-in needs only a new row, and a row that lacks a language fails at import.
+"""The table of built-ins: a new built-in needs only a new row, and a row that lacks a language fails at
+import.
 
 `uniform` declares what the compiler can't infer.
 """
@@ -88,8 +89,9 @@ def test_every_row_has_one_meaning_in_each_language():
 
 def test_what_wgsl_lacks_is_refused_by_name():
     assert [row.name for row in BUILTINS.values() if isinstance(row.wgsl, Refused)] == [
-        "memory_barrier", "point_coordinate",
-    ]  # fmt: skip
+        "memory_barrier",
+        "point_coordinate",
+    ]
 
 
 class OfTiles(Shader):
@@ -115,7 +117,9 @@ def test_what_is_uniform_is_read_once_for_all_lanes(run_everywhere):
     tiles = np.repeat([3, 7], 16).astype("i4")
     lists = np.arange(20, dtype="f4")
     out = run_everywhere(OfTiles, tiles=tiles, lists=lists, out=32)["out"]
-    expected = np.array([lists[t : 2 * t].sum() if i % 3 != 1 else 2 * t + (t > 4) for i, t in enumerate(tiles)])
+    expected = np.array(
+        [lists[t : 2 * t].sum() if i % 3 != 1 else 2 * t + (t > 4) for i, t in enumerate(tiles)]
+    )
     np.testing.assert_array_equal(out, expected)
     assert "rhi_gather(lists_" not in opencl_kernel(OfTiles, 16).text
 
@@ -140,7 +144,28 @@ def test_only_lanes_that_take_part_need_to_agree():
 
 
 def test_every_name_that_shaders_import_can_be_suggested():
-    for_the_host = {"HostTexture", "ImageBinding", "NumpyKernel", "StorageRange", "TextureBinding", "UniformRange"}
-    for_the_host |= {"compile_shader", "evaluate", "opencl_kernel", "run_compute", "run_fragment", "run_vertex"}
-    for_the_host |= {"ShaderCode", "find_element", "from_source", "register_language", "stage_trees", "value_type_of"}
+    for_the_host = {
+        "HostTexture",
+        "ImageBinding",
+        "NumpyKernel",
+        "StorageRange",
+        "TextureBinding",
+        "UniformRange",
+    }
+    for_the_host |= {
+        "compile_shader",
+        "evaluate",
+        "opencl_kernel",
+        "run_compute",
+        "run_fragment",
+        "run_vertex",
+    }
+    for_the_host |= {
+        "ShaderCode",
+        "find_element",
+        "from_source",
+        "register_language",
+        "stage_trees",
+        "value_type_of",
+    }
     assert set(rhi.shading.__all__) - for_the_host == LANGUAGE_NAMES

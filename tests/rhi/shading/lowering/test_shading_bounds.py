@@ -38,7 +38,9 @@ class Base(sl.Shader):
     transforms: sl.Storage[Transform]
 
     def vertex(self, v: Vertex) -> sl.vec4:
-        return self.view.matrix @ sl.vec4(self.world_position(v), self.transforms[sl.instance_index()].offset.x)
+        return self.view.matrix @ sl.vec4(
+            self.world_position(v), self.transforms[sl.instance_index()].offset.x
+        )
 
     def world_position(self, v: Vertex) -> sl.vec3:
         return v.position
@@ -172,9 +174,19 @@ def test_only_words_that_positions_depend_on_count() -> None:
 @pytest.mark.parametrize(
     "shader",
     [
-        Squared, Divided, Rounded, Pulled, Skinned, Folded, ConditionalSwizzle, Heights, Marking, Constant, Checked,
+        Squared,
+        Divided,
+        Rounded,
+        Pulled,
+        Skinned,
+        Folded,
+        ConditionalSwizzle,
+        Heights,
+        Marking,
+        Constant,
+        Checked,
     ],
-)  # fmt: skip
+)
 def test_other_positions_are_not_bounded(shader: type[sl.Shader]) -> None:
     assert boxed(shader) is None
 
@@ -227,7 +239,8 @@ def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
 def test_positions_lie_between_those_of_corners_but_for_the_slack(
     kernel: cl.Kernel, seed: int, scale: float, spread: float, flat: bool
 ) -> None:
-    """Draw terms of all magnitudes, some of which cancel, and boxes of all sizes, down to a few float steps or flat."""
+    """Draw terms of all magnitudes, some of which cancel, and boxes of all sizes, down to a few float steps
+    or flat."""
     rng = np.random.default_rng(seed)
 
     def random(*shape: int) -> np.ndarray:

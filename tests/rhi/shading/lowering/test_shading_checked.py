@@ -161,7 +161,9 @@ def test_the_environment_turns_it_on():
     code = "from rhi.shading import Shader; print(Shader.checked)"
     for value, expected in (("1", "True"), ("0", "False"), ("", "False")):
         environment = {**os.environ, "RHI_SHADING_CHECKED": value}
-        run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        run = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        )
         assert run.stdout.strip() == expected
 
 

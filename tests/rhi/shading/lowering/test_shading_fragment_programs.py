@@ -1,5 +1,5 @@
-"""Generated fragment stages, like the compute stages of `test_shading_lane_programs`. They also discard, in called
-functions too, and take differences between pixels, so that helpers run."""
+"""Generated fragment stages, like the compute stages of `test_shading_lane_programs`. They also discard, in
+called functions too, and take differences between pixels, so that helpers run."""
 
 import numpy as np
 import pytest

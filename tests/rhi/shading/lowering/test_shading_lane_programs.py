@@ -1,7 +1,7 @@
 """Generated programs: GLSL and one lane have real branches, 16 lanes and NumPy have masks; all must agree.
 
-Numbers are ints, so that agreement is equality. Programs nest loops with varying bounds, breaks, continues and early
-returns, write local arrays at varying places, store where a mask says so, and add atomically.
+Numbers are ints, so that agreement is equality. Programs nest loops with varying bounds, breaks, continues
+and early returns, write local arrays at varying places, store where a mask says so, and add atomically.
 """
 
 import itertools
@@ -90,7 +90,8 @@ def conditions(draw, depth=1, names=NAMES, calls=True):
 
 @st.composite
 def blocks(draw, depth=3, in_loop=False, result="", names=NAMES, discards=False):
-    """Draw the lines of a block. `result` is the expression that `return` returns, if the function has a result."""
+    """Draw the lines of a block. `result` is the expression that `return` returns, if the function has a
+    result."""
     is_helper = names != NAMES
     lines = []
     for _ in range(draw(st.integers(1, 3))):
@@ -101,20 +102,29 @@ def blocks(draw, depth=3, in_loop=False, result="", names=NAMES, discards=False)
         elif kind == 4 and not is_helper:
             lines.append(f"table[({expression}){draw(masks(4))}] = {draw(st.sampled_from(names))}")
         elif kind == 5 and not is_helper:
-            lines.append(draw(st.sampled_from([
-                f"atomic_add(self.sums[({expression}) & 7], x & 255)",
-                f"atomic_add(self.sums[min({expression}, 7)], x & 255)",  # places 8 and 9 have operations of their own
-                f"x += atomic_add(self.sums[max({expression}, 16)], 1)",  # outside, so 0
-                "atomic_add(self.sums[8], 1)",
-                f"atomic_max(self.sums[9], {expression})",
-            ])))  # fmt: skip
+            lines.append(
+                draw(
+                    st.sampled_from(
+                        [
+                            f"atomic_add(self.sums[({expression}) & 7], x & 255)",
+                            # sums 8 and 9 have operations of their own
+                            f"atomic_add(self.sums[min({expression}, 7)], x & 255)",
+                            f"x += atomic_add(self.sums[max({expression}, 16)], 1)",  # outside, so 0
+                            "atomic_add(self.sums[8], 1)",
+                            f"atomic_max(self.sums[9], {expression})",
+                        ]
+                    )
+                )
+            )
         elif kind == 6 and in_loop:
             word = draw(st.sampled_from(["break", "continue"]))
             lines += [f"if {draw(conditions(1, names, not is_helper))}:", f"    {word}"]
         elif kind == 7:
             lines += [f"if {draw(conditions(1, names, not is_helper))}:"]
             lines += ["    self.out[i] = " + draw(st.sampled_from(names))] if not is_helper else []
-            lines += ["    discard()"] if discards and draw(st.booleans()) else [f"    return {result}".rstrip()]
+            lines += (
+                ["    discard()"] if discards and draw(st.booleans()) else [f"    return {result}".rstrip()]
+            )
         elif kind in (8, 9):
             inner = draw(blocks(depth - 1, in_loop, result, names, discards))
             lines += [f"if {draw(conditions(1, names, not is_helper))}:", *indent(inner)]
@@ -201,7 +211,8 @@ def test_programs_mean_the_same_in_every_language(run):
         pytest.param("return 1 if -x < 1 else 0", "z = self.helper(min(-5, x << 28), y)", id="negated"),
         pytest.param(
             "if x < y:\n            return y\n        return x",
-            "while z < 4 and x < 9:\n            z += 1\n            x += atomic_add(self.sums[self.helper(64, 9)], 1)",
+            "while z < 4 and x < 9:\n            z += 1\n            x += "
+            "atomic_add(self.sums[self.helper(64, 9)], 1)",
             id="a function with an early return, in a loop that lanes leave one by one",
         ),
     ],

@@ -1,4 +1,5 @@
-"""Lane code: what varies and what doesn't, vector memory, precision, functions on arrays; each on every language."""
+"""Lane code: what varies and what doesn't, vector memory, precision, functions on arrays; each on every
+language."""
 
 import numpy as np
 import pytest
@@ -75,7 +76,9 @@ class Exact(sl.Shader):
         self.out[at + 9] = x * y
         self.out[at + 10] = 0.0 if sl.isnan(x) else sl.sign(x) + sl.step(1.0, x) + sl.saturate(x)
         self.out[at + 11] = (
-            0.0 if sl.isnan(x) or sl.abs(x) < 1e-7 else sl.unpack_half_2x16(sl.pack_half_2x16(sl.vec2(x, 0.0))).x
+            0.0
+            if sl.isnan(x) or sl.abs(x) < 1e-7
+            else sl.unpack_half_2x16(sl.pack_half_2x16(sl.vec2(x, 0.0))).x
         )
 
 

@@ -80,7 +80,9 @@ def test_a_range_gives_the_values_of_python(run_everywhere, kind):
     ranges = RANGES if kind != "variables" else [*RANGES, (0, 5, 0), (5, 0, 0)]
     shader = from_source(HEAD + "".join(loop(kind, *pair) for pair in enumerate(ranges)))
     result = run_everywhere(shader, bounds=np.array(ranges, "i4").ravel(), out=3 * len(ranges))["out"]
-    assert dict(zip(ranges, result.reshape(-1, 3).tolist(), strict=True)) == {r: expected_values(*r) for r in ranges}
+    assert dict(zip(ranges, result.reshape(-1, 3).tolist(), strict=True)) == {
+        r: expected_values(*r) for r in ranges
+    }
 
 
 VARYING = from_source("""
@@ -108,5 +110,7 @@ def test_ranges_that_differ_between_lanes_end_where_each_lane_ends(run_everywher
     result = run_everywhere(VARYING, stop=np.array([INT_MAX, 200], "i4"), out=64)["out"].tolist()
     assert result == [
         len(range(2147483000 + i * 10, INT_MAX, 320))
-        + 100 * len(range(i, 100, 64)) + 10000 * len(range(i, 200, 64)) for i in range(64)
-    ]  # fmt: skip
+        + 100 * len(range(i, 100, 64))
+        + 10000 * len(range(i, 200, 64))
+        for i in range(64)
+    ]

@@ -84,7 +84,9 @@ class Skinning(sl.Shader):
                 break
             position += self.skin(v.position, joint) * 0.5
         number = float(sl.vertex_index() % 7 + 100 * sl.instance_index())
-        color = sl.uvec3(v.color & sl.uint(255), (v.color >> sl.uint(8)) & sl.uint(255), v.color >> sl.uint(16))
+        color = sl.uvec3(
+            v.color & sl.uint(255), (v.color >> sl.uint(8)) & sl.uint(255), v.color >> sl.uint(16)
+        )
         return Skinned(
             clip=self.camera @ sl.vec4(position * n.scale, 1.0),
             normal=sl.normalize(sl.cross(v.normal, sl.vec3(1.0, 2.0, 3.0))) + number,
@@ -158,11 +160,15 @@ def test_vertices_read_from_buffers_agree(vertex_stage, vertex):
     out = vertex_stage(Pulled, {}, 40, vertices=vertex, instance=2, points=points, words=words, marks=total)
     expected = np.c_[points[vertex, :2], words[vertex * 2 + 1] + vertex, vertex * 0 + 2]
     np.testing.assert_array_equal(out["position"], expected)
-    np.testing.assert_array_equal(out["marks"], np.where(np.isin(np.arange(total), vertex), np.arange(total) + 1, 0))
+    np.testing.assert_array_equal(
+        out["marks"], np.where(np.isin(np.arange(total), vertex), np.arange(total) + 1, 0)
+    )
 
 
 def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0_of_4(points_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
+    assert (
+        "rhi_load_global_4_0_of_4(points_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
+    )
 
 
 # -- fragments ---------------------------------------------------------------------------------------------
@@ -226,7 +232,10 @@ class Lit(sl.Shader):
             self.hits[1 + column] = 1
         sl.atomic_max(self.hits[20 + row], column * 2)
         return Targets(
-            color=color, id=counts[1] + s.id, ids=sl.uvec3(sl.uint(row), sl.uint(column), sl.uint(n)), depth=at.x / 64.0
+            color=color,
+            id=counts[1] + s.id,
+            ids=sl.uvec3(sl.uint(row), sl.uint(column), sl.uint(n)),
+            depth=at.x / 64.0,
         )
 
 
@@ -278,7 +287,9 @@ def table_of_lit():
 @pytest.mark.parametrize("front", [True, False])
 @pytest.mark.parametrize("covered", ["all", "part"])
 def test_fragment_stages_agree(fragment_stage, front, covered):
-    mask = np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
+    mask = (
+        np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
+    )
     varyings = {
         "uv": np.stack([COLUMNS / 16 + 0.01, ROWS / 12], axis=-1).astype("f4"),
         "screen": np.stack([COLUMNS / 16, ROWS / 12], axis=-1).astype("f4"),
@@ -286,8 +297,15 @@ def test_fragment_stages_agree(fragment_stage, front, covered):
         "id": np.array(13, "i4"),
     }
     out = fragment_stage(
-        Lit, varyings, SHAPE, mask=mask, front=front, scale=np.array([1, 2, 3], "f4"), table=table_of_lit(), hits=40,
-    )  # fmt: skip
+        Lit,
+        varyings,
+        SHAPE,
+        mask=mask,
+        front=front,
+        scale=np.array([1, 2, 3], "f4"),
+        table=table_of_lit(),
+        hits=40,
+    )
     color, number, ids, depth, hits = lit(front, mask)
     np.testing.assert_array_equal(out["coverage"], mask)
     np.testing.assert_allclose(out["color"][mask], color[mask], rtol=2e-5, atol=2e-5)
@@ -303,7 +321,8 @@ class Plain(sl.Struct):
 
 
 class Sloped(sl.Shader):
-    """Differences of inputs, of what is computed from them, of what is read from memory, within a called function."""
+    """Differences of inputs, of what is computed from them, of what is read from memory, within a called
+    function."""
 
     table: sl.Storage[float]
 
@@ -396,7 +415,9 @@ def cut(limit, mask):
 
 @pytest.mark.parametrize(("limit", "covered"), [(0, "all"), (0, "part"), (11, "all")])
 def test_discards_agree(fragment_stage, limit, covered):
-    mask = np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
+    mask = (
+        np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
+    )
     out = fragment_stage(Cut, {}, SHAPE, mask=mask, limit=np.float32(limit), counts=4)
     coverage, total, counts = cut(limit, mask)
     np.testing.assert_array_equal(out["coverage"], coverage)

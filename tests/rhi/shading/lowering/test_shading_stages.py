@@ -96,9 +96,15 @@ def test_a_vertex_stage_gives_positions_and_varyings():
     ids = np.arange(count, dtype="i4")
     weights = np.full(count, 7, "u4")
     out = run_vertex_lanes(
-        Draws, {"position": position, "id": ids, "weight": weights}, count,
-        first=100, instance=3, draw=2, camera=camera, offsets=offsets,
-    )  # fmt: skip
+        Draws,
+        {"position": position, "id": ids, "weight": weights},
+        count,
+        first=100,
+        instance=3,
+        draw=2,
+        camera=camera,
+        offsets=offsets,
+    )
     vertex = 100 + ids
     shifted = position + offsets[vertex % 5]
     shifted[ids % 3 == 0] *= -1
@@ -230,7 +236,9 @@ def test_helpers_leave_with_the_last_fragment_of_their_quad(run):
     out = run(CutSlopes, {"value": value}, SHAPE, mask=mask)
     coverage = mask & (COLUMNS >= 4)
     np.testing.assert_array_equal(out["coverage"], coverage)
-    np.testing.assert_array_equal(out["color"][coverage][:, :2], np.broadcast_to([3.0, 0.0], (coverage.sum(), 2)))
+    np.testing.assert_array_equal(
+        out["color"][coverage][:, :2], np.broadcast_to([3.0, 0.0], (coverage.sum(), 2))
+    )
     text = sl.compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"= rhi_quads\(kept_\d+\);", text)
 
@@ -279,8 +287,11 @@ class NativeLanes(sl.Shader):
     def vertex(self, v: Corner) -> ClipAndValue:
         return ClipAndValue(clip=sl.vec4(v.position, v.position), value=float(v.id))
 
-    @sl.native("opencl16", "outputs[0] = as_uint16(twice(as_float16(inputs[0])) * as_float(scale_[1]));\nreturn mask;",
-            declarations="float16 twice(float16 x) { return x + x; }")  # fmt: skip
+    @sl.native(
+        "opencl16",
+        "outputs[0] = as_uint16(twice(as_float16(inputs[0])) * as_float(scale_[1]));\nreturn mask;",
+        declarations="float16 twice(float16 x) { return x + x; }",
+    )
     def fragment(self, v: Value) -> float: ...
 
 
@@ -340,7 +351,9 @@ class ColorPass(DepthPass):
     def vertex(self, v: Corner) -> Surface2:  # type: ignore[override]
         position = sl.vec3(v.position, float(v.id)) * 1.7
         turn = self.camera.turn
-        near = turn[0] * position.x + sl.vec4(position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x))
+        near = turn[0] * position.x + sl.vec4(
+            position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x)
+        )
         return Surface2(clip=self.clip_position(v), near=near)
 
     def fragment(self, s: Surface2) -> sl.vec4:
@@ -464,7 +477,10 @@ class PassesTextures(PositionValued):
 def test_textures_are_passed_to_functions(run):
     first, second = (np.random.default_rng(n).random((*SHAPE, 4), "f4") for n in range(2))
     value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
-    textures = {"first": sl.HostTexture(first, Format.RGBA32F), "second": sl.HostTexture(second, Format.RGBA32F)}
+    textures = {
+        "first": sl.HostTexture(first, Format.RGBA32F),
+        "second": sl.HostTexture(second, Format.RGBA32F),
+    }
     out = run(PassesTextures, {"value": value}, SHAPE, **textures)["color"]
     a, b = first[..., 0], second[..., 0]
     np.testing.assert_allclose(out[..., :2], np.stack([a + 10 * b, b + 10 * a], axis=-1), rtol=1e-6)
@@ -526,7 +542,9 @@ def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):
             return sl.vec4(0.25)
 
     parsed, parse = [], compiler.parse_stage
-    monkeypatch.setattr(compiler, "parse_stage", lambda *arguments: parsed.append(arguments[1]) or parse(*arguments))
+    monkeypatch.setattr(
+        compiler, "parse_stage", lambda *arguments: parsed.append(arguments[1]) or parse(*arguments)
+    )
     for _ in range(2):
         assert sl.run_vertex(Both).position.tolist() == [0.5] * 4
         (color,) = sl.run_fragment(Both, fragment_coordinate=np.zeros((2, 2, 4))).outputs.values()

@@ -1,5 +1,5 @@
-"""Every built-in and operator keeps its stated error, in every language, on a dense sample and on hard inputs: NaN,
-zeros of both signs, denormals, infinities, extremes, negative operands of // and %."""
+"""Every built-in and operator keeps its stated error, in every language, on a dense sample and on hard
+inputs: NaN, zeros of both signs, denormals, infinities, extremes, negative operands of // and %."""
 
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager
@@ -24,11 +24,13 @@ def shader_of(probe, precision):
 
 
 def call(run, probe, arguments, precision=Precision.EXACT):
-    """Return the results of a probe's shader; rows are padded to whole work-groups, so that a vector has lanes of all
-    kinds."""
+    """Return the results of a probe's shader; rows are padded to whole work-groups, so that a vector has
+    lanes of all kinds."""
     rows = np.concatenate([arguments, np.repeat(arguments[:1], -len(arguments) % WORK_GROUP, axis=0)])
     size = probe.evaluate(arguments[:1], np.float32).shape[1]
-    results = run(shader_of(probe, precision), len(rows) // WORK_GROUP, inputs=rows.ravel(), results=len(rows) * size)
+    results = run(
+        shader_of(probe, precision), len(rows) // WORK_GROUP, inputs=rows.ravel(), results=len(rows) * size
+    )
     return probe.numbers(results["results"].reshape(len(rows), size))[: len(arguments)]
 
 
@@ -67,14 +69,18 @@ def excess(runner, probe):
 
 
 def has_fast_code(probe):
-    texts = {opencl_kernel(probe.shader("Single", precision), 16).text.partition("\n")[2] for precision in Precision}
+    texts = {
+        opencl_kernel(probe.shader("Single", precision), 16).text.partition("\n")[2]
+        for precision in Precision
+    }
     return len(texts) == 2
 
 
 @pytest.mark.nightly_cases("16 lanes", "16 lanes, fast", reason=FEWER_CASES)
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "runner", ["glsl", pytest.param("one lane", marks=pytest.mark.nightly), "16 lanes", "16 lanes, fast", "numpy"]
+    "runner",
+    ["glsl", pytest.param("one lane", marks=pytest.mark.nightly), "16 lanes", "16 lanes, fast", "numpy"],
 )
 def test_every_builtin_and_operator_keeps_its_stated_error(runners, runner):
     with all_built(runner):
@@ -111,7 +117,8 @@ def test_every_function_of_its_arguments_is_probed():
 
 
 def test_float64_agrees_with_the_standard_librarys_functions():
-    """The reference is also checked against Python: `VALUES` of the built-ins' tests come from Python, in float64."""
+    """The reference is also checked against Python: `VALUES` of the built-ins' tests come from Python, in
+    float64."""
     import math
 
     for name, function in {

@@ -1,9 +1,10 @@
 """Textures and images in lanes and on NumPy, compared with OpenGL.
 
 Tolerances and their reasons:
-- Lanes against float64: 2e-6 for values up to 1 (float32 coordinates times a size, a curve of sRGB within 1.8e-6).
-- llvmpipe filters formats of 8 bits with weights of 8 bits, once for each of two directions and once for levels:
-  2/256 in all; its sRGB is a cubic within 1.3e-3. Everything else in it is float32, as in the lanes.
+- Lanes against float64: 2e-6 for values up to 1 (float32 coordinates times a size, a curve of sRGB within
+  1.8e-6).
+- llvmpipe filters formats of 8 bits with weights of 8 bits, once for each of two directions and once for
+  levels: 2/256 in all; its sRGB is a cubic within 1.3e-3. Everything else in it is float32, as in the lanes.
 """
 
 from __future__ import annotations
@@ -87,11 +88,14 @@ SHAPES: dict[TextureKind, tuple[type[sl.Shader], int]] = {
 def coordinates(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
     """Generate coordinates in and around the texture, and levels in and around its range."""
     rng = np.random.default_rng(seed)
-    return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype("f4")
+    return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype(
+        "f4"
+    )
 
 
 def coordinates_by_block(seed: int = 0) -> NDArray[Any]:
-    """Generate blocks of 16 whose texels all lie inside, or cross only the upper and lower edge, or lie anywhere."""
+    """Generate blocks of 16 whose texels all lie inside, or cross only the upper and lower edge, or lie
+    anywhere."""
     at, rng = coordinates(seed), np.random.default_rng([seed, 1])
     at[: COUNT // 2, :2] = rng.uniform(0.1, 0.9, (COUNT // 2, 2))
     at[COUNT // 4 : COUNT // 2, 1] = rng.uniform(-2, 3, COUNT // 4)
@@ -100,7 +104,9 @@ def coordinates_by_block(seed: int = 0) -> NDArray[Any]:
 
 def sample(device: Device, texture: sl.HostTexture, at: NDArray[Any]) -> dict[str, NDArray[Any]]:
     shader, _ = SHAPES[texture.kind]
-    return read_everywhere(device, shader, {"source": texture}, len(at) // 64, coordinates=at, results=len(at))
+    return read_everywhere(
+        device, shader, {"source": texture}, len(at) // 64, coordinates=at, results=len(at)
+    )
 
 
 # -- formats, filters, edges -------------------------------------------------------------------------------
@@ -110,7 +116,9 @@ def sample(device: Device, texture: sl.HostTexture, at: NDArray[Any]) -> dict[st
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 def test_every_format_is_decoded_and_filtered(device: Device, format: Format, filter: Filter) -> None:
     """A block that lies inside uses different loads for each size of a texel."""
-    texture = sl.HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
+    texture = sl.HostTexture(
+        random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None)
+    )
     slack = EIGHT_BITS if format.dtype.itemsize == 1 and filter is LINEAR else 2e-6
     slack = max(slack, 1.3e-3) if format.kind is ChannelKind.SRGB else slack
     assert_agree(sample(device, texture, coordinates_by_block()), slack)
@@ -118,7 +126,9 @@ def test_every_format_is_decoded_and_filtered(device: Device, format: Format, fi
 
 @pytest.mark.nightly_cases("*-NEAREST-LINEAR-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("mip", [None, NEAREST, LINEAR], ids=name)
-@pytest.mark.parametrize(("minify", "magnify"), [(NEAREST, LINEAR), (LINEAR, NEAREST), (LINEAR, LINEAR)], ids=name)
+@pytest.mark.parametrize(
+    ("minify", "magnify"), [(NEAREST, LINEAR), (LINEAR, NEAREST), (LINEAR, LINEAR)], ids=name
+)
 @pytest.mark.parametrize("kind", list(SHAPES), ids=name)
 def test_levels_and_filters_are_chosen_by_the_level_of_detail(
     device: Device, kind: TextureKind, minify: Filter, magnify: Filter, mip: Filter | None
@@ -140,7 +150,9 @@ def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filte
     texels = random_levels(format, 5, 6, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(filter, filter, None, wrap, wrap, wrap, border=(0.25, -0.5, 2.0, 0.5))
     slack = EIGHT_BITS if format is Format.RGBA8 and filter is LINEAR else 3e-6
-    assert_agree(sample(device, sl.HostTexture(texels, format, kind, sampler), coordinates_by_block(2)), slack, 3e-6)
+    assert_agree(
+        sample(device, sl.HostTexture(texels, format, kind, sampler), coordinates_by_block(2)), slack, 3e-6
+    )
 
 
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
@@ -149,7 +161,8 @@ def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filte
 def test_hard_coordinates_read_the_same_texels_everywhere(
     device: Device, wrap: Wrap, filter: Filter, size: tuple[int, int]
 ) -> None:
-    """Coordinates exactly on texels' borders and centers, one step beside them, denormals, thousands of repetitions."""
+    """Coordinates exactly on texels' borders and centers, one step beside them, denormals, thousands of
+    repetitions."""
     hard = [0.0, -0.0, 1e-40, -1e-40, -1e-9, 0.5, 0.25, 0.125, 0.0625, 1.0, -1.0, 2.0, 1 - 2**-24, 1 + 2**-23]
     hard += [1e4 + 0.375, -1e4 - 0.375]
     at = np.zeros((256, 4), "f4")
@@ -168,8 +181,8 @@ def test_hard_coordinates_read_the_same_texels_everywhere(
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filter) -> None:
-    """NaN, infinities and coordinates beyond integers are undefined in OpenGL (llvmpipe overflows); here all ways read
-    the same texels or the border, and nothing else."""
+    """NaN, infinities and coordinates beyond integers are undefined in OpenGL (llvmpipe overflows); here all
+    ways read the same texels or the border, and nothing else."""
     hard = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 0.3, 2.0**31], "f4")
     at = np.zeros((64, 4), "f4")
     at[:, :2] = np.stack(np.meshgrid(hard, hard), -1).reshape(-1, 2)
@@ -177,8 +190,10 @@ def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filt
     texels = random_levels(Format.R8, 7, 3)
     sampler = SamplerDescriptor(filter, filter, LINEAR, wrap, wrap, border=(0.5, 0, 0, 0))
     bindings: dict[str, Any] = {
-        "source": sl.HostTexture(texels, Format.R8, D2, sampler), "coordinates": at, "results": 64
-    }  # fmt: skip
+        "source": sl.HostTexture(texels, Format.R8, D2, sampler),
+        "coordinates": at,
+        "results": 64,
+    }
     expected = sl.run_compute(Sample2D, 1, **bindings)["results"]
     assert np.isfinite(expected).all()
     assert expected.max() <= 1
@@ -205,11 +220,15 @@ def test_other_widths_give_the_same(width: int) -> None:
 def textures(draw: st.DrawFn) -> sl.HostTexture:
     """Any format, shape, size and sampler that can be read as floats."""
     kind = draw(st.sampled_from(list(SHAPES)))
-    format = draw(st.sampled_from([f for f in Format if not f.is_integer and not (f.is_depth and kind is D3)]))
+    format = draw(
+        st.sampled_from([f for f in Format if not f.is_integer and not (f.is_depth and kind is D3)])
+    )
     width, height, layers = (draw(st.integers(1, 9)) for _ in range(3))
     if kind is CUBE:
         height, layers = width, 6
-    texels = random_levels(format, width, height, 1 if kind is D2 else layers, kind, seed=draw(st.integers(0, 99)))
+    texels = random_levels(
+        format, width, height, 1 if kind is D2 else layers, kind, seed=draw(st.integers(0, 99))
+    )
     filters = st.sampled_from(Filter)
     wraps = (draw(st.sampled_from(Wrap)) for _ in range(3))
     border = tuple(draw(st.sampled_from([-0.5, 0.0, 0.25, 1.0])) for _ in range(4))
@@ -221,8 +240,8 @@ def textures(draw: st.DrawFn) -> sl.HostTexture:
 @given(textures(), st.integers(0, 1000))
 @settings(max_examples=50)
 def test_any_texture_is_the_same_everywhere(device: Device, texture: sl.HostTexture, seed: int) -> None:
-    """Within 8-bit weights for each of three directions, as llvmpipe may filter, and where that rounds coordinates
-    to 8 bits between texels, too; lanes within float32."""
+    """Within 8-bit weights for each of three directions, as llvmpipe may filter, and where that rounds
+    coordinates to 8 bits between texels, too; lanes within float32."""
     at = coordinates(seed)
     small = texture.format.dtype.itemsize == 1
     assert_agree(sample(device, texture, at), 3 / 256 if small else 1e-5, 1e-5)
@@ -278,9 +297,11 @@ class GradedCube(At):
 @pytest.mark.parametrize(
     ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
 )
-def test_derivatives_choose_the_level(device: Device, shader: type[sl.Shader], kind: TextureKind, layers: int) -> None:
-    """Every level contains its own number, so that the result is the level. The logarithm of lanes is within 1.2e-4;
-    llvmpipe's is linear between powers of 2, up to 0.043 less."""
+def test_derivatives_choose_the_level(
+    device: Device, shader: type[sl.Shader], kind: TextureKind, layers: int
+) -> None:
+    """Every level contains its own number, so that the result is the level. The logarithm of lanes is within
+    1.2e-4; llvmpipe's is linear between powers of 2, up to 0.043 less."""
     rng = np.random.default_rng(5)
     steps = (rng.normal(size=(64, 4)) * 2 ** rng.uniform(-6, 1, (64, 1))).astype("f4")
     texels = random_levels(Format.R32F, 16, 16, layers, kind)
@@ -330,8 +351,8 @@ def random_ellipses(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], 
 def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
     shader: type[sl.Shader], kind: TextureKind, layers: int, max_anisotropy: float
 ) -> None:
-    """Levels differ by up to 1.2e-4, neighbouring levels by up to 1. Some derivatives are 0, some parallel, some too
-    large or too small for their squares."""
+    """Levels differ by up to 1.2e-4, neighbouring levels by up to 1. Some derivatives are 0, some parallel,
+    some too large or too small for their squares."""
     rng = np.random.default_rng(9)
     steps = (rng.normal(size=(128, 4)) * 2 ** rng.uniform(-7, 1, (128, 4))).astype("f4")
     steps[:6] = np.array([0, 1e-42, 1e-22, 1e18, 3e38, 0.1])[:, None]
@@ -342,7 +363,9 @@ def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
     bindings: dict[str, Any] = {"source": texture, "coordinates": steps, "results": 128}
     exact = sl.run_compute(shader, 2, dtype=np.float64, **bindings)["results"]
     for width in (1, 16):
-        np.testing.assert_allclose(run_opencl(shader, width, 2, **bindings)["results"], exact, rtol=0, atol=2e-4)
+        np.testing.assert_allclose(
+            run_opencl(shader, width, 2, **bindings)["results"], exact, rtol=0, atol=2e-4
+        )
     plain = sl.HostTexture(texture.levels, Format.RGBA8, kind)
     level = sl.run_compute(shader, 2, dtype=np.float64, **{**bindings, "source": plain})["results"]
     assert np.abs(exact - level).max() > 0.05
@@ -415,7 +438,8 @@ class FastGraded2D(Graded2D):
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)  # each decodes in a place of its own
 @pytest.mark.parametrize("width", [1, 16])
 def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) -> None:
-    """All 256 stored values: within 2e-6, or within 1.3e-3 and 0.35 of the step to the next one. White is white."""
+    """All 256 stored values: within 2e-6, or within 1.3e-3 and 0.35 of the step to the next one. White is
+    white."""
     texels = np.repeat(np.arange(256, dtype="u1"), 4).reshape(1, 256, 4)
     sampler = SamplerDescriptor(filter, filter, None)
     bindings: dict[str, Any] = {"source": sl.HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
@@ -423,7 +447,8 @@ def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) 
     bindings["coordinates"][:, 0] = (np.arange(256) + 0.5) / 256
     reference = sl.run_compute(Sample2D, 4, dtype=np.float64, results=256, **bindings)["results"]
     exact, fast = (
-        run_opencl(shader, width, 4, results=256, **bindings)["results"] for shader in (Sample2D, FastSample2D)
+        run_opencl(shader, width, 4, results=256, **bindings)["results"]
+        for shader in (Sample2D, FastSample2D)
     )
     step = np.diff(reference[:, :3], axis=0, append=reference[-1:, :3] + 1.0)
     np.testing.assert_allclose(exact, reference, rtol=0, atol=2e-6)
@@ -446,7 +471,8 @@ def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
     bindings: dict[str, Any] = {"source": sl.HostTexture(texels, Format.R32F), "coordinates": steps}
     reference = sl.run_compute(Graded2D, 4, dtype=np.float64, results=256, **bindings)["results"][:, 0]
     exact, fast = (
-        run_opencl(shader, width, 4, results=256, **bindings)["results"][:, 0] for shader in (Graded2D, FastGraded2D)
+        run_opencl(shader, width, 4, results=256, **bindings)["results"][:, 0]
+        for shader in (Graded2D, FastGraded2D)
     )
     np.testing.assert_allclose(exact, reference, rtol=0, atol=1.2e-4)
     less = reference - fast
@@ -558,10 +584,14 @@ class GatherCube(At):
 
 
 @pytest.mark.parametrize(("shader", "kind"), [(Gather2D, D2), (GatherCube, CUBE)], ids=name)
-def test_gather_gives_a_component_of_four_texels(device: Device, shader: type[sl.Shader], kind: TextureKind) -> None:
+def test_gather_gives_a_component_of_four_texels(
+    device: Device, shader: type[sl.Shader], kind: TextureKind
+) -> None:
     texels = random_levels(Format.RGBA32F, 5, 5, SHAPES[kind][1], kind, levels=1)
     texture = sl.HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
-    results = read_everywhere(device, shader, {"source": texture}, 8, coordinates=coordinates(6), results=COUNT)
+    results = read_everywhere(
+        device, shader, {"source": texture}, 8, coordinates=coordinates(6), results=COUNT
+    )
     assert_agree(results, 1e-6, 1e-6)
 
 
@@ -597,7 +627,9 @@ class LoadUint(At):
         i = sl.global_id().x
         at = self.coordinates[i]
         texel = self.source.sample_lod(at.xy, at.w)
-        self.results[i] = sl.vec4(sl.vec2(texel.xy % sl.uvec4(10007).xy), sl.vec2(texel.zw // sl.uvec4(65536).zw))
+        self.results[i] = sl.vec4(
+            sl.vec2(texel.xy % sl.uvec4(10007).xy), sl.vec2(texel.zw // sl.uvec4(65536).zw)
+        )
 
 
 class LoadInt(At):
@@ -607,7 +639,9 @@ class LoadInt(At):
         i = sl.global_id().x
         at = self.coordinates[i]
         texel = self.source.sample_lod(at.xy, at.w)
-        self.results[i] = sl.vec4(float(texel.x // 65536), float(texel.y % 9973), float(texel.z), float(texel.w))
+        self.results[i] = sl.vec4(
+            float(texel.x // 65536), float(texel.y % 9973), float(texel.z), float(texel.w)
+        )
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=name)
@@ -615,7 +649,9 @@ def test_integers_are_read_whole(device: Device, format: Format) -> None:
     shader = LoadUint if format.kind is ChannelKind.UINT else LoadInt
     sampler = SamplerDescriptor(NEAREST, NEAREST, NEAREST)
     texture = sl.HostTexture(random_levels(format, 7, 5), format, D2, sampler)
-    results = read_everywhere(device, shader, {"source": texture}, 8, coordinates=coordinates(8), results=COUNT)
+    results = read_everywhere(
+        device, shader, {"source": texture}, 8, coordinates=coordinates(8), results=COUNT
+    )
     if format is Format.RGBA32I:  # whose last components are beyond what a float holds
         results = {way: texels.astype("f4") for way, texels in results.items()}
     assert_agree(results, 0.0, 0.0)
@@ -706,7 +742,9 @@ def abs_half(x: float) -> float:
 
 @pytest.mark.parametrize("comparison", list(Comparison), ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
-def test_depths_are_compared_before_they_are_filtered(device: Device, comparison: Comparison, filter: Filter) -> None:
+def test_depths_are_compared_before_they_are_filtered(
+    device: Device, comparison: Comparison, filter: Filter
+) -> None:
     """Some references equal depths. llvmpipe's weights have more than 8 bits here."""
     depths = np.random.default_rng(9).integers(0, 5, (1, 6, 5, 1)).astype("f4") / 4
     sampler = SamplerDescriptor(
@@ -720,18 +758,26 @@ def test_depths_are_compared_before_they_are_filtered(device: Device, comparison
 
 
 @pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F], ids=name)
-@pytest.mark.parametrize("comparison", [Comparison.LESS_EQUAL, Comparison.EQUAL, Comparison.GREATER], ids=name)
-def test_references_of_fixed_point_depths_are_clamped(device: Device, format: Format, comparison: Comparison) -> None:
+@pytest.mark.parametrize(
+    "comparison", [Comparison.LESS_EQUAL, Comparison.EQUAL, Comparison.GREATER], ids=name
+)
+def test_references_of_fixed_point_depths_are_clamped(
+    device: Device, format: Format, comparison: Comparison
+) -> None:
     at = np.zeros((64, 4), "f4")
     at[:, :3] = np.c_[
         np.resize([0.25, 0.75], 64), np.full(64, 0.5), np.repeat([-1, 0, 0.5, 1, 1.5, np.inf, -np.inf, 2], 8)
     ]
     sampler = nearest(Wrap.CLAMP, compare=comparison)
     texture = sl.HostTexture(np.float32([[0, 1]]), format, D2, sampler)
-    assert_agree(read_everywhere(device, Compare2D, {"source": texture}, 1, coordinates=at, results=64), 0.0, 0.0)
+    assert_agree(
+        read_everywhere(device, Compare2D, {"source": texture}, 1, coordinates=at, results=64), 0.0, 0.0
+    )
 
 
-@pytest.mark.parametrize(("annotation", "kind"), [(sl.DepthTexture2DArray, ARRAY), (sl.DepthTextureCube, CUBE)])
+@pytest.mark.parametrize(
+    ("annotation", "kind"), [(sl.DepthTexture2DArray, ARRAY), (sl.DepthTextureCube, CUBE)]
+)
 def test_layers_and_cubes_are_compared(device: Device, annotation: Any, kind: TextureKind) -> None:
     texels = random_levels(Format.D32F, 4, 4, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(LINEAR, LINEAR, None, compare=Comparison.LESS)
@@ -763,7 +809,9 @@ class Branches(At):
 
 def test_textures_are_read_in_branches_and_loops_and_by_all_lanes_at_once(device: Device) -> None:
     texture = sl.HostTexture(random_levels(Format.RGBA16F, 7, 5), Format.RGBA16F)
-    results = read_everywhere(device, Branches, {"source": texture}, 8, coordinates=coordinates(13), results=COUNT)
+    results = read_everywhere(
+        device, Branches, {"source": texture}, 8, coordinates=coordinates(13), results=COUNT
+    )
     assert_agree(results, 5e-6, 5e-6)
 
 
@@ -810,7 +858,10 @@ def test_images_keep_every_bit_and_nothing_is_written_outside(format: Format) ->
                 expected[0, y - 1, x + 1] = source[0, y, x]
     # Beyond the source zeros are loaded, and beyond the target nothing is stored.
     shader = copying(format, _IMAGES.get(format.kind, sl.Image2D))
-    bindings = {"source": sl.HostTexture(source, format), "target": sl.HostTexture(np.zeros_like(source), format)}
+    bindings = {
+        "source": sl.HostTexture(source, format),
+        "target": sl.HostTexture(np.zeros_like(source), format),
+    }
     for width in (1, 16):
         np.testing.assert_array_equal(run_opencl(shader, width, (2, 1), **bindings)["target"], expected)
     np.testing.assert_array_equal(sl.run_compute(shader, (2, 1), **bindings)["target"], expected)
@@ -899,10 +950,17 @@ class Beyond(sl.Shader):
 
 @pytest.mark.parametrize(
     ("which", "coordinates", "line"),
-    [((7, 0, 0), "index 7", "load"), ((0, 2, 0), "index 2", "load"), ((0, 0, 3), "index 3", "store"),
-     ((4, 1, 0), "index 4", "load"), ((-1, 0, 0), "index -1", "load")],
-)  # fmt: skip
-def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], coordinates: str, line: str) -> None:
+    [
+        ((7, 0, 0), "index 7", "load"),
+        ((0, 2, 0), "index 2", "load"),
+        ((0, 0, 3), "index 3", "store"),
+        ((4, 1, 0), "index 4", "load"),
+        ((-1, 0, 0), "index -1", "load"),
+    ],
+)
+def test_a_checked_shader_reports_texels_outside(
+    which: tuple[int, int, int], coordinates: str, line: str
+) -> None:
     bound: dict[str, Any] = {
         "target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3),
         "source": sl.HostTexture(random_levels(Format.R8, 8, 7, levels=2), Format.R8),
@@ -933,8 +991,11 @@ def test_samples_are_the_layers_of_a_host_texture() -> None:
     which = np.int32([(4, 2, 3, 0), (0, 1, 2, 0), (3, 0, 0, 0)])
     bindings = {"source": sl.HostTexture(texels, Format.RGBA8UI, ARRAY), "results": 3}
     expected = texels[0][which[:, 2], which[:, 1], which[:, 0]].astype(np.uint32) + 5
-    for run in (partial(run_opencl, ReadSamples, 1), partial(run_opencl, ReadSamples, 16),
-                partial(sl.run_compute, ReadSamples)):  # fmt: skip
+    for run in (
+        partial(run_opencl, ReadSamples, 1),
+        partial(run_opencl, ReadSamples, 16),
+        partial(sl.run_compute, ReadSamples),
+    ):
         np.testing.assert_array_equal(run(3, which=which, **bindings)["results"], expected)
         with pytest.raises(ShaderError, match="index 4"):
             run(3, which=np.int32([(4, 2, 4, 0)] * 3), **bindings)

@@ -51,9 +51,14 @@ class WriteDepth(sl.Shader):
 
 
 def random_levels(
-    format: Format, width: int, height: int, layers: int = 1, kind: TextureKind = TextureKind.D2, seed: int = 0,
+    format: Format,
+    width: int,
+    height: int,
+    layers: int = 1,
+    kind: TextureKind = TextureKind.D2,
+    seed: int = 0,
     levels: int | None = None,
-) -> list[NDArray[Any]]:  # fmt: skip
+) -> list[NDArray[Any]]:
     """Generate texels of all levels: fractions, or integers of the whole range."""
     rng = np.random.default_rng([seed, width, height, layers])
     solid = kind is TextureKind.D3
@@ -68,15 +73,21 @@ def random_levels(
             result.append(rng.uniform(0, 1, shape).astype(format.dtype))
         else:
             limits = np.iinfo(format.dtype)
-            result.append(rng.integers(builtins.max(limits.min, -limits.max), limits.max, shape, format.dtype, True))
+            result.append(
+                rng.integers(builtins.max(limits.min, -limits.max), limits.max, shape, format.dtype, True)
+            )
     return result
 
 
 def read_everywhere(
-    device: Device, shader: type[sl.Shader], textures: Mapping[str, sl.HostTexture], count: int, **bindings: Any
+    device: Device,
+    shader: type[sl.Shader],
+    textures: Mapping[str, sl.HostTexture],
+    count: int,
+    **bindings: Any,
 ) -> Results:
-    """Run `count` work-groups and return the contents of `results` for "opengl", "1 lane", "16 lanes", "float32" and
-    "float64"."""
+    """Run `count` work-groups and return the contents of `results` for "opengl", "1 lane", "16 lanes",
+    "float32" and "float64"."""
     results = {"opengl": read_opengl(device, shader, textures, count, bindings)}
     for width in (1, 16):
         values = {**textures, **bindings}

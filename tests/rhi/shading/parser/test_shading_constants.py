@@ -1,5 +1,5 @@
-"""Python values in shaders: defaults, constants from NumPy, branches that a constant removes, and tips for the names of
-other languages."""
+"""Python values in shaders: defaults, constants from NumPy, branches that a constant removes, and tips for
+the names of other languages."""
 
 import re
 
@@ -260,7 +260,9 @@ def test_a_type_of_another_language_gets_a_tip_in_annotations():
     ):
         with pytest.raises(ShaderError, match="use vec3"):
             compile_shader(
-                from_source(HEAD + text + "    def compute(self) -> None:\n        self.out[0] = self.add(1)\n")
+                from_source(
+                    HEAD + text + "    def compute(self) -> None:\n        self.out[0] = self.add(1)\n"
+                )
             )
     with pytest.raises(ShaderError, match="use vec3"):
         from_source("from rhi.shading import *\nclass Light(Struct):\n    color: float3\n")
@@ -302,15 +304,23 @@ def test_tips_name_only_what_exists():
 @pytest.mark.parametrize(
     ("kind", "inside", "outside"),
     [
-        ("int", [2147483647.9, -2147483648.9, -0.9], [2147483648.0, -2147483649.0, float("inf"), float("nan")]),
+        (
+            "int",
+            [2147483647.9, -2147483648.9, -0.9],
+            [2147483648.0, -2147483649.0, float("inf"), float("nan")],
+        ),
         ("uint", [4294967295.9, -0.9], [4294967296.0, -1.0, float("-inf"), float("nan")]),
     ],
 )
-def test_a_constant_that_no_int_holds_is_refused_though_a_variable_would_give_the_nearest(kind, inside, outside):
+def test_a_constant_that_no_int_holds_is_refused_though_a_variable_would_give_the_nearest(
+    kind, inside, outside
+):
     for value in inside:
         compile_shader(shader(f"self.out[0] = float({kind}(VALUE))", VALUE=value))
     for value in outside:
         error = refusal_of(f"float({kind}(VALUE))", VALUE=value)
         assert error.rule.id == "shading-out-of-range"
         assert str(value) in error.given
-        compile_shader(shader("x = 1.0", "if False:", f"    x = float({kind}(VALUE))", "self.out[0] = x", VALUE=value))
+        compile_shader(
+            shader("x = 1.0", "if False:", f"    x = float({kind}(VALUE))", "self.out[0] = x", VALUE=value)
+        )

@@ -7,7 +7,19 @@ import textwrap
 import pytest
 
 from rhi.errors import RULES, ShaderError, ShaderWarning, ValidationError
-from rhi.shading import Shader, StorageRW, Struct, compile_shader, from_source, function, mat3, sin, uint, vec3, vec4
+from rhi.shading import (
+    Shader,
+    StorageRW,
+    Struct,
+    compile_shader,
+    from_source,
+    function,
+    mat3,
+    sin,
+    uint,
+    vec3,
+    vec4,
+)
 
 PRELUDE = """
 from rhi import Format
@@ -235,7 +247,9 @@ BODIES = [
 ]
 
 
-@pytest.mark.parametrize(("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES])
+@pytest.mark.parametrize(
+    ("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES]
+)
 def test_a_body_that_breaks_a_rule_is_refused_and_its_neighbour_is_not(rule, bad, good, says):
     with pytest.raises(ShaderError, match=rf"^\[shading-{rule}\]") as error:
         compile_shader(define(body(*bad)))
@@ -358,7 +372,9 @@ CLASSES = [
 ]
 
 
-@pytest.mark.parametrize(("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES])
+@pytest.mark.parametrize(
+    ("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES]
+)
 def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(rule, shader, old, new, says):
     assert old in shader
     with pytest.raises(ShaderError, match=rf"^\[shading-{rule}\]") as error:
@@ -385,7 +401,10 @@ def test_all_that_is_wrong_in_a_shader_is_one_error():
     assert reported.pop(-1) == ["recursion"]  # in the prelude's `endless`
     expected = {2 * number: rule for number, (rule, *_) in enumerate(BODIES)}
     missing = [bodies[part] for part, rule in expected.items() if rule not in reported.get(part, ())]
-    assert missing == [["x = endless(1.0)"], ["x = 2147483648"]]  # the second only shows in a tree without other errors
+    assert missing == [
+        ["x = endless(1.0)"],
+        ["x = 2147483648"],
+    ]  # the second only shows in a tree without other errors
     assert reported.keys() < expected.keys(), "bodies that are right are said to be wrong"
 
 
@@ -407,7 +426,8 @@ def test_what_follows_from_an_error_is_no_error():
     with pytest.raises(ShaderError) as caught:
         compile_shader(define(body(*lines)))
     errors = [
-        (error.site.line - PRELUDE.count("\n") - 2, error.given) for error in (caught.value, *caught.value.others)
+        (error.site.line - PRELUDE.count("\n") - 2, error.given)
+        for error in (caught.value, *caught.value.others)
     ]
     assert errors == [(1, "'wieght'"), (8, "'lost'"), (11, "d: vec2")]
     text, copy = str(caught.value), pickle.loads(pickle.dumps(caught.value))
@@ -425,7 +445,11 @@ def test_more_errors_than_are_shown_are_counted():
 
 
 def test_both_stages_their_interface_and_a_shared_function_are_checked():
-    shader = GRAPHICS.replace("vec4(0)", "lost").replace("v.uv, 0", "v.lost, wieght").replace("v: V", "v: int, w: V")
+    shader = (
+        GRAPHICS.replace("vec4(0)", "lost")
+        .replace("v.uv, 0", "v.lost, wieght")
+        .replace("v: V", "v: int, w: V")
+    )
     with pytest.raises(ShaderError) as caught:
         compile_shader(define(shader))
     errors = [(error.rule.id, error.call.split("\n")[0]) for error in (caught.value, *caught.value.others)]
@@ -439,7 +463,10 @@ def test_both_stages_their_interface_and_a_shared_function_are_checked():
 def test_all_bindings_that_are_wrong_are_one_error():
     with pytest.raises(ShaderError) as caught:
         define("class Test(Base):\n    a: Uniform[str]\n    b: Uniform[float]\n    c: int\n")
-    assert [error.call for error in (caught.value, *caught.value.others)] == ["class Test: a", "class Test: c"]
+    assert [error.call for error in (caught.value, *caught.value.others)] == [
+        "class Test: a",
+        "class Test: c",
+    ]
 
 
 def test_an_unused_binding_is_a_warning_once():

@@ -74,8 +74,12 @@ class Everything(sl.Shader):
         uv = s.uv
         uvw = sl.vec3(uv, 0.5)
         color = self.albedo.sample(uv) + self.albedo.sample_bias(uv, 1.0) + self.albedo.sample_lod(uv, lod=2)
-        color += self.albedo.sample_grad(uv, sl.ddx(uv), sl.ddy(uv)) + self.albedo.load(sl.ivec2(1, 2), level=1)
-        color += self.layers.sample(uvw) + self.layers.load(sl.ivec3(1, 2, 3)) + self.volume.sample_lod(uvw, 0)
+        color += self.albedo.sample_grad(uv, sl.ddx(uv), sl.ddy(uv)) + self.albedo.load(
+            sl.ivec2(1, 2), level=1
+        )
+        color += (
+            self.layers.sample(uvw) + self.layers.load(sl.ivec3(1, 2, 3)) + self.volume.sample_lod(uvw, 0)
+        )
         color += self.volume.sample_grad(uvw, sl.ddx(uvw), sl.ddy(uvw)) + self.volume.load(sl.ivec3(0, 0, 0))
         color += self.sky.sample(uvw) + self.sky.sample_lod(uvw, 1.5) + self.sky.gather(uvw)
         color += self.albedo.gather(uv) + self.albedo.gather(uv, component=2)

@@ -1,6 +1,8 @@
-"""When compute stages are lowered: for a language that needs lane code, or to check a doubtful barrier or store.
+"""When compute stages are lowered: for a language that needs lane code, or to check a doubtful barrier or
+store.
 
-Every device must refuse the same shaders. So whatever lowering would refuse counts as doubtful; random stages show it.
+Every device must refuse the same shaders. So whatever lowering would refuse counts as doubtful; random stages
+show it.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from rhi.shading.language import rules
 from rhi.shading.lowering import functions
 from rhi.shading.parser.group_rules import may_break_group_rules
 
-pytestmark = pytest.mark.filterwarnings("ignore::rhi.errors.ShaderWarning")  # most stages leave bindings unused
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::rhi.errors.ShaderWarning"
+)  # most stages leave bindings unused
 
 
 @pytest.fixture
@@ -132,7 +136,10 @@ REFUSED = {
         rules.BARRIER,
         "for k in range(4):\n    if i == k:\n        break\n    barrier()",
     ),
-    "a barrier in a loop while a value differs": (rules.BARRIER, "k = i\nwhile k > 0:\n    k -= 1\n    barrier()"),
+    "a barrier in a loop while a value differs": (
+        rules.BARRIER,
+        "k = i\nwhile k > 0:\n    k -= 1\n    barrier()",
+    ),
     "a store at a constant": (rules.RACE, "self.out[3] = i"),
     "a store at the group's index": (rules.RACE, "self.out[g] = i"),
     "a store at an index that cancels": (rules.RACE, "self.out[i - i] = i"),
@@ -163,7 +170,9 @@ ACCEPTED = {
 
 
 @pytest.mark.parametrize("body", list(ACCEPTED.values()), ids=list(ACCEPTED))
-def test_what_obviously_keeps_the_rules_is_compiled_without_lane_code(body: str, lowered_widths: list[int]) -> None:
+def test_what_obviously_keeps_the_rules_is_compiled_without_lane_code(
+    body: str, lowered_widths: list[int]
+) -> None:
     compile_shader(make_shader(body))
     assert lowered_widths == []
 
@@ -176,7 +185,9 @@ def test_rows_of_a_group_that_are_as_long_as_16_lanes_share_their_number() -> No
 
 
 INDICES = st.recursive(
-    st.sampled_from(["i", "j", "g", "k", "self.n", "self.values[i]", "self.values[g]", "global_id().y", "0", "1", "2"]),
+    st.sampled_from(
+        ["i", "j", "g", "k", "self.n", "self.values[i]", "self.values[g]", "global_id().y", "0", "1", "2"]
+    ),
     lambda inner: st.builds("({} {} {})".format, inner, st.sampled_from("+-*"), inner),
     max_leaves=4,
 )

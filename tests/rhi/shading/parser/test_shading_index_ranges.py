@@ -1,4 +1,5 @@
-"""Which indices are known to be inside: each proof beside a control that is one too far, or misses a condition."""
+"""Which indices are known to be inside: each proof beside a control that is one too far, or misses a
+condition."""
 
 import pytest
 
@@ -36,23 +37,47 @@ IN_BOUNDS = [
     ("keep += TABLE_OF_8[clamp(k, 0, 7)]", "keep += TABLE_OF_8[clamp(k, -1, 7)]"),
     ("keep += TABLE_OF_8[min(max(k, 2), 7)]", "keep += TABLE_OF_8[min(k, 7)]"),
     ("for j in range(8):\n    keep += TABLE_OF_8[j]", "for j in range(9):\n    keep += TABLE_OF_8[j]"),
-    ("for j in range(1, 8):\n    keep += TABLE_OF_8[j - 1]", "for j in range(8):\n    keep += TABLE_OF_8[j - 1]"),
-    ("for j in range(7, -1, -1):\n    keep += TABLE_OF_8[j]", "for j in range(7, -2, -1):\n    keep += TABLE_OF_8[j]"),
+    (
+        "for j in range(1, 8):\n    keep += TABLE_OF_8[j - 1]",
+        "for j in range(8):\n    keep += TABLE_OF_8[j - 1]",
+    ),
+    (
+        "for j in range(7, -1, -1):\n    keep += TABLE_OF_8[j]",
+        "for j in range(7, -2, -1):\n    keep += TABLE_OF_8[j]",
+    ),
     ("if 0 <= k < 8:\n    keep += TABLE_OF_8[k]", "if 0 <= k or k < 8:\n    keep += TABLE_OF_8[k]"),
-    ("if k < 0 or k > 7:\n    return\nkeep += TABLE_OF_8[k]", "if k < 0 or k > 8:\n    return\nkeep += TABLE_OF_8[k]"),
+    (
+        "if k < 0 or k > 7:\n    return\nkeep += TABLE_OF_8[k]",
+        "if k < 0 or k > 8:\n    return\nkeep += TABLE_OF_8[k]",
+    ),
     ("keep += TABLE_OF_8[k] if 0 <= k < 8 else 1", "keep += 1 if 0 <= k < 8 else TABLE_OF_8[k]"),
-    ("if 0 <= k < 8 and TABLE_OF_8[k] > 0:\n    keep += 1", "if TABLE_OF_8[k] > 0 and 0 <= k < 8:\n    keep += 1"),
-    ("if not (k < 0 or k >= 8):\n    keep += TABLE_OF_8[k]", "if not (k < 0 and k >= 8):\n    keep += TABLE_OF_8[k]"),
+    (
+        "if 0 <= k < 8 and TABLE_OF_8[k] > 0:\n    keep += 1",
+        "if TABLE_OF_8[k] > 0 and 0 <= k < 8:\n    keep += 1",
+    ),
+    (
+        "if not (k < 0 or k >= 8):\n    keep += TABLE_OF_8[k]",
+        "if not (k < 0 and k >= 8):\n    keep += TABLE_OF_8[k]",
+    ),
     ("j = k & 3\nkeep += TABLE_OF_8[j + 4]", "j = k & 3\nj += 1\nkeep += TABLE_OF_8[j]"),
     ("keep += self.mine[local_index()]", "keep += self.mine[local_index() + 1]"),
     ("keep += TABLE_OF_8[local_id().x]", "keep += self.mine[global_id().x]"),
     ("keep += TABLE_OF_8[local_id().y + 4]", "keep += TABLE_OF_8[local_id().x + 1]"),
     ("if i < len(self.a):\n    keep += self.a[i]", "if i < len(self.b):\n    keep += self.a[i]"),
-    ("if i >= len(self.a):\n    return\nkeep += self.a[i]", "if i > len(self.a):\n    return\nkeep += self.a[i]"),
-    ("n = len(self.a)\nif i < n:\n    keep += self.a[i]", "n = len(self.a)\nif i <= n:\n    keep += self.a[i]"),
+    (
+        "if i >= len(self.a):\n    return\nkeep += self.a[i]",
+        "if i > len(self.a):\n    return\nkeep += self.a[i]",
+    ),
+    (
+        "n = len(self.a)\nif i < n:\n    keep += self.a[i]",
+        "n = len(self.a)\nif i <= n:\n    keep += self.a[i]",
+    ),
     ("if k >= 0 and k < len(self.a):\n    keep += self.a[k]", "if k < len(self.a):\n    keep += self.a[k]"),
     ("keep += self.a[min(i, len(self.a) - 1)]", "keep += self.a[min(i, len(self.a))]"),
-    ("for j in range(len(self.a)):\n    keep += self.a[j]", "for j in range(len(self.a)):\n    keep += self.b[j]"),
+    (
+        "for j in range(len(self.a)):\n    keep += self.a[j]",
+        "for j in range(len(self.a)):\n    keep += self.b[j]",
+    ),
     ("keep += self.a[unchecked(k)]", "keep += self.a[uniform(k)]"),
     ("keep += v[k & 3]", "keep += v[k]"),
     ("keep += TABLE_OF_8[uint(k) >> 29]", "keep += TABLE_OF_8[k >> 29]"),
@@ -60,8 +85,11 @@ IN_BOUNDS = [
     ("if k < 8 and k > -1:\n    TABLE_OF_8[k] += 2", "TABLE_OF_8[k] += 2"),
     ("keep += TABLE_OF_8[bit_count(k) // 5]", "keep += TABLE_OF_8[bit_count(k) // 4]"),
     ("keep += TABLE_OF_8[k % 3 * 3]", "keep += TABLE_OF_8[k % 3 * 4]"),
-    ("keep += TABLE_OF_8[(k & 1000000) * 0]", "keep += TABLE_OF_8[(k & 65535) * (k & 65535) * 2 // 2147483647]"),
-]  # fmt: skip
+    (
+        "keep += TABLE_OF_8[(k & 1000000) * 0]",
+        "keep += TABLE_OF_8[(k & 65535) * (k & 65535) * 2 // 2147483647]",
+    ),
+]
 
 
 def count_bounded_indices(body: str) -> int:

@@ -57,7 +57,10 @@ def list_bindings(shader: type[sl.Shader]) -> list[tuple[str, int]]:
 def test_a_lean_program_has_the_bindings_that_its_stages_read_in_slots_without_gaps() -> None:
     assert list_bindings(Sums) == [("results", 0), ("less", 1)]
     assert list_bindings(More) == [("results", 0), ("less", 1), ("more", 2)]
-    assert list_bindings(Third) == [("results", 0), ("third", 1)]  # what follows a return that is taken isn't read
+    assert list_bindings(Third) == [
+        ("results", 0),
+        ("third", 1),
+    ]  # what follows a return that is taken isn't read
     assert [name for name, _ in list_bindings(Whole)] == ["results", "less", "more", "third"]
 
 
@@ -118,21 +121,29 @@ class Goes(Skips):
 
 
 @pytest.mark.parametrize(
-    ("shader", "read", "total"), [(Skips, {"values", "more"}, 66.0), (Ends, {"values"}, 1.0), (Goes, {"values"}, 6.0)]
+    ("shader", "read", "total"),
+    [(Skips, {"values", "more"}, 66.0), (Ends, {"values"}, 1.0), (Goes, {"values"}, 6.0)],
 )
 def test_what_follows_a_break_or_continue_that_is_taken_is_left_out(
     shader: type[sl.Shader], read: set[str], total: float
 ) -> None:
-    assert {declared.name for declared in sl.stage_trees(shader)[Stage.COMPUTE].bindings} == {"results", *read}
+    assert {declared.name for declared in sl.stage_trees(shader)[Stage.COMPUTE].bindings} == {
+        "results",
+        *read,
+    }
     values, more = np.float32([1, 2, 3]), np.float32([10, 20, 30])
     assert sl.run_compute(shader, values=values, more=more, results=4)["results"].tolist() == [total] * 4
 
 
 def test_a_lean_program_computes_as_the_whole_one_does() -> None:
-    words = {name: np.arange(4, dtype=np.float32) * k for name, k in (("less", 1), ("more", 10), ("third", 100))}
+    words = {
+        name: np.arange(4, dtype=np.float32) * k for name, k in (("less", 1), ("more", 10), ("third", 100))
+    }
     for shader, expected in ((Sums, "less"), (Whole, "less"), (Third, "third")):
         names = [name for name, _ in list_bindings(shader)][1:]
-        results = sl.run_compute(shader, 1, results=np.zeros(4, np.float32), **{name: words[name] for name in names})
+        results = sl.run_compute(
+            shader, 1, results=np.zeros(4, np.float32), **{name: words[name] for name in names}
+        )
         assert results["results"].tolist() == words[expected].tolist()
 
 
@@ -181,7 +192,9 @@ class Painted(sl.Shader):
     is_light = True
 
     def vertex(self, v: Corner, shades: Shades) -> Shaded:
-        return Shaded(clip=sl.vec4(v.position, 0.0, 1.0), color=shades.light if self.is_light else sl.vec4(shades.dark))
+        return Shaded(
+            clip=sl.vec4(v.position, 0.0, 1.0), color=shades.light if self.is_light else sl.vec4(shades.dark)
+        )
 
     def fragment(self, v: Shaded) -> sl.vec4:
         return v.color

@@ -41,16 +41,27 @@ I = range(128)  # noqa: E741 (the invocations)
 EVEN = [f"i {{}} {2 * k}" for k in range(60)]
 FLAT = {
     "elif": (arms(60, lambda k: f"y = {k}.5"), [i + 0.5 if i < 60 else -1 for i in I]),
-    "or": (store(f"1.0 if {' or '.join(EVEN).format(*['=='] * 60)} else 2.0"), [1 + (i % 2 or i >= 120) for i in I]),
-    "and": (store(f"1.0 if {' and '.join(EVEN).format(*['!='] * 60)} else 2.0"), [2 - (i % 2 or i >= 120) for i in I]),
-    "compare": (store("1.0 if i < " + " < ".join(f"i + {k}" for k in range(1, 40)) + " < 160 else 2.0"),
-                [1 + (i + 39 >= 160) for i in I]),
+    "or": (
+        store(f"1.0 if {' or '.join(EVEN).format(*['=='] * 60)} else 2.0"),
+        [1 + (i % 2 or i >= 120) for i in I],
+    ),
+    "and": (
+        store(f"1.0 if {' and '.join(EVEN).format(*['!='] * 60)} else 2.0"),
+        [2 - (i % 2 or i >= 120) for i in I],
+    ),
+    "compare": (
+        store("1.0 if i < " + " < ".join(f"i + {k}" for k in range(1, 40)) + " < 160 else 2.0"),
+        [1 + (i + 39 >= 160) for i in I],
+    ),
     "sum": (store(" + ".join(["x"] * 50) + " - x" * 30), [20 * i for i in I]),
     "sum of products": (store(" + ".join(f"x * {k}.0" for k in range(50))), [1225 * i for i in I]),
     "product": (store("x" + " * 2.0 / 2.0" * 20), list(I)),
     "shifts and bits": (store("float(i" + " ^ 3" * 41 + ")"), [i ^ 3 for i in I]),
-    "remainders": (store("float(i" + " % 100 + 1" * 20 + ")"), [eval("i" + " % 100 + 1" * 20, {"i": i}) for i in I]),
-}  # fmt: skip
+    "remainders": (
+        store("float(i" + " % 100 + 1" * 20 + ")"),
+        [eval("i" + " % 100 + 1" * 20, {"i": i}) for i in I],
+    ),
+}
 
 
 @pytest.mark.parametrize("name", FLAT)
@@ -148,7 +159,9 @@ def test_functions_that_call_each_other_work_up_to_the_limit():
 
 def test_conditions_at_the_limit_have_pythons_value(run_everywhere):
     lines, most = NESTED["conditions"]
-    assert run_everywhere(shader(*lines(most)), 2, out=128)["out"].tolist() == [i if i < most else 2 for i in I]
+    assert run_everywhere(shader(*lines(most)), 2, out=128)["out"].tolist() == [
+        i if i < most else 2 for i in I
+    ]
 
 
 def test_a_shader_within_the_limit_is_refused_where_the_stack_is_deep_already():
@@ -220,7 +233,9 @@ def test_a_local_struct_with_an_array_is_refused_beyond_its_limit():
 def test_the_arrays_of_a_work_group_are_refused_beyond_their_limit():
     def arrays(count, group):
         names = [f"a{k}" for k in range(count)]
-        lines = [f"{name} = array(float, 1024)" for name in names] + [f"{name}[i % 1024] = x" for name in names]
+        lines = [f"{name} = array(float, 1024)" for name in names] + [
+            f"{name}[i % 1024] = x" for name in names
+        ]
         return shader(*lines, *store(" + ".join(f"{name}[0]" for name in names)), group=group)
 
     compile_shader(arrays(1, 1024))
@@ -254,6 +269,10 @@ def test_a_constant_array_is_refused_beyond_its_limit():
 
 def test_nodes_are_compared_by_identity_and_can_be_keys():
     """Two reads of one local at one place of the text are two nodes."""
-    kinds = [each for each in vars(tree).values() if isinstance(each, type) and issubclass(each, tree.Expression)]
+    kinds = [
+        each for each in vars(tree).values() if isinstance(each, type) and issubclass(each, tree.Expression)
+    ]
     assert len(kinds) > 10
-    assert [kind.__name__ for kind in kinds if (kind.__eq__, kind.__hash__) != (object.__eq__, object.__hash__)] == []
+    assert [
+        kind.__name__ for kind in kinds if (kind.__eq__, kind.__hash__) != (object.__eq__, object.__hash__)
+    ] == []

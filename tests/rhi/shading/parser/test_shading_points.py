@@ -70,7 +70,12 @@ def test_numpy_runs_both() -> None:
     coordinates = np.array([(0.25, 0.5), (0.75, 0.125)], "f4").reshape(1, 2, 2)
     color = sl.run_fragment(Dots, {"color": np.ones(4, "f4")}, point_coordinate=coordinates).outputs["color"]
     assert color[..., :2].tolist() == [[[0.25, 5.0], [0.75, 1.25]]]
-    assert sl.run_fragment(Dots, {"color": np.ones(4, "f4")}).outputs["color"][0, 0].tolist() == [0.5, 5.0, 1.0, 1.0]
+    assert sl.run_fragment(Dots, {"color": np.ones(4, "f4")}).outputs["color"][0, 0].tolist() == [
+        0.5,
+        5.0,
+        1.0,
+        1.0,
+    ]
 
 
 def test_a_vertex_stage_has_one_point_size() -> None:

@@ -1,5 +1,5 @@
-"""The results of compute shaders, compared with those of Python. What the kit asks of devices, languages have to give
-alone."""
+"""The results of compute shaders, compared with those of Python. What the kit asks of devices, languages have
+to give alone."""
 
 import math
 from contextlib import contextmanager
@@ -46,7 +46,11 @@ INHERITED = (1103.5, 1106.5)
         test_language.test_control_flow_is_python_s,
         test_language.test_components_are_read_and_written_in_any_order,
         test_language.test_conditions_stop_early,
-        partial(test_language.test_a_shader_inherits_and_overrides, shader=test_language.Variant, expected=INHERITED),
+        partial(
+            test_language.test_a_shader_inherits_and_overrides,
+            shader=test_language.Variant,
+            expected=INHERITED,
+        ),
         test_compute.test_a_work_group_sees_its_shared_memory_after_a_barrier,
         test_compute.test_atomics_work_in_shared_memory,
         test_compute.test_atomics_lose_nothing,
@@ -70,7 +74,9 @@ class ByPowerOfTwo(sl.Shader):
 
 def test_division_by_a_power_of_two_floors_too(run_everywhere):
     a = np.arange(-8, 8, dtype="i4") * 5
-    assert run_everywhere(ByPowerOfTwo, a=a, out=16)["out"].tolist() == [x // 8 * 100 + x % 8 for x in a.tolist()]
+    assert run_everywhere(ByPowerOfTwo, a=a, out=16)["out"].tolist() == [
+        x // 8 * 100 + x % 8 for x in a.tolist()
+    ]
 
 
 class VectorDivision(sl.Shader):

@@ -19,8 +19,8 @@ from rhi.shading.wgsl.wgsl_stages import read_declarations
 
 ROOT = Path(__file__).parents[4]
 RECORDED_REFUSALS = 22
-"""Stages of the tree's shaders that WGSL can't say: native GLSL, point coordinates, integer textures that are sampled,
-a comparison at another level than 0, and `memory_barrier`."""
+"""Stages of the tree's shaders that WGSL can't say: native GLSL, point coordinates, integer textures that are
+sampled, a comparison at another level than 0, and `memory_barrier`."""
 
 
 def text_of(shader: type[sl.Shader], stage: Stage = Stage.COMPUTE) -> str:
@@ -64,14 +64,18 @@ class ReadsLayouts(sl.Shader):
     def compute(self) -> None:
         i = int(sl.global_id().x)
         whole = self.packed
-        self.out[0] = self.packed.weights[i] + self.packed.pairs[i].y + self.packed.turn[i].x + self.plain.scale
+        self.out[0] = (
+            self.packed.weights[i] + self.packed.pairs[i].y + self.packed.turn[i].x + self.plain.scale
+        )
         self.out[1] = whole.weights[i] + self.copies[i].weights[i]
 
 
 def test_uniform_memory_has_types_of_its_own_only_where_its_layout_differs(naga: Any) -> None:
     text = text_of(ReadsLayouts)
     assert re.search(r"struct Packed \{\s+weights: array<f32, 3>,\s+turn: mat2x2<f32>,", text)
-    assert re.search(r"struct Packed_std140 \{\s+@align\(16\) @size\(48\) weights: array<vec4<f32>, 3>,", text)
+    assert re.search(
+        r"struct Packed_std140 \{\s+@align\(16\) @size\(48\) weights: array<vec4<f32>, 3>,", text
+    )
     assert "@align(16) @size(32) turn: mat2x4<f32>," in text
     assert "var<uniform> packed: Packed_std140;" in text
     assert "var<uniform> plain: Plain;" in text
@@ -134,7 +138,8 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
 
 
 class LoadsAndStores(sl.Shader):
-    """Loads from a level that the device chooses, and from a known one; stores to an image that it doesn't read."""
+    """Loads from a level that the device chooses, and from a known one; stores to an image that it doesn't
+    read."""
 
     source: sl.Texture2D
     at: sl.Storage[int]
@@ -212,18 +217,38 @@ def test_each_line_knows_the_python_line_that_it_comes_from() -> None:
 def test_formats_have_their_names_in_webgpu() -> None:
     names = {format: texel_format(format) for format in Format}
     assert len(set(names.values())) == len(Format)
-    formats = ("R8", "RGBA8_SRGB", "RG8_SNORM", "RGBA16", "RG16F", "R32I", "RGB10A2", "RGB10A2UI", "R11G11B10F")
+    formats = (
+        "R8",
+        "RGBA8_SRGB",
+        "RG8_SNORM",
+        "RGBA16",
+        "RG16F",
+        "R32I",
+        "RGB10A2",
+        "RGB10A2UI",
+        "R11G11B10F",
+    )
     assert [names[Format[name]] for name in formats] == [
-        "r8unorm", "rgba8unorm-srgb", "rg8snorm", "rgba16unorm", "rg16float", "r32sint", "rgb10a2unorm", "rgb10a2uint",
+        "r8unorm",
+        "rgba8unorm-srgb",
+        "rg8snorm",
+        "rgba16unorm",
+        "rg16float",
+        "r32sint",
+        "rgb10a2unorm",
+        "rgb10a2uint",
         "rg11b10ufloat",
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.nightly
 def test_naga_accepts_every_stage_of_the_tree_that_wgsl_can_say(naga: Any) -> None:
     del naga
     done = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--naga"], capture_output=True, text=True, check=False
+        [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--naga"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     accepted, refused, wrong = map(int, re.findall(r"(\d+) (?:accepted|refused|wrong)", done.stderr))
     assert wrong == 2, done.stdout  # a test's own built-ins, and another's WGSL that doesn't compile

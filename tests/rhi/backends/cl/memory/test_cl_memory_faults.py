@@ -1,5 +1,5 @@
-"""Every allocation and every command fails in turn. Each failure is a rule's error with a tip and the user's line,
-leaves nothing half-made, and the device continues."""
+"""Every allocation and every command fails in turn. Each failure is a rule's error with a tip and the user's
+line, leaves nothing half-made, and the device continues."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ Keep: TypeAlias = Callable[[Any], Any]
 
 
 def with_cleanup(do: Callable[[rhi.Device, Keep], Results]) -> Callable[[rhi.Device], Results]:
-    """`do`; what it tells to keep is destroyed in the end. Not by contextlib, whose frames would stand on the stack."""
+    """`do`; what it tells to keep is destroyed in the end. Not by contextlib, whose frames would stand on the
+    stack."""
 
     def run(device: rhi.Device) -> Results:
         resources: list[Any] = []
@@ -122,7 +123,9 @@ class Allocations:
         allocations = self
 
         class Buffer(_Buffer):  # type: ignore[misc]
-            def __init__(self, cl_context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None) -> None:
+            def __init__(
+                self, cl_context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None
+            ) -> None:
                 if allocations._is_failing():
                     flags, size, hostbuf = cl.mem_flags.READ_WRITE, 1 << 60, None
                 super().__init__(cl_context, flags, size, hostbuf)
@@ -142,7 +145,8 @@ class Allocations:
 
 
 class Devices:
-    """Devices to fail on, each for so many failures in a row; only a fresh one makes its first allocations."""
+    """Devices to fail on, each for so many failures in a row; only a fresh one makes its first
+    allocations."""
 
     def __init__(self, failures: int, **options: Any) -> None:
         self._failures, self._options = failures, options
@@ -240,8 +244,8 @@ def move(device: rhi.Device, keep: Keep) -> Results:
 
 
 class Commands:
-    """Lets OpenCL's commands, and waits for all of them, fail once for each place that enqueues them, identified by the
-    innermost calls.
+    """Lets OpenCL's commands, and waits for all of them, fail once for each place that enqueues them,
+    identified by the innermost calls.
 
     Attributes:
         fail: whether the next command fails whose place hasn't failed yet.
@@ -258,7 +262,9 @@ class Commands:
         finish: Callable[[cl.CommandQueue], None] = cl.CommandQueue.finish
         monkeypatch.setattr(cl.CommandQueue, "finish", lambda queue: self._call(finish, queue))
 
-    def _call(self, command: Callable[..., Any], queue: cl.CommandQueue, *arguments: Any, **named: Any) -> Any:
+    def _call(
+        self, command: Callable[..., Any], queue: cl.CommandQueue, *arguments: Any, **named: Any
+    ) -> Any:
         frames = [sys._getframe(depth) for depth in range(1, 5)]
         stack = tuple((frame.f_code.co_qualname, frame.f_lineno) for frame in frames)
         if self.fail and stack not in self._failed:
@@ -290,10 +296,23 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
                 for image, expected_image in zip(results, expected, strict=True):
                     np.testing.assert_array_equal(image, expected_image)
     assert {error.call for error in errors} >= {
-        "Texture.write", "Texture.read", "Texture.copy_to", "Texture.generate_mipmaps",
-        "Buffer.write", "Buffer.read", "Buffer.copy_to", "Buffer.clear", "device.dispatch", "device.dispatch_indirect",
-        "a draw", "device.draw", "device.render_pass", "the end of a pass", "device.signal", "a timestamp in frame",
-    }  # fmt: skip
+        "Texture.write",
+        "Texture.read",
+        "Texture.copy_to",
+        "Texture.generate_mipmaps",
+        "Buffer.write",
+        "Buffer.read",
+        "Buffer.copy_to",
+        "Buffer.clear",
+        "device.dispatch",
+        "device.dispatch_indirect",
+        "a draw",
+        "device.draw",
+        "device.render_pass",
+        "the end of a pass",
+        "device.signal",
+        "a timestamp in frame",
+    }
     assert {error.rule.id for error in errors} == {"device-out-of-memory"}
     assert all(error.tip for error in errors)
     assert {error.site.file for error in errors if error.site} == {__file__}
@@ -303,7 +322,9 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
     "make",
     [
         lambda device: device.storage(float, 1 << 37),
-        lambda device: device.texture((8192, 8192), rhi.Format.RGBA32F, kind=rhi.TextureKind.D2_ARRAY, layers=256),
+        lambda device: device.texture(
+            (8192, 8192), rhi.Format.RGBA32F, kind=rhi.TextureKind.D2_ARRAY, layers=256
+        ),
         lambda device: device.texture(
             (8192, 8192), rhi.Format.D32FS8, kind=rhi.TextureKind.D2_ARRAY, layers=1024, levels=None
         ),
@@ -322,7 +343,9 @@ def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[rhi
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
-def test_indices_for_which_there_is_no_memory_leave_nothing_to_collect(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_indices_for_which_there_is_no_memory_leave_nothing_to_collect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def fail(*_: Any) -> None:
         raise MemoryError
 

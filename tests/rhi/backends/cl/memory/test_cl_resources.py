@@ -22,14 +22,18 @@ from rhi.errors import DeviceError
 
 @pytest.mark.parametrize("usage", BufferUsage)
 @pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
-def test_a_cl_buffer_takes_whatever_is_bytes_in_a_row(cl_kit: ClKit, source: object, usage: BufferUsage) -> None:
+def test_a_cl_buffer_takes_whatever_is_bytes_in_a_row(
+    cl_kit: ClKit, source: object, usage: BufferUsage
+) -> None:
     buffer = cl_kit.buffer(bytes(64), usage)
     cl_kit.backend.write_buffer(buffer, 16, source)  # type: ignore[arg-type]
     assert cl_kit.backend.read_buffer(buffer, 0, 64) == bytes(16) + VALUES.tobytes() + bytes(16)
 
 
 @pytest.mark.parametrize("shares_memory", [True, False])
-def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(cl_kit: ClKit, shares_memory: bool) -> None:
+def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(
+    cl_kit: ClKit, shares_memory: bool
+) -> None:
     backend = ClBackend(replace(cl_kit.backend.context, shares_memory=shares_memory))
     kit = ClKit(backend)
     source = "__kernel void add(__global uint *words, int count) { words[1] += words[0]; }"
@@ -150,7 +154,9 @@ def test_a_texture_too_large_is_refused_and_its_id_stays_free(cl_kit: ClKit) -> 
     assert not cl_kit.read(1, 4, 4).any()
 
 
-def test_an_allocation_that_fails_half_way_leaves_nothing(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_allocation_that_fails_half_way_leaves_nothing(
+    cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch
+) -> None:
     allocated: list[weakref.ref[object]] = []
     allocate = cl_textures.allocate
 
@@ -216,7 +222,9 @@ def test_a_resolve_averages_samples_in_linear_light(cl_kit: ClKit, format: Forma
     values = encode(format, rng.random((samples, 3, 5, format.channels)))
     source = cl_kit.texture(TextureDescriptor((5, 3), format, samples=samples))
     target = cl_kit.texture(TextureDescriptor((5, 3), format))
-    cl_kit.backend.write_texture(source, 0, Region(0, 0, 5, 3, 0, samples), values.tobytes())  # the samples' planes
+    cl_kit.backend.write_texture(
+        source, 0, Region(0, 0, 5, 3, 0, samples), values.tobytes()
+    )  # the samples' planes
     cl_kit.backend.resolve_texture(source, target)
     got, exact = cl_kit.read(target, 5, 3), encode(format, decode(format, values).mean(axis=0))
     slack = 1 if format.dtype.kind != "f" else 2.0 ** (-10 if format.dtype.itemsize == 2 else -22)
@@ -257,12 +265,16 @@ def test_mip_levels_of_odd_sizes_keep_the_mean(cl_kit: ClKit, size: tuple[int, i
     assert last[0, 0, 0] == pytest.approx(texels.mean(dtype=np.float64), rel=1e-6)
 
 
-def test_all_mip_levels_are_made_by_the_same_machine_code(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_mip_levels_are_made_by_the_same_machine_code(
+    cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """PoCL generates other code for other sizes of work-groups."""
     groups: list[object] = []
     enqueue = cl.enqueue_nd_range_kernel
 
-    def note(queue: cl.CommandQueue, kernel: cl.Kernel, size: tuple[int, ...], group: tuple[int, ...]) -> cl.Event:
+    def note(
+        queue: cl.CommandQueue, kernel: cl.Kernel, size: tuple[int, ...], group: tuple[int, ...]
+    ) -> cl.Event:
         groups.append(group)
         return enqueue(queue, kernel, size, group)
 

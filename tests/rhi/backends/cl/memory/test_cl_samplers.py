@@ -7,14 +7,23 @@ from cl_kit import ClKit, describe_program
 
 from rhi.contract.descriptors import Binding, BindingKind, SamplerDescriptor, TextureDescriptor, TextureKind
 from rhi.contract.formats import Format
-from rhi.shading.ir.texture_words import LEVEL_WORDS, ChannelEncoding, LevelWord, TextureWord, describe_texture
+from rhi.shading.ir.texture_words import (
+    LEVEL_WORDS,
+    ChannelEncoding,
+    LevelWord,
+    TextureWord,
+    describe_texture,
+)
 
 TEXTURE_SOURCE = """
 kernel void show(global const uchar *texels, global const int *description, global int *words, int count) {
     for (int i = 0; i < count; ++i) words[i] = description[i];
 }
 """
-TEXTURE_BINDINGS = (Binding("source", BindingKind.TEXTURE, 0), Binding("words", BindingKind.STORAGE, 0, True, None, 4))
+TEXTURE_BINDINGS = (
+    Binding("source", BindingKind.TEXTURE, 0),
+    Binding("words", BindingKind.STORAGE, 0, True, None, 4),
+)
 IMAGE_SOURCE = TEXTURE_SOURCE.replace("const uchar", "uchar")
 IMAGE_BINDINGS = (Binding("source", BindingKind.IMAGE, 0, True), TEXTURE_BINDINGS[1])
 
@@ -38,7 +47,11 @@ def test_a_kernel_receives_sizes_levels_and_sampler(cl_kit: ClKit) -> None:
     count = TextureWord.LEVELS + 3 * LEVEL_WORDS
     words = read_description(cl_kit, TEXTURE_SOURCE, TEXTURE_BINDINGS, count)
     assert words[TextureWord.ENCODING] == ChannelEncoding.UNORM8
-    assert (words[TextureWord.CHANNELS], words[TextureWord.TEXEL_BYTES], words[TextureWord.LEVEL_COUNT]) == (2, 2, 3)
+    assert (words[TextureWord.CHANNELS], words[TextureWord.TEXEL_BYTES], words[TextureWord.LEVEL_COUNT]) == (
+        2,
+        2,
+        3,
+    )
     level = words[TextureWord.LEVELS + LEVEL_WORDS :]
     assert [level[LevelWord.WIDTH], level[LevelWord.HEIGHT], level[LevelWord.ROW]] == [6, 3, 8]
 
@@ -48,7 +61,9 @@ def test_an_image_of_one_layer_is_flat_and_begins_there(cl_kit: ClKit) -> None:
     words = {}
     for layer in (-1, 2):
         cl_kit.backend.bind_image(0, texture, 0, layer)
-        words[layer] = read_description(cl_kit, IMAGE_SOURCE, IMAGE_BINDINGS, TextureWord.LEVELS + LEVEL_WORDS)
+        words[layer] = read_description(
+            cl_kit, IMAGE_SOURCE, IMAGE_BINDINGS, TextureWord.LEVELS + LEVEL_WORDS
+        )
     whole, single_layer = (words[layer][TextureWord.LEVELS :] for layer in (-1, 2))
     assert (whole[LevelWord.DEPTH], single_layer[LevelWord.DEPTH]) == (4, 1)
     assert (single_layer[LevelWord.START] - whole[LevelWord.START]) * 16 == 2 * whole[LevelWord.LAYER] * 4

@@ -1,4 +1,5 @@
-"""The folder of compiled kernels: chosen, shared by processes, checked for damage, bounded; and nothing is printed."""
+"""The folder of compiled kernels: chosen, shared by processes, checked for damage, bounded; and nothing is
+printed."""
 
 from __future__ import annotations
 
@@ -53,17 +54,20 @@ with rhi.create_device("cl") as device:
     programs = device.backend_as(object)._builds.built
     print(hashlib.sha256(image.read().tobytes()).hexdigest(), programs, given.count(str), given.count("machine code"))
 """
-"""Draws, and prints an image's checksum, the number of programs that were compiled, and how many the driver was given
-as source code, and as machine code alone. The arguments: `HOT`, `refuse` for a driver that takes nothing else, and
-`second` for one that another library has begun, with a folder of its own."""
+"""Draws, and prints an image's checksum, the number of programs that were compiled, and how many the driver
+was given as source code, and as machine code alone. The arguments: `HOT`, `refuse` for a driver that takes
+nothing else, and `second` for one that another library has begun, with a folder of its own."""
 
 
 def start(folder: Path, hot: int = 1 << 30, *arguments: str, **variables: str) -> subprocess.Popen[str]:
     environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
     return subprocess.Popen(
-        [sys.executable, "-c", DRAW, str(hot), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", DRAW, str(hot), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env=environment | {"RHI_CACHE": str(folder)} | variables,
-    )  # fmt: skip
+    )
 
 
 def draw(folder: Path, hot: int = 1 << 30) -> tuple[str, int]:
@@ -121,12 +125,15 @@ def test_a_folder_may_be_moved_and_shipped(filled: tuple[Path, str]) -> None:
 
 
 @pytest.mark.nightly_cases("of another version", "damaged", reason=CHEAPER_TEST)
-@pytest.mark.parametrize(("change", "bare"), [
-    pytest.param(None, 3, id="as it was"),
-    pytest.param(lambda header: header[:-1], 0, id="damaged"),
-    pytest.param(lambda header: b"", 0, id="empty"),
-    pytest.param(lambda header: header[32:-4] + b"\x08\0\0\0", 0, id="of another version"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "bare"),
+    [
+        pytest.param(None, 3, id="as it was"),
+        pytest.param(lambda header: header[:-1], 0, id="damaged"),
+        pytest.param(lambda header: b"", 0, id="empty"),
+        pytest.param(lambda header: header[32:-4] + b"\x08\0\0\0", 0, id="of another version"),
+    ],
+)
 def test_programs_with_machine_code_are_made_without_llvm_code(
     filled: tuple[Path, str], change: Callable[[bytes], bytes] | None, bare: int
 ) -> None:
@@ -153,7 +160,8 @@ def test_machine_code_is_used_only_where_it_was_checked(filled: tuple[Path, str]
 def test_a_driver_that_another_library_has_begun_is_given_nothing_of_the_folder(
     filled: tuple[Path, str], tmp_path: Path
 ) -> None:
-    """It doesn't look there, and ends the process where machine code that it is told of isn't in its own folder."""
+    """It doesn't look there, and ends the process where machine code that it is told of isn't in its own
+    folder."""
     folder, image = filled
     (tmp_path / "its own").mkdir()
     assert finish_counting(start(folder, 1 << 30, "second", str(tmp_path / "its own"))) == (image, 3, 3, 0)
@@ -181,12 +189,17 @@ def empty(content: bytes) -> bytes:
 
 
 @pytest.mark.nightly_cases("[*].so-truncate", "program.bc-upper", reason=CHEAPER_TEST)
-@pytest.mark.parametrize(("name", "damage"), [
-    pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
-    for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (truncate,)))
-    for damage in (bytes.upper, truncate, empty)
-])  # fmt: skip
-def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]) -> None:
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
+        for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (truncate,)))
+        for damage in (bytes.upper, truncate, empty)
+    ],
+)
+def test_a_damaged_file_is_built_again(
+    filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]
+) -> None:
     folder, image = filled
     (kernel,) = folder.rglob("raster.so")
     assert draw(folder) == (image, 0)  # links to what is damaged
@@ -199,9 +212,14 @@ def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, dama
 
 
 @pytest.mark.nightly_cases("upper", "None", reason=CHEAPER_TEST)
-@pytest.mark.parametrize("damage", [
-    bytes.upper, None, *(pytest.param(each, marks=pytest.mark.nightly) for each in (truncate, empty)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "damage",
+    [
+        bytes.upper,
+        None,
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in (truncate, empty)),
+    ],
+)
 def test_damaged_or_foreign_code_is_made_again(
     filled: tuple[Path, str], damage: Callable[[bytes], bytes] | None
 ) -> None:
@@ -256,7 +274,9 @@ def test_code_without_a_record_is_used(filled: tuple[Path, str]) -> None:
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
     folder, image = filled
-    for path, content in zip(records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
+    for path, content in zip(
+        records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False
+    ):
         path.write_bytes(content)
     assert draw(folder)[0] == image
     assert draw(folder) == (image, 0)
@@ -333,13 +353,21 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     os.utime(tmp_path / "rhi" / "key.code", (1e9, 1e9))
     kernels.record("key")
     kernels.finish()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["AB", "RH", "rhi", "tempfile_b", "tempfile_full"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "AB",
+        "RH",
+        "rhi",
+        "tempfile_b",
+        "tempfile_full",
+    ]
     assert {str(path.relative_to(tmp_path)) for path in tmp_path.glob("[A-Z][A-Z]/*")} == remaining
     assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == ["key", "key.code"]
     assert kernels.find("key") == (b"code", frozenset())
 
 
-def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_counts_to_the_size_of_a_program_and_goes_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "rhi").mkdir()
     kernels = KernelCache(tmp_path, "driver")
     (tmp_path / "rhi" / "key.code").write_bytes(kernels.seal("key", bytes([1]) * 1000))
@@ -354,7 +382,9 @@ def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, m
 def test_a_program_is_found_by_its_name_however_many_are_newer(tmp_path: Path) -> None:
     (tmp_path / "rhi").mkdir()
     cache = KernelCache(tmp_path, "driver")
-    for age, (name, key) in enumerate((("AB/newest", "b"), ("CD/beside", "c"), ("CD/wanted", "a"), ("EF/oldest", "d"))):
+    for age, (name, key) in enumerate(
+        (("AB/newest", "b"), ("CD/beside", "c"), ("CD/wanted", "a"), ("EF/oldest", "d"))
+    ):
         folder = tmp_path / name
         folder.mkdir(parents=True)
         (folder / "program.bc").write_bytes(f"rhi_built_{key}".encode())
@@ -366,7 +396,12 @@ def test_a_program_is_found_by_its_name_however_many_are_newer(tmp_path: Path) -
 
 def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> None:
     mine, other = KernelCache(tmp_path, "driver 1"), KernelCache(tmp_path, "driver 2")
-    requests = [mine.request("a", ()), mine.request("b", ()), mine.request("a", ["-w"]), other.request("a", ())]
+    requests = [
+        mine.request("a", ()),
+        mine.request("b", ()),
+        mine.request("a", ["-w"]),
+        other.request("a", ()),
+    ]
     assert len({each.key for each in requests}) == 4
     assert mine.request("a", ()) == requests[0]
 
@@ -384,7 +419,9 @@ def test_missing_machine_code_of_a_kernel_is_detected(tmp_path: Path) -> None:
     assert kernels.contains("key", ["draw"])
 
 
-def test_a_folder_that_cannot_be_made_leaves_the_driver_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_made_leaves_the_driver_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").touch()
     monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "file"))
@@ -418,8 +455,12 @@ def test_what_is_made_is_for_the_user_only(environment: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("path", ["", "rhi"])
-@pytest.mark.parametrize(("mode", "is_used"), [(0o755, True), (0o775, False), (0o707, False), (0o1777, False)])
-def test_a_folder_that_others_may_write_is_not_used(environment: Path, path: str, mode: int, is_used: bool) -> None:
+@pytest.mark.parametrize(
+    ("mode", "is_used"), [(0o755, True), (0o775, False), (0o707, False), (0o1777, False)]
+)
+def test_a_folder_that_others_may_write_is_not_used(
+    environment: Path, path: str, mode: int, is_used: bool
+) -> None:
     (environment / "rhi").mkdir(parents=True)
     (environment / path).chmod(mode)
     if is_used:
@@ -480,7 +521,9 @@ def test_a_program_does_not_pass_for_another(tmp_path: Path) -> None:
     assert trust.sign(b"key", b"bc", "a") != trust.sign(b"key", b"c", "ab")
 
 
-def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_key_that_others_can_read_is_none(
+    environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert kernel_cache.choose_folder() == environment
     key = tmp_path / "user" / "rhi" / "key"
     with monkeypatch.context() as another:
@@ -496,7 +539,8 @@ def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path, m
 
 
 def test_a_lock_of_a_stopped_process_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the program is built under a name of its own, so that nothing is written that the other one writes."""
+    """And the program is built under a name of its own, so that nothing is written that the other one
+    writes."""
     fcntl = pytest.importorskip("fcntl")
     (tmp_path / "rhi").mkdir()
     monkeypatch.setattr(kernel_cache, "PATIENCE", 0.05)

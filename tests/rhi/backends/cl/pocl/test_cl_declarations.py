@@ -1,4 +1,5 @@
-"""Programs that declare the functions that they use themselves: exactly as the driver's header does, or not at all."""
+"""Programs that declare the functions that they use themselves: exactly as the driver's header does, or not
+at all."""
 
 from __future__ import annotations
 
@@ -79,9 +80,10 @@ def test_each_declared_function_has_the_forms_of_the_header(header: dict[str, se
             compared += 1
             named = any(re.search(r"(global|local|private|constant) \w+ \*", each) for each in expected)
             forms = {
-                each for each in expected
+                each
+                for each in expected
                 if not EXTENSION.search(each) and not (named and re.search(r"[(,] ?\w+ \*", each))
-            }  # fmt: skip
+            }
             wrong |= {name: (declared - forms, forms - declared)} if declared != forms else {}
     assert wrong == {}
     assert compared > 600
@@ -89,7 +91,9 @@ def test_each_declared_function_has_the_forms_of_the_header(header: dict[str, se
 
 def test_whatever_else_the_header_has_is_left_to_it(header: dict[str, set[str]]) -> None:
     texts = {name: declare(f"kernel void f(void) {{ {name}(); }}") for name in header}
-    assert {name for name, text in texts.items() if text is not None and not list(declare_function(name))} == set()
+    assert {
+        name for name, text in texts.items() if text is not None and not list(declare_function(name))
+    } == set()
 
 
 def header_constants() -> Iterator[str]:
@@ -100,12 +104,16 @@ def header_constants() -> Iterator[str]:
         yield from re.findall(types, text, re.MULTILINE)
 
 
-@pytest.mark.skipif(not (Path(INCLUDE_FOLDERS[0]) / "opencl-c-base.h").exists(), reason="no header is installed")
+@pytest.mark.skipif(
+    not (Path(INCLUDE_FOLDERS[0]) / "opencl-c-base.h").exists(), reason="no header is installed"
+)
 def test_constants_and_types_are_declared_or_left_to_the_header() -> None:
     names = {name for name in header_constants() if not name.startswith(("cl_", "workDimension"))}
     assert {"INFINITY", "uint16", "CLK_NORMALIZED_COORDS_TRUE", "FLT_MAX"} < names
     texts = {name: declare(f"kernel void f(void) {{ {name} }}") for name in names}
-    assert {name for name, text in texts.items() if text is not None and not re.search(rf"\b{name}\b", text)} == set()
+    assert {
+        name for name, text in texts.items() if text is not None and not re.search(rf"\b{name}\b", text)
+    } == set()
 
 
 @pytest.fixture

@@ -1,4 +1,5 @@
-"""The drivers that are loaded in a thread: with or without it the same devices are found, and nothing of it stays."""
+"""The drivers that are loaded in a thread: with or without it the same devices are found, and nothing of it
+stays."""
 
 from __future__ import annotations
 

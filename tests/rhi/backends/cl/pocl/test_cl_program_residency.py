@@ -1,4 +1,5 @@
-"""Programs that aren't used for long leave memory, and draw and compute the same when they are needed again."""
+"""Programs that aren't used for long leave memory, and draw and compute the same when they are needed
+again."""
 
 from __future__ import annotations
 

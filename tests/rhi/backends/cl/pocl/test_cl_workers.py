@@ -72,5 +72,7 @@ def test_more_threads_than_cpus_are_left_alone(threads: list[int], monkeypatch: 
 def test_a_device_spreads_its_workers_unless_told_otherwise(choice: str | None) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "POCL_AFFINITY"}
     environment |= {} if choice is None else {"POCL_AFFINITY": choice}
-    run = subprocess.run([sys.executable, "-c", WHERE], capture_output=True, text=True, check=True, env=environment)
+    run = subprocess.run(
+        [sys.executable, "-c", WHERE], capture_output=True, text=True, check=True, env=environment
+    )
     assert run.stdout.strip() == str([[cpu] for cpu in CPUS] if choice is None else [CPUS] * len(CPUS))

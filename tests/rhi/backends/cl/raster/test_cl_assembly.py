@@ -50,7 +50,9 @@ class Host:
         """Return the vertices that a kernel would read."""
         positions = assembly.start + np.arange(assembly.count)
         if assembly.indexed:
-            own = np.frombuffer(self.data[buffer], format.dtype) if assembly.memory is None else assembly.memory
+            own = (
+                np.frombuffer(self.data[buffer], format.dtype) if assembly.memory is None else assembly.memory
+            )
             positions = own[positions].astype(np.int64)
         return (positions + assembly.base).tolist()
 
@@ -76,7 +78,8 @@ def listed(primitive: Primitive, indices: list[int], restart: int) -> list[tuple
             result += [(run[i], run[i + 1], run[i + 2]) for i in range(0, n - 2, 3)]
         elif primitive is Primitive.TRIANGLE_STRIP:
             result += [
-                (run[i], run[i + 2], run[i + 1]) if i % 2 else (run[i], run[i + 1], run[i + 2]) for i in range(n - 2)
+                (run[i], run[i + 2], run[i + 1]) if i % 2 else (run[i], run[i + 1], run[i + 2])
+                for i in range(n - 2)
             ]
         elif primitive is Primitive.TRIANGLE_FAN:
             result += [(run[i], run[i + 1], run[0]) for i in range(1, n - 1)]
@@ -92,13 +95,17 @@ PRIMITIVES = st.sampled_from(Primitive)
 
 @settings(max_examples=300)
 @given(PRIMITIVES, st.lists(st.integers(0, 9), max_size=40))
-def test_every_topology_becomes_the_list_that_its_definition_gives(primitive: Primitive, indices: list[int]) -> None:
+def test_every_topology_becomes_the_list_that_its_definition_gives(
+    primitive: Primitive, indices: list[int]
+) -> None:
     expected = [corner for corners in listed(primitive, indices, 9) for corner in corners]
     assert list_primitives(primitive, np.array(indices, np.uint16), 9).tolist() == expected
 
 
 @settings(max_examples=200)
-@given(PRIMITIVES, st.sampled_from(IndexFormat), st.lists(st.integers(0, 40), min_size=1, max_size=60), st.data())
+@given(
+    PRIMITIVES, st.sampled_from(IndexFormat), st.lists(st.integers(0, 40), min_size=1, max_size=60), st.data()
+)
 def test_indexed_draws_read_the_vertices_of_their_topology(
     primitive: Primitive, format: IndexFormat, numbers: list[int], data: st.DataObject
 ) -> None:

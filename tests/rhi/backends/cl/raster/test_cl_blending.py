@@ -1,5 +1,6 @@
-"""Merging that the kit can't ask of every platform: llvmpipe doesn't clamp the factors of signed targets, and OpenGL
-leaves open what becomes of components that a shader doesn't give, and how alpha is rounded to samples."""
+"""Merging that the kit can't ask of every platform: llvmpipe doesn't clamp the factors of signed targets, and
+OpenGL leaves open what becomes of components that a shader doesn't give, and how alpha is rounded to
+samples."""
 
 from __future__ import annotations
 
@@ -51,7 +52,9 @@ class ThreeComponents(Colored):
         return v.color.xyz
 
 
-@pytest.mark.parametrize(("shader", "components"), [(OneComponent, 1), (TwoComponents, 2), (ThreeComponents, 3)])
+@pytest.mark.parametrize(
+    ("shader", "components"), [(OneComponent, 1), (TwoComponents, 2), (ThreeComponents, 3)]
+)
 def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
     device: Device, shader: type[Colored], components: int
 ) -> None:
@@ -63,7 +66,9 @@ def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
 @pytest.mark.parametrize("samples", [4, 8])
 def test_alpha_to_coverage_covers_as_many_samples_as_alpha_says(device: Device, samples: int) -> None:
     alphas = np.linspace(0.0, 1.0, 16)
-    columns = [rectangle(-1 + i / 8, -1, -1 + (i + 1) / 8, 1, color=(1, 1, 1, a)) for i, a in enumerate(alphas)]
+    columns = [
+        rectangle(-1 + i / 8, -1, -1 + (i + 1) / 8, 1, color=(1, 1, 1, a)) for i, a in enumerate(alphas)
+    ]
     rows = np.concatenate(columns)
     covered = draw_once(device, (16, 1), Format.R8, rows, AlphaToCoverage.ON, samples=samples)[0] / 255.0
     assert_near(covered, np.floor(samples * alphas + 0.5) / samples, 0.003, "a mean in 8 bits")

@@ -1,4 +1,5 @@
-"""Blocks of pixels whose texels lie beside each other: what they read at once is what each lane reads by itself."""
+"""Blocks of pixels whose texels lie beside each other: what they read at once is what each lane reads by
+itself."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ Floats = NDArray[np.float32]
 
 
 class ReadCoordinates(sl.Struct):
-    """Where a pixel reads: `start + x across + y down`, in texels; the layer is the sum of products with `layers`."""
+    """Where a pixel reads: `start + x across + y down`, in texels; the layer is the sum of products with
+    `layers`."""
 
     start: sl.vec2
     across: sl.vec2
@@ -37,7 +39,9 @@ class Reading(sl.Shader):
 
     def fragment(self) -> sl.vec4:
         pixel = sl.vec2(sl.ivec2(sl.fragment_coordinate().xy))
-        position = self.coordinates.start + self.coordinates.across * pixel.x + self.coordinates.down * pixel.y
+        position = (
+            self.coordinates.start + self.coordinates.across * pixel.x + self.coordinates.down * pixel.y
+        )
         layer = self.coordinates.layers.x * pixel.x + self.coordinates.layers.y * pixel.y
         if self.coordinates.is_filtered == 0:
             return self.image.load(sl.ivec3(sl.vec3(position, layer)))
@@ -54,7 +58,11 @@ class RowReading(sl.Shader):
 
     def compute(self) -> None:
         at = sl.global_id().xy
-        position = self.coordinates.start + self.coordinates.across * float(at.x) + self.coordinates.down * float(at.y)
+        position = (
+            self.coordinates.start
+            + self.coordinates.across * float(at.x)
+            + self.coordinates.down * float(at.y)
+        )
         layer = self.coordinates.layers.x * float(at.x) + self.coordinates.layers.y * float(at.y)
         texel = self.image.load(sl.ivec3(sl.vec3(position, layer)))
         if at.x < SIZE[0]:
@@ -101,7 +109,9 @@ def test_half_floats_are_filtered_like_the_same_numbers_in_float32(device: Devic
 
 
 @pytest.mark.parametrize("format", [Format.RGBA16F, Format.R32F, Format.RGBA8])
-def test_a_load_is_the_texel_wherever_a_block_or_a_row_of_pixels_reads(device: Device, format: Format) -> None:
+def test_a_load_is_the_texel_wherever_a_block_or_a_row_of_pixels_reads(
+    device: Device, format: Format
+) -> None:
     numbers = np.random.default_rng(1).integers(0, 256, (3, 23, 41, format.channels))
     texels = (numbers / (255.0 if format is Format.RGBA8 else 1.0)).astype(np.float32)
     image = device.texture(numbers.astype(format.dtype), format, kind=TextureKind.D2_ARRAY)
@@ -126,10 +136,19 @@ def test_a_load_is_the_texel_wherever_a_block_or_a_row_of_pixels_reads(device: D
         expected = np.zeros((*x.shape, 4), np.float32)
         expected[..., 3] = inside if format.channels < 4 else 0
         expected[inside, : format.channels] = texels[layer[inside], v[inside], u[inside]]
-        values: dict[str, tuple[float, float]] = {"start": start, "across": across, "down": down, "layers": layers}
+        values: dict[str, tuple[float, float]] = {
+            "start": start,
+            "across": across,
+            "down": down,
+            "layers": layers,
+        }
         read = show(device, image, is_filtered=0, **values)
         np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{values}")
         device.dispatch(
-            rows, (2, SIZE[1]), coordinates=ReadCoordinates(is_filtered=0, **values), image=image, texels=texels_read
+            rows,
+            (2, SIZE[1]),
+            coordinates=ReadCoordinates(is_filtered=0, **values),
+            image=image,
+            texels=texels_read,
         )
         np.testing.assert_array_equal(texels_read.read().reshape(read.shape), read, f"{values}")

@@ -60,7 +60,9 @@ class Bent(InstancedThings):
 
     def vertex(self, v: Vertex) -> Surface:
         position = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
-        return Surface(clip=self.view.matrix @ (position + sl.vec4(v.color.x * v.position.x * 0.0)), color=v.color)
+        return Surface(
+            clip=self.view.matrix @ (position + sl.vec4(v.color.x * v.position.x * 0.0)), color=v.color
+        )
 
 
 class Offset(sl.Struct):
@@ -109,25 +111,33 @@ def translate(x: float, y: float, z: float) -> NDArray[np.float32]:
 class MeshScene:
     """Meshes that are drawn frame by frame, each frame as one batch."""
 
-    def __init__(self, device: rhi.Device, shader: type[InstancedThings], matrices: Any, view: Any = IDENTITY) -> None:
+    def __init__(
+        self, device: rhi.Device, shader: type[InstancedThings], matrices: Any, view: Any = IDENTITY
+    ) -> None:
         self.device, self.program = device, device.program(shader)
         things = np.zeros(len(matrices), device.storage(Thing, 1).dtype)
         things["matrix"] = np.asarray(matrices, np.float32)
         self.bindings = {
-            "things": device.storage(Thing, things), "view": device.uniform(View(matrix=np.asarray(view))),
-        }  # fmt: skip
+            "things": device.storage(Thing, things),
+            "view": device.uniform(View(matrix=np.asarray(view))),
+        }
         self.color, self.depth = device.texture(SIZE, rhi.Format.RGBA8), device.texture(SIZE, rhi.Format.D32F)
 
     def frame(self, meshes: list[rhi.Mesh], *states: Any, clears: bool = True) -> list[NDArray[Any]]:
         """Draw each mesh once; return color and depth."""
-        return self.run(lambda: [self.device.draw(self.program, mesh, **self.bindings) for mesh in meshes],
-                        *states, clears=clears)  # fmt: skip
+        return self.run(
+            lambda: [self.device.draw(self.program, mesh, **self.bindings) for mesh in meshes],
+            *states,
+            clears=clears,
+        )
 
     def run(self, draw: Callable[[], object], *states: Any, clears: bool = True) -> list[NDArray[Any]]:
         clear: dict[str, Any] = {"clear": (0, 0, 0, 0), "clear_depth": 1.0} if clears else {}
         with (
             self.device.render_pass(self.color, self.depth, **clear),
-            self.device.states(rhi.CullMode.NONE, rhi.DepthTest.ON, rhi.DepthWrite.ON, rhi.DepthFunction.LESS),
+            self.device.states(
+                rhi.CullMode.NONE, rhi.DepthTest.ON, rhi.DepthWrite.ON, rhi.DepthFunction.LESS
+            ),
             self.device.states(rhi.Viewport(0, 0, *SIZE), *states),
         ):
             draw()
@@ -144,10 +154,13 @@ def assert_same(images: list[NDArray[Any]], expected: list[NDArray[Any]]) -> Non
 
 
 def count_dropped(device: rhi.Device) -> int:
-    """Return how many instances of the last piece were culled before they were transformed, if none has more than a
-    chunk of vertices. Their extents are marked as lying behind all planes."""
+    """Return how many instances of the last piece were culled before they were transformed, if none has more
+    than a chunk of vertices. Their extents are marked as lying behind all planes."""
     backend = device.backend_as(ClBackend)
-    memory, state = backend._rasteriser._launcher._scratch.pools["extents"]._memory, backend._rasteriser._batch.state
+    memory, state = (
+        backend._rasteriser._launcher._scratch.pools["extents"]._memory,
+        backend._rasteriser._batch.state,
+    )
     assert state is not None
     backend.context.queue.finish()
     words = memory.view(np.int32)[: 8 * int(state.table["vertex_groups"])].reshape(-1, 8)
@@ -175,7 +188,9 @@ def parts(mesh: rhi.Mesh, count: int) -> list[rhi.Mesh]:
 # -- what is dropped -----------------------------------------------------------------------------------------
 
 
-def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: rhi.Device, launches: list[str]) -> None:
+def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(
+    device: rhi.Device, launches: list[str]
+) -> None:
     """At its second draw a box is measured and used at once; at the first it isn't known."""
     stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
@@ -195,13 +210,22 @@ def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: rhi.Device
 @pytest.mark.parametrize(
     ("transform", "dropped"),
     [
-        (translate(-2.0, 0.0, 0.5), True), (translate(0.0, 2.0, 0.5), True), (translate(0.0, -2.0, 0.5), True),
-        (translate(0.0, 0.0, -1.0), True), (translate(0.0, 0.0, 2.0), True),
-        (translate(1.2, 0.0, 0.5), False), (translate(0.0, 0.0, -0.2), False), (10.0 * IDENTITY, False),
-        (np.full((4, 4), np.nan), False), (np.full((4, 4), np.inf), False), (1.7e38 * translate(2.0, 0.0, 0.0), False),
+        (translate(-2.0, 0.0, 0.5), True),
+        (translate(0.0, 2.0, 0.5), True),
+        (translate(0.0, -2.0, 0.5), True),
+        (translate(0.0, 0.0, -1.0), True),
+        (translate(0.0, 0.0, 2.0), True),
+        (translate(1.2, 0.0, 0.5), False),
+        (translate(0.0, 0.0, -0.2), False),
+        (10.0 * IDENTITY, False),
+        (np.full((4, 4), np.nan), False),
+        (np.full((4, 4), np.inf), False),
+        (1.7e38 * translate(2.0, 0.0, 0.0), False),
     ],
-)  # fmt: skip
-def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: rhi.Device, transform: Any, dropped: bool) -> None:
+)
+def test_what_lies_beyond_one_plane_of_the_view_is_dropped(
+    device: rhi.Device, transform: Any, dropped: bool
+) -> None:
     """Nothing else is culled, nor anything with numbers that overflow or aren't finite."""
     stage = MeshScene(device, InstancedThings, [INSIDE, transform])
     with device.mesh(triangles()) as mesh:
@@ -215,7 +239,8 @@ def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: rhi.Device, t
 @pytest.mark.nightly_cases("DepthFunction.GREATER", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("nearer", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER])
 def test_what_lies_behind_a_wall_is_dropped(bounding_device: rhi.Device, nearer: rhi.DepthFunction) -> None:
-    """Bounds of depth that an earlier batch left cull instances, but not those that reach through, nor with a bias."""
+    """Bounds of depth that an earlier batch left cull instances, but not those that reach through, nor with a
+    bias."""
     device, flat = bounding_device, np.diag([1.0, 1.0, 0.2, 1.0])
     depths = [0.8, 0.5, 0.2] if nearer is rhi.DepthFunction.LESS else [0.2, 0.5, 0.8]
     behind, through, before = (translate(0.0, 0.0, depth) @ flat for depth in depths)
@@ -395,13 +420,23 @@ def scenes(draw: st.DrawFn) -> tuple[int, dict[str, Any]]:
         "perspective": draw(st.booleans()),
         "wall": draw(st.sampled_from([None, 0.0, 0.3, 0.5, 0.7, 0.99])),
         "indexed": draw(st.sampled_from([None, "u2", "u4"])),
-        "primitive": draw(st.sampled_from([
-            rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP,
-            rhi.Primitive.TRIANGLE_FAN, rhi.Primitive.LINES, rhi.Primitive.LINE_STRIP, rhi.Primitive.POINTS,
-        ])),
+        "primitive": draw(
+            st.sampled_from(
+                [
+                    rhi.Primitive.TRIANGLES,
+                    rhi.Primitive.TRIANGLES,
+                    rhi.Primitive.TRIANGLES,
+                    rhi.Primitive.TRIANGLE_STRIP,
+                    rhi.Primitive.TRIANGLE_FAN,
+                    rhi.Primitive.LINES,
+                    rhi.Primitive.LINE_STRIP,
+                    rhi.Primitive.POINTS,
+                ]
+            )
+        ),
         "slope": draw(st.sampled_from([0.0, 0.0, 1.0])),
         "reversed": draw(st.booleans()),
-    }  # fmt: skip
+    }
 
 
 def project(eye: NDArray[Any], near: float) -> NDArray[Any]:
@@ -414,7 +449,8 @@ def project(eye: NDArray[Any], near: float) -> NDArray[Any]:
 
 
 def scatter(rng: np.random.Generator, kind: dict[str, Any]) -> list[NDArray[Any]]:
-    """Return random transforms: rotated, mirrored, sometimes one with a number that overflows or isn't finite."""
+    """Return random transforms: rotated, mirrored, sometimes one with a number that overflows or isn't
+    finite."""
     matrices = []
     for _ in range(64):
         scale = kind["size"] * rng.choice([-1, 1], 3) * rng.uniform(0.1, 2.0, 3)
@@ -469,10 +505,12 @@ def test_frames_are_the_same_with_and_without_boxes(
     frames: list[list[NDArray[Any]]] = []
     with device.mesh(rows, indices, primitive=kind["primitive"]) as mesh, device.mesh(rectangle()) as front:
         parts = mesh.draws(
-            rng.integers(0, count // 2, DRAWS), rng.choice([0, 1, 20, 80, count // 2], DRAWS),
-            instances=rng.integers(0, 4, DRAWS), base_vertex=rng.integers(0, 100, DRAWS) * (indices is not None),
+            rng.integers(0, count // 2, DRAWS),
+            rng.choice([0, 1, 20, 80, count // 2], DRAWS),
+            instances=rng.integers(0, 4, DRAWS),
+            base_vertex=rng.integers(0, 100, DRAWS) * (indices is not None),
             base_instance=rng.integers(0, 60, DRAWS),
-        )  # fmt: skip
+        )
         far = 0.0 if kind["reversed"] else 1.0
         for allowed in (False, True, True, True):
             allow_boxes(allowed)
@@ -484,7 +522,10 @@ def test_frames_are_the_same_with_and_without_boxes(
                     device.draw(wall.program, front, **wall.bindings)
                     device.draw(wall.program, front, **wall.bindings)
                 device.draw_many(stage.program, mesh, parts, **stage.bindings)
-            with device.render_pass(depth=stage.depth), device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF, *states):
+            with (
+                device.render_pass(depth=stage.depth),
+                device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF, *states),
+            ):
                 device.draw_counted(stage.program, mesh, parts, queries, **stage.bindings)
             frames.append([stage.color.read(), stage.depth.read(), np.asarray(queries.wait())])
     for frame in frames[1:]:

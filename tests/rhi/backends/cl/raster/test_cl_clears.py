@@ -1,4 +1,5 @@
-"""How a pass's clears are executed: by draws if possible, else as fills. rhi/conformance checks their results."""
+"""How a pass's clears are executed: by draws if possible, else as fills. rhi/conformance checks their
+results."""
 
 from __future__ import annotations
 
@@ -64,7 +65,10 @@ def test_draws_clear_what_they_draw_into(device: rhi.Device, scene: Scene, fills
 
 @pytest.mark.parametrize(
     ("states", "filled"),
-    [((rhi.DepthTest.OFF, rhi.DepthWrite.OFF), np.float32(0.25).tobytes()), ((rhi.ColorWrite.OFF,), b"\xff\0\0\xff")],
+    [
+        ((rhi.DepthTest.OFF, rhi.DepthWrite.OFF), np.float32(0.25).tobytes()),
+        ((rhi.ColorWrite.OFF,), b"\xff\0\0\xff"),
+    ],
     ids=["depth", "color"],
 )
 def test_what_no_draw_of_the_pass_draws_into_is_filled(

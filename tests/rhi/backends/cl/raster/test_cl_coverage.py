@@ -1,4 +1,5 @@
-"""Coverage and sample counts of triangles that nothing clips, in whole numbers; the kit examines those that are cut.
+"""Coverage and sample counts of triangles that nothing clips, in whole numbers; the kit examines those that
+are cut.
 
 A window position is float32, rounded to 1/256 pixel; from there on coverage is exact.
 """
@@ -25,17 +26,22 @@ FACES = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2,
 
 
 def project(points: Floats) -> Floats:
-    """Return clip positions in float32 of points (…, 3) seen from the origin along -z; depth is near 1, far 0."""
-    clip = np.stack([1.5 * points[..., 0], 1.5 * points[..., 1], np.full(points.shape[:-1], NEAR), -points[..., 2]], -1)
+    """Return clip positions in float32 of points (…, 3) seen from the origin along -z; depth is near 1, far
+    0."""
+    clip = np.stack(
+        [1.5 * points[..., 0], 1.5 * points[..., 1], np.full(points.shape[:-1], NEAR), -points[..., 2]], -1
+    )
     return clip.astype(np.float32).astype(np.float64)
 
 
 def random_boxes(count: int, seed: int, nearest: float) -> Floats:
-    """(count, 12, 3, 4) clip positions of boxes' triangles, of which the nearest begins so far from the eye; they are
-    turned as the camera is."""
+    """(count, 12, 3, 4) clip positions of boxes' triangles, of which the nearest begins so far from the eye;
+    they are turned as the camera is."""
     rng = np.random.default_rng(seed)
     size = 2.0 ** rng.uniform(-3, 1.5, (count, 1, 3))
-    low = np.stack([*rng.uniform(-3, 3, (2, count)), -nearest - size[:, 0, 2] - 2.0 ** rng.uniform(-3, 3, count)], -1)
+    low = np.stack(
+        [*rng.uniform(-3, 3, (2, count)), -nearest - size[:, 0, 2] - 2.0 ** rng.uniform(-3, 3, count)], -1
+    )
     if nearest < 0:  # through the near plane, or behind it
         low[:, 2] = -rng.uniform(0, 1, count) * size[:, 0, 2]
         low[:, :2] = -rng.uniform(-0.2, 1.2, (count, 2)) * size[:, 0, :2]
@@ -47,9 +53,11 @@ def random_boxes(count: int, seed: int, nearest: float) -> Floats:
     return project((points - middle) @ turn.T + middle)[:, triangles]
 
 
-def cover_exactly(triangle: Floats, sample: tuple[int, int] = (0, 0), *, back: bool = False) -> NDArray[np.bool_]:
-    """(h, w): which samples, so many subtexels from the centres, a triangle (3, 4) in front of the eye covers, by its
-    front or also by its `back`: whole numbers and the top-left rule."""
+def cover_exactly(
+    triangle: Floats, sample: tuple[int, int] = (0, 0), *, back: bool = False
+) -> NDArray[np.bool_]:
+    """(h, w): which samples, so many subtexels from the centres, a triangle (3, 4) in front of the eye
+    covers, by its front or also by its `back`: whole numbers and the top-left rule."""
     single = triangle.astype(np.float32)
     divided = (single[:, :2] * (np.float32(1) / single[:, 3:])).astype(np.float64)
     window = ((divided * (1, -1) + 1) * np.array(SIZE) / 2).astype(np.float32)
@@ -107,8 +115,8 @@ def draw_set(device: Device, boxes: Floats, depth: rhi.Texture) -> list[int]:
 
 @pytest.mark.parametrize("nearest", [1.0, 6.0, -1.0])
 def test_counts_are_those_of_boxes_drawn_alone(device: Device, nearest: float) -> None:
-    """Counts in one batch, one by one, by a query set, and by pixels agree, for whole boxes, rotated boxes and boxes
-    that the near plane cuts, in front of and behind a wall."""
+    """Counts in one batch, one by one, by a query set, and by pixels agree, for whole boxes, rotated boxes
+    and boxes that the near plane cuts, in front of and behind a wall."""
     boxes = random_boxes(60, 1, nearest)
     meshes = [device.mesh(corners(box.reshape(-1, 4))) for box in boxes]
     for wall in (0.0, NEAR / (abs(nearest) + 2)):
@@ -152,7 +160,8 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
 
 @pytest.mark.parametrize("samples", [1, 4, 8])
 def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device, samples: int) -> None:
-    """Of all sizes and in any order, half of them with perspective: only what a fixed-point grid can't hold is cut."""
+    """Of all sizes and in any order, half of them with perspective: only what a fixed-point grid can't hold
+    is cut."""
     rng = np.random.default_rng(samples)
     middle, size = rng.uniform(-1.3, 1.3, (480, 1, 2)), 2.0 ** rng.uniform(-7, 1.5, (480, 1, 1))
     flat = np.clip(middle + size * rng.uniform(-1, 1, (480, 3, 2)), -4.0, 4.0)

@@ -83,7 +83,9 @@ def test_a_draw_that_occurs_twice_in_an_array_has_one_slot(draws: NDArray[Any]) 
     assert len(np.unique(indices)) == 300
 
 
-def test_draws_of_equal_hashes_have_slots_of_their_own(draws: NDArray[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_draws_of_equal_hashes_have_slots_of_their_own(
+    draws: NDArray[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(draw_list_cache, "_FACTORS", np.array([1, 0, 0, 0], np.uint64))
     lists = Lists()
     indices = lists.lookup(draws)

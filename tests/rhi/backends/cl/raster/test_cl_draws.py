@@ -45,7 +45,10 @@ def render_triangles(device: rhi.Device, rows: NDArray[Any], parts: int = 1) -> 
     """Draw all triangles in `parts` draws; return the image."""
     with device.texture(SIZE, rhi.Format.RGBA8) as image, device.mesh(rows) as mesh:
         ends = np.linspace(0, len(rows) // 3, parts + 1).astype(int) * 3
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF):
+        with (
+            device.render_pass(image, clear=(0, 0, 0, 0)),
+            device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF),
+        ):
             for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
                 device.draw(device.program(Colored), mesh.view(first=begin, count=end - begin))
         return image.read()
@@ -54,7 +57,10 @@ def render_triangles(device: rhi.Device, rows: NDArray[Any], parts: int = 1) -> 
 def count_survivors(device: rhi.Device) -> int:
     """Return the number of records that set-up made in the last slice."""
     backend = device.backend_as(ClBackend)
-    memory, state = backend._rasteriser._launcher._scratch.pools["survivors"]._memory, backend._rasteriser._batch.state
+    memory, state = (
+        backend._rasteriser._launcher._scratch.pools["survivors"]._memory,
+        backend._rasteriser._batch.state,
+    )
     assert state is not None
     backend.context.queue.finish()
     counts = memory.view(np.uint32)[: int(state.table["chunks"])]
@@ -85,7 +91,11 @@ def test_what_draws_bind_does_not_end_a_batch(device: rhi.Device, launches: list
 
 def test_states_that_are_compiled_end_a_batch(device: rhi.Device, launches: list[str]) -> None:
     rows = random_corners(6)
-    with device.texture(SIZE, rhi.Format.RGBA8) as image, device.mesh(rows) as mesh, device.render_pass(image):
+    with (
+        device.texture(SIZE, rhi.Format.RGBA8) as image,
+        device.mesh(rows) as mesh,
+        device.render_pass(image),
+    ):
         device.draw(device.program(Colored), mesh)
         with device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh)
@@ -95,7 +105,8 @@ def test_states_that_are_compiled_end_a_batch(device: rhi.Device, launches: list
 @pytest.mark.parametrize("wrong", [1.0, None, "1", -1, 1 << 64], ids=repr)
 @pytest.mark.parametrize("prepared", [True, False], ids=["prepared", "by the contract"])
 def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: rhi.Device, wrong: Any, prepared: bool) -> None:
-    """Part of a row would shift all rows behind it, whose words would then be read as others: as addresses."""
+    """Part of a row would shift all rows behind it, whose words would then be read as others: as
+    addresses."""
     program, colors = device.program(Tinted), np.arange(1, 8) / 8
     with device.texture((8, 1), rhi.Format.R32F) as image, device.mesh(rectangle()) as mesh:
         tints = [device.uniform(Tint(color=(color, 0, 0, 0))) for color in colors]
@@ -113,7 +124,10 @@ def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: rhi.Device, wrong:
 
 def test_indices_that_change_between_draws_name_other_vertices(device: rhi.Device) -> None:
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
-    with device.texture((2, 1), rhi.Format.RGBA8) as image, device.mesh(rows, np.arange(6, dtype="u4")) as mesh:
+    with (
+        device.texture((2, 1), rhi.Format.RGBA8) as image,
+        device.mesh(rows, np.arange(6, dtype="u4")) as mesh,
+    ):
         for first, expected in ((0, [255, 0]), (6, [0, 255])):
             mesh.data.index_buffer.write(np.arange(first, first + 6, dtype="u4"))
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.DepthWrite.OFF):
@@ -160,7 +174,9 @@ def test_a_triangle_in_flight_takes_at_most_200_bytes(device: rhi.Device) -> Non
     rows = corners(np.stack([x.ravel(), y.ravel()], axis=1))
     a = (np.arange(grid - 1)[:, None] * grid + np.arange(grid - 1)).ravel()
     indices = np.stack([a, a + 1, a + grid, a + 1, a + grid + 1, a + grid], axis=1).astype("u4")
-    assert (draw_once(device, (64, 64), rhi.Format.RGBA8, rows, rhi.CullMode.NONE, indices=indices.ravel()) > 0).any()
+    assert (
+        draw_once(device, (64, 64), rhi.Format.RGBA8, rows, rhi.CullMode.NONE, indices=indices.ravel()) > 0
+    ).any()
     pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
 
@@ -196,7 +212,9 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: rhi.Device, 
 
 
 @pytest.mark.parametrize("instances", [1 << 20, (1 << 31) - 1])
-def test_draws_split_into_pieces_are_each_instance_once(monkeypatch: pytest.MonkeyPatch, instances: int) -> None:
+def test_draws_split_into_pieces_are_each_instance_once(
+    monkeypatch: pytest.MonkeyPatch, instances: int
+) -> None:
     monkeypatch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 1 << 19)
     groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
     which, parts, done = draw_tables.split_instances(groups, counts)
@@ -251,7 +269,10 @@ def test_each_draw_of_a_batch_counts_for_its_own_query(device: rhi.Device, launc
     queries = [device.occlusion_query() for _ in range(600)]  # more than a page of counters
     meshes = [device.mesh(rectangle(-1, -1, -1 + (i + 1) / 8, 1)) for i in range(16)]
     with device.texture((16, 4), rhi.Format.R8) as image:
-        with device.render_pass(image), device.states(rhi.CullMode.NONE, rhi.ColorWrite.OFF, rhi.DepthWrite.OFF):
+        with (
+            device.render_pass(image),
+            device.states(rhi.CullMode.NONE, rhi.ColorWrite.OFF, rhi.DepthWrite.OFF),
+        ):
             for i, query in enumerate(queries):
                 with query:
                     device.draw(device.program(Colored), meshes[i % 16])
@@ -279,7 +300,10 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
     monkeypatch.setattr(draw_tables, "number_groups", note)
     queries = device.query_set(16)
     array = bars.draws(6 * np.arange(16), 6)
-    with device.texture((16, 4), rhi.Format.R8) as image, device.states(rhi.ColorWrite.OFF, rhi.DepthWrite.OFF):
+    with (
+        device.texture((16, 4), rhi.Format.R8) as image,
+        device.states(rhi.ColorWrite.OFF, rhi.DepthWrite.OFF),
+    ):
         for rows in (range(16), range(16), range(15, -1, -1)):
             with device.render_pass(image):
                 device.draw_counted(device.program(Colored), bars, array.copy(), queries, list(rows))
@@ -328,9 +352,13 @@ def test_counters_are_used_again(device: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("primitive", [rhi.Primitive.LINES, rhi.Primitive.POINTS], ids=lambda p: p.name)
-def test_lines_and_points_keep_their_order_among_triangles(device: rhi.Device, primitive: rhi.Primitive) -> None:
+def test_lines_and_points_keep_their_order_among_triangles(
+    device: rhi.Device, primitive: rhi.Primitive
+) -> None:
     """Lines and points keep their place in the order of draws."""
-    rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is rhi.Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
+    rows = corners(
+        [(-0.9, 0.1), (0.9, 0.1)] if primitive is rhi.Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1)
+    )
     below, above = rectangle(-1, -1, 1, 1), rectangle(0.5, -1, 1, 1)
     below["color"], above["color"] = (1, 0, 0, 1), (0, 0, 1, 1)
     program = device.program(Colored)
@@ -363,7 +391,9 @@ def test_a_plane_to_the_horizon_has_its_depth(device: rhi.Device, nearest: float
     if nearest < 0:
         x[z == nearest] /= 300  # no guard band cuts it
     clip = np.stack([x * scale * height / width, np.full(6, -below * scale), np.full(6, near), -z], axis=1)
-    drawn = draw_once(device, (width, height), rhi.Format.D32F, corners(clip), rhi.CullMode.NONE, rhi.ColorWrite.OFF)
+    drawn = draw_once(
+        device, (width, height), rhi.Format.D32F, corners(clip), rhi.CullMode.NONE, rhi.ColorWrite.OFF
+    )
     assert (drawn[: height // 2] == 0).all()
     rows, columns = np.nonzero(drawn)
     assert len(rows) > (width * height / 3 if nearest > 0 else 1000)
@@ -379,7 +409,8 @@ def test_edges_across_the_largest_targets_are_exact(device: rhi.Device, size: tu
         triangle = rng.integers(-extent // 2, extent * 3 // 2, (3, 2))
         clip = window_to_clip(triangle / SUBTEXELS, size)
         assert_mask(
-            draw_once(device, size, rhi.Format.R8, corners(clip), rhi.CullMode.NONE), rasterise(triangle, *size)
+            draw_once(device, size, rhi.Format.R8, corners(clip), rhi.CullMode.NONE),
+            rasterise(triangle, *size),
         )
 
 
@@ -400,8 +431,11 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     """With a stencil test, depth isn't staged and has no bounds."""
     rows = random_corners(6000)
     rng = np.random.default_rng(5)
-    # Most depths are near their triangle's, some slopes are steep, some triangles face the eye and meet others.
-    depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(-1, 1, (6000, 3))
+    # Most depths are near their triangle's, some slopes are steep, some triangles face the eye and meet
+    # others.
+    depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(
+        -1, 1, (6000, 3)
+    )
     depths[::7] = np.round(depths[::7, :1] * 8) / 8
     rows["position"][:, 2] = np.clip(depths, 0, 1).ravel()
     results = []
@@ -430,9 +464,13 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
 
 
 @pytest.mark.parametrize(
-    "depth_format", [(rhi.Format.D32F, rhi.Format.D32FS8), (rhi.Format.D24, rhi.Format.D24S8)], ids=["float", "24"]
+    "depth_format",
+    [(rhi.Format.D32F, rhi.Format.D32FS8), (rhi.Format.D24, rhi.Format.D24S8)],
+    ids=["float", "24"],
 )
-@pytest.mark.parametrize("function", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER_EQUAL], ids=lambda f: f.name)
+@pytest.mark.parametrize(
+    "function", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER_EQUAL], ids=lambda f: f.name
+)
 @pytest.mark.parametrize("offset", [0.0, 0.5])
 def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     device: rhi.Device,
@@ -441,7 +479,8 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     depth_format: tuple[rhi.Format, rhi.Format],
     offset: float,
 ) -> None:
-    """Whole draws and single primitives are culled; with a stencil test there are no bounds from earlier slices."""
+    """Whole draws and single primitives are culled; with a stencil test there are no bounds from earlier
+    slices."""
     count, each = 120, 24
     rng = np.random.default_rng(7)
     middle, size = rng.uniform(-1.1, 1.1, (count, 1, 1, 2)), 2.0 ** rng.uniform(-7, 0, (count, each, 1, 1))
@@ -535,7 +574,10 @@ def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) 
     ],
 )
 def test_a_pass_knows_what_hid_in_the_one_before_unless_depth_changed(
-    device: rhi.Device, change: Callable[[rhi.Texture, rhi.Texture, rhi.Device], None], hides: bool, samples: int
+    device: rhi.Device,
+    change: Callable[[rhi.Texture, rhi.Texture, rhi.Device], None],
+    hides: bool,
+    samples: int,
 ) -> None:
     program, size = device.program(Colored), (8, 8)
     with (

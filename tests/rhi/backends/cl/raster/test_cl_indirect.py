@@ -1,4 +1,5 @@
-"""Indirect draws, whose arguments the CPU has to know: they wait for the device only if it may have written them."""
+"""Indirect draws, whose arguments the CPU has to know: they wait for the device only if it may have written
+them."""
 
 from __future__ import annotations
 
@@ -87,7 +88,9 @@ def test_arguments_that_the_device_writes_are_read_back_each_time(device: Device
     assert reads == [arguments.id] * 3
 
 
-def test_large_buffers_are_read_in_part(device: Device, reads: list[Id], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_buffers_are_read_in_part(
+    device: Device, reads: list[Id], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Their contents aren't kept."""
     monkeypatch.setattr(cl_buffers, "_MAX_CPU_COPY_BYTES", 39)
     scene = IndirectScene(device)
@@ -100,7 +103,9 @@ def test_large_buffers_are_read_in_part(device: Device, reads: list[Id], monkeyp
     assert reads == [arguments.id, large.id, large.id]
 
 
-def test_written_arguments_are_read_without_a_command(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_written_arguments_are_read_without_a_command(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A command that copies would wake a thread of the device."""
     scene = IndirectScene(device)
     arguments = device.buffer(scene.draws(0, 1))

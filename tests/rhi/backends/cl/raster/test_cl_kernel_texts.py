@@ -29,7 +29,8 @@ def list_structs_by_value(text: str) -> list[str]:
 
 
 def test_kernels_give_structs_by_address() -> None:
-    """PoCL never frees the types of a function's structs, so programs that come and go would make a process grow."""
+    """PoCL never frees the types of a function's structs, so programs that come and go would make a process
+    grow."""
     kernels = files("rhi.backends.cl.raster").joinpath("kernels")
     text = "\n".join(each.read_text() for each in kernels.iterdir() if each.name.endswith(".cl"))
     text += "".join(declare_struct(*each) for each in _STRUCTS.items())

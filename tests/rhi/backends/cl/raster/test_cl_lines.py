@@ -12,7 +12,17 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import BlendFunction, Comparison, CullMode, Device, Format, LineWidth, PolygonMode, Primitive, StencilTest
+from rhi import (
+    BlendFunction,
+    Comparison,
+    CullMode,
+    Device,
+    Format,
+    LineWidth,
+    PolygonMode,
+    Primitive,
+    StencilTest,
+)
 from rhi.backends.cl.raster import launcher
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
@@ -24,11 +34,17 @@ TRIANGLE = [(3.3125, 4.4375), (5.6875, 70.1875), (87.5625, 18.3125)]
 
 
 def count_overdraw(
-    device: Device, rows: NDArray[Any], *states: Any, primitive: Primitive = Primitive.TRIANGLES, samples: int = 1
+    device: Device,
+    rows: NDArray[Any],
+    *states: Any,
+    primitive: Primitive = Primitive.TRIANGLES,
+    samples: int = 1,
 ) -> NDArray[Any]:
     """Return how often each texel is drawn, (height, width)."""
     states = (BlendFunction.ADDITIVE, *states)
-    return draw_once(device, SIZE, Format.RGBA32F, rows, *states, primitive=primitive, samples=samples)[..., 3]
+    return draw_once(device, SIZE, Format.RGBA32F, rows, *states, primitive=primitive, samples=samples)[
+        ..., 3
+    ]
 
 
 def many_triangles(count: int) -> NDArray[Any]:
@@ -61,8 +77,17 @@ def test_modes_alternate_within_a_pass(device: Device) -> None:
     rows = many_triangles(40)
     filled, wired = (count_overdraw(device, rows, CullMode.NONE, mode) for mode in PolygonMode)
     with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, BlendFunction.ADDITIVE):
-            for mode in [PolygonMode.FILL, PolygonMode.LINE, PolygonMode.LINE, PolygonMode.FILL, PolygonMode.LINE]:
+        with (
+            device.render_pass(image, clear=(0, 0, 0, 0)),
+            device.states(CullMode.NONE, BlendFunction.ADDITIVE),
+        ):
+            for mode in [
+                PolygonMode.FILL,
+                PolygonMode.LINE,
+                PolygonMode.LINE,
+                PolygonMode.FILL,
+                PolygonMode.LINE,
+            ]:
                 with device.states(mode):
                     device.draw(device.program(Colored), mesh)
         assert_same(image.read()[..., 3], 2 * filled + 3 * wired)
@@ -87,7 +112,9 @@ def test_edges_have_the_stencil_test_of_their_face(device: Device, order: int) -
 
 
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda cull: cull.name)
-def test_a_triangle_with_a_corner_behind_the_eye_has_the_facing_of_what_is_seen(device: Device, cull: CullMode) -> None:
+def test_a_triangle_with_a_corner_behind_the_eye_has_the_facing_of_what_is_seen(
+    device: Device, cull: CullMode
+) -> None:
     """Its edges are cut one by one; no line is drawn along the cut."""
     positions = np.array([(-0.5, -0.5, 0.5, 1), (0.5, -0.5, 0.5, 1), (0.25, -2.0, -1.5, -1)])
     filled = count_overdraw(device, corners(positions), cull)

@@ -1,4 +1,5 @@
-"""The output merger in isolation: rounding of every number, keys of states, and that special kernels do the same.
+"""The output merger in isolation: rounding of every number, keys of states, and that special kernels do the
+same.
 
 What states do to an image, the kit and `test_programs_against_float64` show.
 """
@@ -125,7 +126,9 @@ def test_every_half_float_is_read_and_stored_as_numpy_does() -> None:
     words = np.zeros((1, 256, 64, 4), np.uint32)
     states = [BlendFunction(BlendFactor.ONE, BlendFactor.ONE)]
     everywhere = np.ones((1, 256, 64), bool)
-    got = run([Format.RGBA16F], None, states, Planes([image]), words, np.zeros((1, 256, 64), "f4"), everywhere)
+    got = run(
+        [Format.RGBA16F], None, states, Planes([image]), words, np.zeros((1, 256, 64), "f4"), everywhere
+    )
     np.testing.assert_array_equal(got.colors[0], image)
 
 
@@ -136,25 +139,48 @@ def test_any_float_becomes_the_half_that_numpy_makes(seed: int) -> None:
     words[..., 2:] = words[..., 2:] & 0x8FFFFFFF | 0x30000000  # near the range of halves
     with np.errstate(over="ignore", invalid="ignore"):
         halves = words.view(np.float32).astype(np.float16)
-    got = run([Format.RGBA16F], None, [], Planes([np.zeros_like(halves)]), words, np.zeros((1, 64, 64), "f4"),
-              np.ones((1, 64, 64), bool))  # fmt: skip
+    got = run(
+        [Format.RGBA16F],
+        None,
+        [],
+        Planes([np.zeros_like(halves)]),
+        words,
+        np.zeros((1, 64, 64), "f4"),
+        np.ones((1, 64, 64), bool),
+    )
     np.testing.assert_array_equal(got.colors[0], halves)
 
 
 def test_every_srgb_number_survives_blending() -> None:
     image = np.resize(np.arange(256, dtype=np.uint8), (1, 16, 64, 4))
     states = [BlendFunction(BlendFactor.ONE, BlendFactor.ONE)]
-    got = run([Format.RGBA8_SRGB], None, states, Planes([image]), np.zeros((1, 16, 64, 4), "u4"),
-              np.zeros((1, 16, 64), "f4"), np.ones((1, 16, 64), bool))  # fmt: skip
+    got = run(
+        [Format.RGBA8_SRGB],
+        None,
+        states,
+        Planes([image]),
+        np.zeros((1, 16, 64, 4), "u4"),
+        np.zeros((1, 16, 64), "f4"),
+        np.ones((1, 16, 64), bool),
+    )
     np.testing.assert_array_equal(got.colors[0], image)
 
 
 def test_srgb_rounds_within_a_thousandth_of_a_step() -> None:
     linear = np.linspace(0, 1, 1 << 16, dtype=np.float32).reshape(1, 256, 64, 4)
-    got = run([Format.RGBA8_SRGB], None, [], Planes([np.zeros((1, 256, 64, 4), "u1")]), linear.view(np.uint32),
-              np.zeros((1, 256, 64), "f4"), np.ones((1, 256, 64), bool))  # fmt: skip
+    got = run(
+        [Format.RGBA8_SRGB],
+        None,
+        [],
+        Planes([np.zeros((1, 256, 64, 4), "u1")]),
+        linear.view(np.uint32),
+        np.zeros((1, 256, 64), "f4"),
+        np.ones((1, 256, 64), bool),
+    )
     wide = linear.astype(np.float64)
-    curve = np.where(wide <= 0.0031308, wide * 12.92, 1.055 * np.maximum(wide, 0.0031308) ** (1 / 2.4) - 0.055)
+    curve = np.where(
+        wide <= 0.0031308, wide * 12.92, 1.055 * np.maximum(wide, 0.0031308) ** (1 / 2.4) - 0.055
+    )
     assert np.abs(got.colors[0] - 255 * curve)[..., :3].max() <= 0.501
 
 
@@ -173,11 +199,16 @@ def test_depth_is_rounded_as_texels_rounds_it(format: Format) -> None:
     np.testing.assert_array_equal(got.depth, encode(format, z.astype(np.float64)))
 
 
-# -- keys ------------------------------------------------------------------------------------------------------
+# -- keys ----------------------------------------------------------------------------------------------------
 
 
-def key_of(*states: State, formats: tuple[Format, ...] = (Format.RGBA8,), depth: Format | None = Format.D24S8,
-           samples: int = 1, **program: Any) -> MergerKey:  # fmt: skip
+def key_of(
+    *states: State,
+    formats: tuple[Format, ...] = (Format.RGBA8,),
+    depth: Format | None = Format.D24S8,
+    samples: int = 1,
+    **program: Any,
+) -> MergerKey:
     return make_key(describe(formats, **program), state_values(*states), formats, depth, samples)
 
 
@@ -231,11 +262,18 @@ def test_the_order_of_tests_follows_the_program(
 
 
 @pytest.mark.parametrize("samples", [1, 4, 8])
-@pytest.mark.parametrize("formats", [[Format.RGBA8_SRGB, Format.R32F], [Format.RGBA16F], [Format.R8_SNORM]], ids=str)
+@pytest.mark.parametrize(
+    "formats", [[Format.RGBA8_SRGB, Format.R32F], [Format.RGBA16F], [Format.R8_SNORM]], ids=str
+)
 def test_a_kernel_for_one_combination_merges_the_same_bits(formats: list[Format], samples: int) -> None:
     states: list[State] = [
-        BlendFunction.ALPHA, DepthTest.ON, DepthFunction.LESS, DepthWrite.ON, StencilTest.ON, ColorWrite(alpha=False),
-    ]  # fmt: skip
+        BlendFunction.ALPHA,
+        DepthTest.ON,
+        DepthFunction.LESS,
+        DepthWrite.ON,
+        StencilTest.ON,
+        ColorWrite(alpha=False),
+    ]
     planes = Planes(
         [texels(f, samples, seed) for seed, f in enumerate(formats)],
         depths(Format.D24S8, samples),

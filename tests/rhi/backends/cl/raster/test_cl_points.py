@@ -21,7 +21,9 @@ COUNT = 37  # two whole groups and a part of one
 def random_points(count: int) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return points as rows, and their places and sizes in texels: (count, 3)."""
     rng = np.random.default_rng(3)
-    positions = rng.integers(0, np.multiply(SIZE, 4), (count, 2)) / 4 + 1 / 32  # no edge passes through a centre
+    positions = (
+        rng.integers(0, np.multiply(SIZE, 4), (count, 2)) / 4 + 1 / 32
+    )  # no edge passes through a centre
     sizes = np.where(np.arange(count) % 3 == 0, 1.0, rng.integers(2, 140, count) / 2)
     return point_vertices(positions, SIZE, sizes), np.column_stack([positions, sizes])
 
@@ -35,7 +37,12 @@ def count_overdraw(
     device: Device, rows: NDArray[Any], indices: Any = None, *states: Any, samples: int = 1
 ) -> NDArray[Any]:
     """Return how often each texel is drawn."""
-    options: dict[str, Any] = {"shader": Sized, "indices": indices, "primitive": Primitive.POINTS, "samples": samples}
+    options: dict[str, Any] = {
+        "shader": Sized,
+        "indices": indices,
+        "primitive": Primitive.POINTS,
+        "samples": samples,
+    }
     return draw_once(device, SIZE, Format.RGBA32F, rows, BlendFunction.ADDITIVE, *states, **options)[..., 3]
 
 
@@ -71,6 +78,8 @@ def test_points_behind_the_eye_leave_gaps_in_a_group(device: Device) -> None:
 def test_whole_texels_agree_between_one_sample_and_several(device: Device, samples: int) -> None:
     rows, _ = random_points(COUNT)
     rows["size"] = np.ceil(rows["size"])
-    rows["position"][:, :2] = np.round((rows["position"][:, :2] + 1) * np.divide(SIZE, 2)) / np.divide(SIZE, 2) - 1
+    rows["position"][:, :2] = (
+        np.round((rows["position"][:, :2] + 1) * np.divide(SIZE, 2)) / np.divide(SIZE, 2) - 1
+    )
     rows["size"] += rows["size"] % 2
     assert_same(count_overdraw(device, rows), count_overdraw(device, rows, samples=samples))

@@ -64,7 +64,11 @@ def test_a_fence_that_nobody_signals_is_not_waited_for(cl_kit: ClKit) -> None:
 
 def test_timestamps_enclose_the_time_of_the_work_between_them(cl_kit: ClKit) -> None:
     """Hold work back for a time by the clock."""
-    backend, before, after = cl_kit.backend, cl_kit.query(QueryKind.TIMESTAMP), cl_kit.query(QueryKind.TIMESTAMP)
+    backend, before, after = (
+        cl_kit.backend,
+        cl_kit.query(QueryKind.TIMESTAMP),
+        cl_kit.query(QueryKind.TIMESTAMP),
+    )
     assert backend.read_query(before) is None
     start = time.monotonic_ns()
     backend.write_query(before)
@@ -127,8 +131,11 @@ def test_a_lost_queue_is_reported_to_each_caller_and_the_device_can_be_closed(
         monkeypatch.setattr(cl, "enqueue_marker", lambda *_: Failed())
         value = device.signal()
         asks: list[Callable[[], object]] = [
-            lambda: device.completed, lambda: device.wait(value), lambda: device.wait(value, 0.1), device.finish,
-        ]  # fmt: skip
+            lambda: device.completed,
+            lambda: device.wait(value),
+            lambda: device.wait(value, 0.1),
+            device.finish,
+        ]
         for ask in asks:
             with pytest.raises(DeviceError, match=r"^\[device-lost\]") as caught:
                 ask()

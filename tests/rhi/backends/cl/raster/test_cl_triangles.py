@@ -1,5 +1,5 @@
-"""Cut and thin triangles on cl, beyond what the conformance kit asks of all backends: many more of them, samples under
-scissors, depth bias, and bounds of depth."""
+"""Cut and thin triangles on cl, beyond what the conformance kit asks of all backends: many more of them,
+samples under scissors, depth bias, and bounds of depth."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def test_the_magnitude_of_w_changes_nothing(device: Device, family: Family, scal
 
 def draw(device: Device, rows: np.ndarray, format: Format, *states: rhi.State) -> np.ndarray:
     """Return the depth that triangles leave; the largest one passes."""
-    return draw_once(device, SIZE, format, rows, CullMode.NONE, *states, shader=FlatColored).astype(np.float64)
+    return draw_once(device, SIZE, format, rows, CullMode.NONE, *states, shader=FlatColored).astype(
+        np.float64
+    )
 
 
 @pytest.mark.parametrize("family", [exam.slivers, exam.through_the_near_plane])
