@@ -72,7 +72,8 @@ class Worker:
     """A process in which an engine draws.
 
     Attributes:
-        device: what draws. load_s, first_ms: as in the table.
+        device: what draws.
+        load_s, first_ms: as in the table.
     """
 
     def __init__(self, engine: str, job: dict[str, Any], cache: str, warm_up: int) -> None:

@@ -74,7 +74,8 @@ class Lit{number}(Drawn):
     def fragment(self, s: Surface) -> vec4:
         normal = normalize(s.normal)
         light = max(dot(normal, self.sun.direction), 0.0) * {number}.5
-        shine = pow(max(dot(normal, normalize(self.sun.direction + vec3(0.0, {number}.0, 1.0))), 0.0), {number}.25)
+        half_vector = normalize(self.sun.direction + vec3(0.0, {number}.0, 1.0))
+        shine = pow(max(dot(normal, half_vector), 0.0), {number}.25)
         return vec4(self.albedo.sample(s.uv).rgb * light + vec3(shine, shine, shine), 1.0)
 """
 SINES: Final = """
@@ -88,11 +89,17 @@ class Lit1(Drawn):
 """
 TAIL: Final = """
 shaders = [each for name, each in list(globals().items()) if name.startswith("Lit")]
-corners = [((-0.8, -0.8), (-1, 0, 1), (0, 4)), ((0.8, -0.8), (1, 0, 1), (4, 4)), ((0, 0.8), (0, 1, 1), (2, 0))]
-checker = np.array([[[255, 160, 40, 255], [60, 60, 60, 255]], [[60, 60, 60, 255], [255, 160, 40, 255]]], np.uint8)
+corners = [
+    ((-0.8, -0.8), (-1, 0, 1), (0, 4)),
+    ((0.8, -0.8), (1, 0, 1), (4, 4)),
+    ((0, 0.8), (0, 1, 1), (2, 0)),
+]
+orange, grey = (255, 160, 40, 255), (60, 60, 60, 255)
+checker = np.array([[orange, grey], [grey, orange]], np.uint8)
 with rhi.create_device(sys.argv[1]) as device:
     image = device.texture((640, 480), rhi.Format.RGBA8_SRGB)
-    bound = dict(sun=device.uniform(Sun(direction=(0, 0, 1))), albedo=device.texture(checker, rhi.Format.RGBA8_SRGB))
+    albedo = device.texture(checker, rhi.Format.RGBA8_SRGB)
+    bound = dict(sun=device.uniform(Sun(direction=(0, 0, 1))), albedo=albedo)
     mesh = device.mesh(np.array(corners, Corner.dtype))
     programs = [device.program(shader) for shader in shaders]
     if "prepare" in sys.argv:
@@ -105,8 +112,8 @@ with rhi.create_device(sys.argv[1]) as device:
     if "states" in sys.argv:
         depth = device.texture((640, 480), rhi.Format.D32F)
         times = []
-        for format in (rhi.Format.RGBA8, rhi.Format.RGBA16F, rhi.Format.R8, rhi.Format.RGBA32F, rhi.Format.RG8):
-            other = device.texture((640, 480), format)
+        for name in ("RGBA8", "RGBA16F", "R8", "RGBA32F", "RG8"):
+            other = device.texture((640, 480), rhi.Format[name])
             for test in (rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER_EQUAL):
                 for blend in (rhi.BlendFunction.ALPHA, rhi.BlendFunction.OFF):
                     device.finish()

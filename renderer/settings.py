@@ -33,13 +33,16 @@ class RenderSettings:
     """The settings of all parts of the renderer.
 
     Attributes:
-        technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its
-        parameters.
-        shadows: the choices of shadow maps. textures: how well textures are read.
+        technique: what lights surfaces.
+        algorithm: the name of what finds visible objects.
+        visibility: that algorithm's parameters.
+        shadows: the choices of shadow maps.
+        textures: how well textures are read.
         tessellation: how small the triangles of height fields are.
-        blending: how transparent surfaces that cover each other are blended. bloom: how exactly bloom is
-            computed.
-        precision: that of the techniques' shaders. depth: the direction of depth.
+        blending: how transparent surfaces that cover each other are blended.
+        bloom: how exactly bloom is computed.
+        precision: that of the techniques' shaders.
+        depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
         light_cutoff: the light of a light that is too faint to matter, 0 for none.
@@ -123,7 +126,8 @@ class RenderSettings:
         """Yield a renderer that has these settings, and destroy it at the end. Cameras must be aimed (`aim`).
 
         Args:
-            rig: with one, two eyes are drawn, side by side. technique: one that draws instead of that of the
+            rig: with one, two eyes are drawn, side by side.
+            technique: one that draws instead of that of the
         settings."""
         check_algorithm(self.algorithm, device, "RenderSettings.open")
         visibility = make_visibility(self.algorithm, scene, device, self.visibility)

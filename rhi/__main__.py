@@ -35,8 +35,8 @@ commands, each with --help:
   new               write a small project to start from: a game, a tool, or tests
   new-backend       write a package to start a port from
 
-RHI_BACKEND=null python app.py runs a program on the backend of that name, RHI_PRECISION=fast with the faster functions
-of OpenCL.
+RHI_BACKEND=null python app.py runs a program on the backend of that name, RHI_PRECISION=fast with the faster
+functions of OpenCL.
 """
 
 
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         usage="%(prog)s [-h] [--json]\n       %(prog)s COMMAND …",
-        description="List the backends that work here, what they support, and what to install for the others.",
+        description="List the backends that work here, what they support, and what the others need.",
         epilog=_COMMANDS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -104,7 +104,7 @@ def _new_backend(arguments: Sequence[str]) -> int:
     """Write a package to start a port from. Return 0, or 2 on an error."""
     parser = argparse.ArgumentParser(
         prog="python -m rhi new-backend",
-        description="Write a package that registers a new backend; all its methods still raise NotImplementedError.",
+        description="Write a package that registers a new backend. Its methods raise NotImplementedError.",
         epilog="example:\n  python -m rhi new-backend vulkan --folder ports\n"
         "  pip install --editable ports/rhi-vulkan\n"
         "  pytest --pyargs rhi.conformance --rhi-backend vulkan -q",

@@ -24,7 +24,7 @@ class CanvasKind:
 
     Attributes:
         module, name: where the class is.
-        needs: a further module without which it doesn't run.
+        required_module: a further module without which it doesn't run.
         install: what makes them importable.
     """
 

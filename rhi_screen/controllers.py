@@ -81,7 +81,8 @@ class Controller(Protocol):
     """A way to move a camera.
 
     Attributes:
-        name: the word for it in commands. speed: metres a second at which keys move.
+        name: the word for it in commands.
+        speed: metres a second at which keys move.
     """
 
     name: str

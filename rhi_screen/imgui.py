@@ -4,7 +4,7 @@
     def draw():
         with targets.render_pass(clear=(0, 0, 0, 1)):
             ...
-        with gui.frame(targets.image):                        # widgets are drawn over the image at the block's end
+        with gui.frame(targets.image):  # widgets are drawn over the image at the block's end
             imgui.begin("settings")
             _, speed = imgui.slider_float("speed", speed, 0, 10)
             imgui.end()

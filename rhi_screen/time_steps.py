@@ -17,8 +17,8 @@ class FixedSteps:
 
     Attributes:
         seconds: of a step.
-        most: how many steps a frame takes at most. Time beyond them is dropped: a simulation that is slower
-            than the clock slows down, instead of taking longer and longer.
+        max_steps: how many steps a frame takes at most. Time beyond them is dropped: a simulation that is
+            slower than the clock slows down, instead of taking longer and longer.
         part: the part of a step, from 0 to 1, that has passed since the last one.
     """
 

@@ -26,7 +26,8 @@ class VideoWriter:
     `close`.
 
     Attributes:
-        path: the file. frames: how many images were added.
+        path: the file.
+        frames: how many images were added.
     """
 
     def __init__(self, path: str | Path, fps: float = 30.0) -> None:

@@ -50,7 +50,7 @@ class MeasuredTable:
     cell.
 
     Attributes:
-        within: the share by which numbers of `columns` may differ from those of the page.
+        tolerance: the share by which numbers of `columns` may differ from those of the page.
     """
 
     page: str

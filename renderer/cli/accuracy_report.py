@@ -30,9 +30,11 @@ _SMALLEST_ERROR: Final = 1e-3
 _MAGNIFICATION: Final = 3  # of images in files
 
 _STYLE: Final = """
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 76rem;
+  margin: 2rem auto; padding: 0 1rem; color: #222 }
 table { border-collapse: collapse; font-size: 13px } th, td { text-align: left; padding: .15rem .6rem }
-tr.setting td { border-top: 1px solid #bbb } tr.default { background: #eef4ff } td.number { text-align: right }
+tr.setting td { border-top: 1px solid #bbb } tr.default { background: #eef4ff }
+td.number { text-align: right }
 img.chart { max-width: 100% } figcaption { font-size: 12px }
 figure { display: inline-block; margin: .5rem 1rem .5rem 0 }
 figure img { image-rendering: pixelated; width: 42rem; max-width: 100% }

@@ -53,8 +53,8 @@ class ComparisonProgram:
         titles: the titles of columns whose names don't say enough.
         display_rows: makes rows for people from those for JSON.
         plot: draws a chart on a figure.
-        more: makes further tables of what a report says besides its rows; they are Markdown if the second
-            argument is true.
+        extra_tables: makes further tables of what a report says besides its rows; they are Markdown if the
+            second argument is true.
     """
 
     name: str

@@ -24,7 +24,7 @@ QUERY_KINDS: Final = ("native", "emulated")
 """The kinds of occlusion queries that `--queries` names."""
 
 TECHNIQUE_VARIANTS: Final = {
-    "all_lights": "forward looks at all lights of the scene for each fragment, instead of those of its object's list",
+    "all_lights": "forward evaluates all lights of the scene for each fragment, instead of its object's list",
     "stencil": "deferred and light_pre_pass mask each light in a stencil buffer",
     "depth_first": "clustered draws depth before, so that no hidden fragment is lit",
     "multi_pass": "deferred_plus shades each material by draws of its own",

@@ -131,7 +131,8 @@ def format_simulations(report: SimulationReport | None) -> str:
     if report is None:
         return ""
     number = f"{report.run} of {report.run + report.skipped} objects"
-    return f"simulated a 60th of a second later: {number}, steps: {report.steps}, dispatches: {report.dispatches}"
+    costs = f"steps: {report.steps}, dispatches: {report.dispatches}"
+    return f"simulated a 60th of a second later: {number}, {costs}"
 
 
 def format_memory(memory: MemoryReport) -> str:

@@ -60,10 +60,12 @@ class CityPlan:
     """The plan of a city: positions and sizes of its blocks and buildings.
 
     Attributes:
-        centres: (n,) the middles of the blocks (x, z). half: half the width of the city.
-        building: (n,) the building on each block, or -1. shapes: the meshes of buildings on lots of 1 x 1 x
-            1.
-        shape: (k,) the mesh of each building. places: (k, 4, 4) the transforms of their lots.
+        centres: (n,) the middles of the blocks (x, z).
+        half: half the width of the city.
+        building_index: (n,) the building on each block, or -1.
+        meshes: the meshes of buildings on lots of 1 x 1 x 1.
+        mesh_index: (k,) the mesh of each building.
+        lot_transforms: (k, 4, 4) the transforms of their lots.
         route: (c, 3) the corners of the route through the streets.
     """
 

@@ -140,8 +140,9 @@ def _along_street(plan: CityPlan, block: Indices, along_x: Indices, at: Floats, 
     """Return places (k, 3) on one of the two streets of each block, which run along its lower edges.
 
     Args:
-        along_x: (k,) 1 for the street that runs along x, 0 for that along z. at: (k,) metres along the street
-            from the middle of the block. aside: (k,) metres from the middle of the street.
+        along_x: (k,) 1 for the street that runs along x, 0 for that along z.
+        at: (k,) metres along the street from the middle of the block.
+        aside: (k,) metres from the middle of the street.
     """
     edge = plan.centres[block] - 0.5 * PITCH
     middle = plan.centres[block]

@@ -173,7 +173,8 @@ class TechniqueDrawer:
     the ground. Each group of objects that needs another program or other states takes a call.
 
     Attributes:
-        depth: the depth target. drawn: the objects drawn. was_opened: whether the pass has ever been open.
+        depth: the depth target. drawn: the objects drawn.
+        was_opened: whether the pass has ever been open.
     """
 
     def __init__(

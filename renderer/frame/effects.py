@@ -191,11 +191,11 @@ class EffectSources:
     `state`.
 
     Attributes:
-        counts: of each effect, how many causes there are. features: the names of those that materials and
-            meshes have.
+        counts: of each effect, how many causes there are.
+        features: the names of those that materials and meshes have.
         local_lights: the positions (k, 3) and ranges (k,) of the point and of the spot lights.
-        height_fields: the object indices of the height fields. shaders: those that materials have of their
-            own.
+        height_fields: the object indices of the height fields.
+        shaders: those that materials have of their own.
     """
 
     state: tuple[object, ...]
@@ -211,17 +211,19 @@ class FrameEffects:
     """The effects that one frame needs, with their reasons.
 
     Attributes:
-        enabled: the effects that are needed. counts: of each effect, how many of its causes the scene has.
+        enabled: the effects that are needed.
+        counts: of each effect, how many of its causes the scene has.
         material_count: the number of materials.
         in_view: the rows of the point and of the spot lights whose light may reach something in view; as
             their shadows, the rows of those of them that cast some, none if no object does; as spheres, those
             that have a radius; and of the transparent objects and of the height fields in view, or that cast
             shadows.
-        blending: how transparent objects are put together. bloom: how bloom is made.
+        blending: how transparent objects are put together.
+        bloom: how bloom is made.
         has_bloom: whether the scene has bloom, whatever shines in it.
         shaders: those that the scene's materials have of their own.
-        sources: what of this doesn't depend on the view. visible_features: those of surfaces that shaders
-            have.
+        sources: what of this doesn't depend on the view.
+        visible_features: those of surfaces that shaders have.
     """
 
     enabled: frozenset[Effect]
@@ -299,7 +301,8 @@ class FrameEffects:
             return f"{count_in_view or 'none'} of {nouns} {'is' if count_in_view == 1 else 'are'} in view"
         if count == 1 and not count_in_view:
             return f"the only {noun} doesn't reach what is in view"
-        return f"{count_in_view or 'none'} of {nouns} {'reaches' if count_in_view == 1 else 'reach'} what is in view"
+        verb = "reaches" if count_in_view == 1 else "reach"
+        return f"{count_in_view or 'none'} of {nouns} {verb} what is in view"
 
     def _explain_bloom(self, count: int) -> str:
         if not self.has_bloom:
@@ -326,7 +329,8 @@ def collect_frame_effects(
 
     Args:
         reaches: whether any light reaches an object, for each kind of lights with a position.
-        blending: how transparent surfaces are to be put together. bloom: how bloom is to be made.
+        blending: how transparent surfaces are to be put together.
+        bloom: how bloom is to be made.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
         lights: the scene's, with the ranges that count; by default as they are.

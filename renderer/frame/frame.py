@@ -35,8 +35,10 @@ class Frame:
     """One frame, drawn once.
 
     Attributes:
-        view: what the image is seen from. resources: the scene on the device, up to date for this view.
-        targets: the textures that the passes draw to. effects: the effects of this frame.
+        view: what the image is seen from.
+        resources: the scene on the device, up to date for this view.
+        targets: the textures that the passes draw to.
+        effects: the effects of this frame.
         first: the frame of the left eye, drawn before, if this is the right eye's.
         precision: that of the shaders which are FAST by themselves.
     """

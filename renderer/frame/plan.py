@@ -112,7 +112,8 @@ class Plan(Generic[F]):
 
     Attributes:
         passes: those that run, in their order.
-        textures: those that they draw to. dropped: declared passes that don't run.
+        textures: those that they draw to.
+        dropped: declared passes that don't run.
     """
 
     passes: tuple[FramePass[F], ...]

@@ -87,7 +87,8 @@ class SceneResources:
     """A scene on a device, shared by techniques.
 
     Attributes:
-        mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
+        mesh: all meshes in one.
+        draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its
             triangles.
         group: (n,) the number of each object's group: objects of one group are drawn with the same program
@@ -96,8 +97,7 @@ class SceneResources:
         groups: the numbers of the groups that have objects, ascending.
         parameters: of each of the scene's shaders of materials, the values that it has for each material.
         tessellated_indices: the indices of the height fields, ascending. The device chooses their triangles;
-            their `draws`
-            have as many as there can be, and unused ones are empty.
+            their `draws` have as many as there can be, and unused ones are empty.
         tessellations: how often triangles were chosen.
         indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
         light_cutoff: the irradiance at which local lights end; 0 for none (`Lights.cut`).

@@ -126,8 +126,8 @@ def plan_arrays(
 
     Args:
         uses: image, whether it holds colours, and sampler, of each texture.
-        most: the most pairs of an array and a sampler. There must not be more samplers of colours and data
-            than that.
+        max_bindings: the most pairs of an array and a sampler. There must not be more samplers of colours and
+            data than that.
     """
     groups: dict[tuple[Size, bool], tuple[dict[int, None], set[int]]] = {}
     for image, is_color, sampler in uses:
@@ -175,14 +175,16 @@ class SceneImages:
     """The images that a scene's textures refer to, on a device.
 
     Attributes:
-        textures: the arrays. arrays: what a shader binds: each array with a sampler. samplers: those.
+        textures: the arrays.
+        arrays: what a shader binds: each array with a sampler.
+        samplers: those.
         colors, data: the arrays of colours, which come first, and of data. A texture's row of the table has
-            its place
-            among those of its kind: a shader compares it with no others.
+            its place among those of its kind: a shader compares it with no others.
         table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is
             its layer, and texture coordinates are read as they are.
         gradient_scale: the factor of texture gradients, 2^`mip_bias`.
-        bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
+        bytes: the memory of the arrays.
+        image_bytes: that of the images, each by itself.
     """
 
     def __init__(self, device: Device, scene: Scene, settings: TextureSettings = SAMPLER_DEFAULTS) -> None:

@@ -64,8 +64,8 @@ def compare_stereo(
 
     Args:
         scenes: the scene without shadows (False), with them (True), or both.
-        stereos: names of `list_stereos`. frames: numbers of frames of the path; the one before them is drawn
-            first.
+        stereos: names of `list_stereos`.
+        frames: numbers of frames of the path; the one before them is drawn first.
         technique: makes a technique for each row.
     """
     start = max(frames.start - 1, 0)

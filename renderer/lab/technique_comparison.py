@@ -72,7 +72,8 @@ def compare_techniques(
     """Yield a row for each scene and technique.
 
     Args:
-        techniques: by the names of their rows. size: (width, height) of the image in pixels.
+        techniques: by the names of their rows.
+        size: (width, height) of the image in pixels.
         camera, frame: as `parse_camera` reads them; by default the scene's first view.
         settings: all others; the technique is the row's, and the visibility algorithm is frustum culling.
     """

@@ -18,7 +18,8 @@ def select_lights_in_view(planes: Floats, positions: Floats, ranges: Floats) -> 
     is left out.
 
     Args:
-        planes: (p, 4) with unit normals inward. positions, ranges: (l, 3) and (l,) of the lights.
+        planes: (p, 4) with unit normals inward.
+        positions, ranges: (l, 3) and (l,) of the lights.
     """
     if not len(positions):
         return np.zeros(0, np.int64)

@@ -25,7 +25,8 @@ def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats)
     """List, for each box, the lights within whose range it lies at least in part, ascending.
 
     Args:
-        lower, upper: (n, 3) corners of the boxes. positions, ranges: (l, 3) and (l,) of the lights.
+        lower, upper: (n, 3) corners of the boxes.
+        positions, ranges: (l, 3) and (l,) of the lights.
 
     Returns:
         `ends` (n + 1,) and `lights`, the concatenated lists: that of box i is `lights[ends[i]:ends[i + 1]]`.

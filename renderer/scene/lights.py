@@ -27,10 +27,11 @@ class Lights(AllLightArrays):
     """The lights of a scene: added one by one or as arrays, read as arrays.
 
     Attributes:
-        directional, point, spot, …: the lights (k,) of each kind, of its dtype; may be written to. A frame refuses what
-            `add_…` would, and directions that aren't unit vectors (`scene-bad-light`).
+        directional, point, spot, …: the lights (k,) of each kind, of its dtype; may be written to. A frame
+            refuses what `add_…` would, and directions that aren't unit vectors (`scene-bad-light`).
         sky, ground: linear colours (3,) of the ambient hemisphere.
-        snapshot: the bytes of the lights of each kind, as of the last `refresh`; the same object while they are equal.
+        snapshot: the bytes of the lights of each kind, as of the last `refresh`; the same object while they
+            are equal.
     """
 
     sky: tuple[float, float, float] = (0.10, 0.12, 0.16)

@@ -111,7 +111,8 @@ class TextureMap:
     counter-clockwise on the image, whose v counts down; so the image seems to rotate clockwise.
 
     Attributes:
-        image: the id of an image. uv_set: 0 for the vertices' `uv`, 1 for `uv2`.
+        image: the id of an image.
+        uv_set: 0 for the vertices' `uv`, 1 for `uv2`.
         offset, rotation, scale: the transform; the rotation is in radians.
         sampler: how texels are filtered, and what lies outside 0 to 1.
     """

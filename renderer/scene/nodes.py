@@ -33,13 +33,13 @@ class Nodes:
         order: (n,) int64, the rows level after level.
         level_starts: (levels + 1,) int64; level l is the entries level_starts[l] to level_starts[l + 1] of
             `order`.
-        hides: (n,) bool, whether a node is hidden by itself; changed by `hide` and `show`.
+        hidden_itself: (n,) bool, whether a node is hidden by itself; changed by `hide` and `show`.
         hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
-        bound: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space
+        keeps_parent: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space
             above it.
-        rows: (n,) int64, the row of each id in the order in which the constructor was given them.
+        index_of_id: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
-        writer: the simulator that has last set transforms; None if something else has.
+        last_writer: the simulator that has last set transforms; None if something else has.
     """
 
     def __init__(

@@ -74,9 +74,11 @@ class Scene:
     Attributes:
         name: the text that it was made from.
         nodes, objects, meshes, lights: see their classes.
-        materials: (k,) of `MATERIAL`. textures: (t,) of `TEXTURE`, which materials refer to by index.
-        shaders: those that materials have of their own. parameters: of each of them, its values for all
-            materials (k,), (0,) if it has none; they may be written to between frames.
+        materials: (k,) of `MATERIAL`.
+        textures: (t,) of `TEXTURE`, which materials refer to by index.
+        shaders: those that materials have of their own.
+        parameters: of each of them, its values for all materials (k,), (0,) if it has none; they may be
+            written to between frames.
         images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the
@@ -86,7 +88,8 @@ class Scene:
             copies.
         seconds: the time of the last update or frame.
         clips: the animations of models by name, which can be played, sought and blended.
-        views: named cameras, the first of which is the default. paths: named camera paths.
+        views: named cameras, the first of which is the default.
+        paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
         files: those that `load_model` has read it from or looked for, and would again; none of other scenes.
         height_fields: by the rows of their objects; the triangles of these are chosen for each view.

@@ -95,7 +95,8 @@ class DeviceVertexSimulation(VertexSimulation, Protocol):
 
         Args:
             vertices: the vertices as floats; one begins with its position and normal. begins: (j,), the
-                number of each member's first vertex. stride: the number of floats from vertex to vertex.
+                number of each member's first vertex.
+            stride: the number of floats from vertex to vertex.
         """
         ...
 

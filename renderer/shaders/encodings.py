@@ -4,7 +4,7 @@ be tested and replaced alone.
 | what | bits | how |
 |---|---|---|
 | a normal | 2 × 8 to 2 × 16 | octahedral: whole numbers from -`steps` to `steps` |
-| a normal with its tangent | 32 | octahedral in 2 × 11 bits, a direction in 9 bits, the side of the bitangent in 1 |
+| a normal with its tangent | 32 | octahedral in 2 × 11 bits, a direction in 9, the bitangent's side in 1 |
 | texture coordinates | 2 × 16 | their fractional parts |
 | the change of texture coordinates from a pixel to the next | 24 | a direction in 11 bits, a length in 13 |
 | a material | 16 | a depth, which a depth test compares |

@@ -97,9 +97,11 @@ class SphereLightReader(SourceRadiusReader):
     lean = True
 {for_each_kind("    has_${kind}_spheres = False" + chr(10))}
     def squared_angular_sizes(self, to_center: sl.vec3, light_index: int) -> sl.vec{_COUNT}:
-        """Return (radius / distance)² of the light at this index of each kind, 0 for a point and above 1 in a sphere.
-        `to_center` leads from the surface to the light."""
-        radii = self.source_radii.load(sl.ivec2(light_index % TABLE_WIDTH, light_index // TABLE_WIDTH)).{"xyz"[:_COUNT]}
+        """Return (radius / distance)² of the light at this index of each kind, 0 for a point and above 1 in
+        a sphere. `to_center` leads from the surface to the light."""
+        radii = self.source_radii.load(
+            sl.ivec2(light_index % TABLE_WIDTH, light_index // TABLE_WIDTH)
+        ).{"xyz"[:_COUNT]}
         return radii * radii / sl.max(sl.dot(to_center, to_center), 1e-4)  # where attenuation is bounded
 ''',
         "SphereLightReader",

@@ -184,15 +184,17 @@ class SurfaceInput(Struct):
     """A point of a surface, which a material's shader describes.
 
     Attributes:
-        position: relative to the eye, along the world's axes. normal: the unit normal of the side that is
-            seen.
-        uv: texture coordinates; to a material's own shader 0 to 1, whole numbers left off. uv2: the second
-            set.
-        changes: the changes of `uv` to the next pixel on the right (x, y), and to that below (z, w); those of
-            a material's own shader, and where textures are read by a table. changes2: the same of `uv2`.
+        position: relative to the eye, along the world's axes.
+        normal: the unit normal of the side that is seen.
+        uv: texture coordinates; to a material's own shader 0 to 1, whole numbers left off.
+        uv2: the second set.
+        uv_gradients: the changes of `uv` to the next pixel on the right (x, y), and to that below (z, w);
+            those of a material's own shader, and where textures are read by a table.
+        uv2_gradients: the same of `uv2`.
         tangent: the direction of u in the world, of any length, where meshes have tangents; w is negative if
             that of v is `cross(tangent, normal)` instead of `cross(normal, tangent)`.
-        color: that of vertices, white if they have none. material: the row of the material.
+        color: that of vertices, white if they have none.
+        material: the row of the material.
     """
 
     position: vec3
@@ -210,10 +212,10 @@ class SurfaceParameters(Struct):
     """The properties of a surface at a point, as a material's shader computes them.
 
     Attributes:
-        color: multiplies the material's `base_color`: 0 to 1, linear. normal: of length 1, on the side that
-            is seen.
-        metallic, roughness: 0 to 1, of the metallic-roughness model. occlusion: the share of ambient light
-            that arrives.
+        color: multiplies the material's `base_color`: 0 to 1, linear.
+        normal: of length 1, on the side that is seen.
+        metallic, roughness: 0 to 1, of the metallic-roughness model.
+        occlusion: the share of ambient light that arrives.
         emissive: multiplies the material's `emissive` colour: 0 to 1, linear.
     """
 

@@ -34,7 +34,8 @@ class Cascade:
 
     Attributes:
         camera: what the map is drawn with: parallel rays, from above all casters to below the slice.
-        texel: the width of a texel in metres. length: the depth of the map in metres.
+        texel: the width of a texel in metres.
+        length: the depth of the map in metres.
         inner: how far from the middle, in metres to each side, points may be that are looked up.
     """
 

@@ -169,9 +169,10 @@ def cull_dynamic_casters(
     in view.
 
     Args:
-        positions, ranges: (l, 3) and (l,) of the lights. planes: of each light the planes (k, p, 4) of its k
-            maps.
-        casters: those in reach of each light. cameras: of the views.
+        positions, ranges: (l, 3) and (l,) of the lights.
+        planes: of each light the planes (k, p, 4) of its k maps.
+        casters: those in reach of each light.
+        cameras: of the views.
     """
     counts = [len(light_casters) for light_casters in casters]
     sizes = [len(maps) for maps in planes]

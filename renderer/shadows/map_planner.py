@@ -48,8 +48,8 @@ class RequiredMap:
     """A map that the frame needs.
 
     Attributes:
-        pose: the position, axes and projection of its camera, to compare. static: the pose and the rows of
-            the casters that can't move: the map is drawn again if it changes.
+        pose: the position, axes and projection of its camera, to compare.
+        static: the pose and the rows of the casters that can't move: the map is drawn again if it changes.
         is_quiet: whether no caster that may move shades anything visible.
     """
 

@@ -105,8 +105,11 @@ class MapReport:
     """The report of a map in a frame: whether it was drawn, and why.
 
     Attributes:
-        name: the light and the part of it. size: the width of the map in texels. casters: the objects in it.
-        state: drawn, kept or skipped. reason: why.
+        name: the light and the part of it.
+        size: the width of the map in texels.
+        casters: the objects in it.
+        state: drawn, kept or skipped.
+        reason: why.
     """
 
     name: str
@@ -121,9 +124,10 @@ class ShadowMap:
     """A map in the atlas, and what it shows.
 
     Attributes:
-        view: the constants of its camera. static: the pose and the casters that can't move which it shows,
-            None if nothing yet. dynamic: the state of the other casters in it. copied: what the second
-            texture holds of its tile.
+        view: the constants of its camera.
+        static: the pose and the casters that can't move which it shows, None if nothing yet.
+        dynamic: the state of the other casters in it.
+        copied: what the second texture holds of its tile.
         frame: the number of the frame in which it was drawn last.
     """
 

@@ -138,8 +138,9 @@ class ShadowFilterShader(sl.Shader):
         """Return the share of the texels around a point that are lit.
 
         Args:
-            at: the point in texels of the atlas. depth: that of the point. slope: its change per texel in x
-                and y.
+            at: the point in texels of the atlas.
+            depth: that of the point.
+            slope: its change per texel in x and y.
             center, half: the tile, whose edge is repeated outside of it.
         """
         return 1.0
@@ -288,8 +289,9 @@ class ShadowMapReader(ShadowFilterShader):
         """Return `light` times the share of it that reaches a surface, of a local light.
 
         Args:
-            away: from the light to the surface. reach: the light's range. slot_index: the light's index in
-                `shadow_slots`.
+            away: from the light to the surface.
+            reach: the light's range.
+            slot_index: the light's index in `shadow_slots`.
         """
         if light.x + light.y + light.z <= 0.0:
             return light

@@ -53,7 +53,8 @@ class Stereo:
     """Settings of two eyes: their rig, and the image that shows both.
 
     Attributes:
-        rig: where the eyes are. output: one of `OUTPUTS`.
+        rig: where the eyes are.
+        output: one of `OUTPUTS`.
         is_swapped: whether the left eye's image is shown to the right eye and the other way round.
         is_reprojected: whether the right eye's image is made from the left one's instead of being drawn.
     """
@@ -80,7 +81,8 @@ class EyePair:
 
     Attributes:
         stereo: how the eyes are shown; it may be exchanged for one whose images have the same size.
-        view, targets: those of the right eye. image: what is shown.
+        view, targets: those of the right eye.
+        image: what is shown.
     """
 
     def __init__(

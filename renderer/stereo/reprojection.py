@@ -130,8 +130,11 @@ class Reprojector:
     """Moves the pixels of a view.
 
     Attributes:
-        depth, image, moved: the left eye's depth, what is moved and then filled, and what has holes between.
-        depths: `pixels` and `shifted` of the depth, for layers.
+        shift: the uniform that says how far a pixel moves at each depth.
+        depth: the left eye's depth.
+        pixels: the image to move, and afterwards the moved image without holes.
+        shifted: the moved image with its holes.
+        depth_pixels: the same two buffers for the depth, which layers need.
     """
 
     def __init__(self, device: Device) -> None:

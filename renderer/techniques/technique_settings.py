@@ -32,9 +32,10 @@ class TechniqueSettings:
             `clustered_deferred` and `deferred_plus`; more than one is refused for others. `auto` is then
             `forward`.
         fxaa: whether the edges of the image are smoothed.
-        tiles: the tiles of `forward_plus`. clusters: those of `clustered`.
-        scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws
-            transparent surfaces to them, too.
+        tiles: the tiles of `forward_plus`.
+        clusters: those of `clustered`.
+        scale: the size of the light buffers of `inferred`, in that of the image.
+        stippled: whether it draws transparent surfaces to them, too.
         specular_channels: 1 or 3, of `light_pre_pass`.
         light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`,
             `light_pre_pass` and `inferred` add up; 16 on devices that can't blend 32.
@@ -42,10 +43,10 @@ class TechniqueSettings:
             `clustered_deferred` store of a normal.
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its
             object's list.
-        stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first:
-            whether `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material
-            by draws of its own. binned: whether it lists pixels by material, and shades the lists. Images are
-            the same.
+        stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer.
+        depth_first: whether `clustered` draws depth before.
+        multi_pass: whether `deferred_plus` shades each material by draws of its own.
+        binned: whether it lists pixels by material, and shades the lists. Images are the same.
     """
 
     name: str = AutoTechnique.name

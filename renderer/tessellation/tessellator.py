@@ -45,7 +45,7 @@ class FieldTessellation:
 
     Attributes:
         field: the height field. row: the row of its object.
-        cuts: how many of the views so far needed more triangles than the field's limit, as far as is known
+        limited_views: how many of the views so far needed more triangles than the field's limit, as far as is known
             without waiting. Their triangles are those of as many levels as fit.
     """
 

@@ -63,7 +63,8 @@ class CameraReplay:
     """Replays a walk-through from its beginning.
 
     Attributes:
-        name: the walk-through's name. seconds: the time since its beginning.
+        name: the walk-through's name.
+        seconds: the time since its beginning.
     """
 
     def __init__(self, path: CameraPath, name: str) -> None:

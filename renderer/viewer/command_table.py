@@ -24,7 +24,8 @@ class Parameter:
     """An argument of a command.
 
     Attributes:
-        name: its name in the help. parse: parses a word, or raises ValueError.
+        name: its name in the help.
+        parse: parses a word, or raises ValueError.
         words: the words for completion; if `is_exhaustive`, no others are allowed.
         is_optional: whether it may be left out; all after it may be left out, too.
     """
@@ -50,7 +51,8 @@ class ViewerCommand:
     """A command of the viewer.
 
     Attributes:
-        name: the first word. summary: a sentence for the help.
+        name: the first word.
+        summary: a sentence for the help.
         run: executes the command with the parameters' values, and returns its message.
     """
 

@@ -19,7 +19,8 @@ class Console:
     """Edits a line, completes it from a table of commands, and hands it to `run` when Enter is pressed.
 
     Attributes:
-        is_open: whether keys are for the console. text, cursor: the line, and where it is edited.
+        is_open: whether keys are for the console.
+        text, cursor: the line, and where it is edited.
         lines: typed lines and messages, the latest last, each with whether it is an error.
         choices: the words that could follow, after Tab.
     """

@@ -59,7 +59,8 @@ class DisplaySettings:
     Attributes:
         settings: how the scene is drawn.
         show: `LIT_IMAGE`, one of `INSPECTIONS`, or a resource of the plan.
-        shadows: one of `SHADOWS`. stereo: one of `OUTPUTS`, or None for one eye.
+        shadows: one of `SHADOWS`.
+        stereo: one of `OUTPUTS`, or None for one eye.
         overlay, particles, grid: whether these layers are drawn.
     """
 

@@ -70,7 +70,8 @@ class FrameBudget:
 
     Attributes:
         steps: the fastest first. place: the one that frames are drawn with.
-        milliseconds: the most that a frame may take. frames, over: how many were drawn, and took more.
+        milliseconds: the most that a frame may take.
+        frames, over: how many were drawn, and took more.
     """
 
     def __init__(self, steps: Sequence[BudgetStep], milliseconds: float) -> None:

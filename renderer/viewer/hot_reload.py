@@ -201,7 +201,8 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
         session.draw_hidden_frame()  # which finds what reaches objects
         lights, (effects, _) = session.scene.lights, session.renderer.plan(session.camera)
         kinds = ", ".join(f"{len(lights.of_kind(kind))} {kind.name}" for kind in LIGHT_KINDS)
-        return f"{len(lights)} lights: {kinds}; of the last two {effects.local_lights_in_view} reach what is in view"
+        in_view = f"of the last two {effects.local_lights_in_view} reach what is in view"
+        return f"{len(lights)} lights: {kinds}; {in_view}"
 
     numbers = (Parameter("NUMBER", parse_number, is_optional=True),)
     yield ViewerCommand("lights", "show the scene with so many lights, or count them", lights, numbers)

@@ -37,12 +37,13 @@ class InterfaceState:
     """The contents of the interface in the next frame.
 
     Attributes:
-        corner: a line at the top in the middle. notes: lines at the bottom left, each with whether it is an
-            error.
-        help: rows of keys and what they do, or None. console: the lines of the console, or None if it is
-            closed.
+        corner: a line at the top in the middle.
+        notes: lines at the bottom left, each with whether it is an error.
+        help: rows of keys and what they do, or None.
+        console: the lines of the console, or None if it is closed.
         line, cursor, choices: its line, where that is edited, and the words that could follow.
-        box: (8, 3) corners of a box in the world, numbered by bits. triangle: (3, 3), a triangle there.
+        box: (8, 3) corners of a box in the world, numbered by bits.
+        triangle: (3, 3), a triangle there.
     """
 
     corner: str = ""
@@ -70,7 +71,8 @@ class InterfaceLayer:
     """Draws what is `state`.
 
     Attributes:
-        shown: what the next frame shows; replace it between frames. scale: pixels of a texel of the text.
+        state: what the next frame shows; replace it between frames.
+        scale: pixels of a texel of the text.
         is_hidden: whether nothing is drawn.
     """
 

@@ -61,8 +61,10 @@ class Hit:
     """A hit of a ray with a surface.
 
     Attributes:
-        row: the object. triangle: its number in the mesh. distance: from the eye, in metres. point: (3,) in
-            the world.
+        object_index: the object.
+        triangle: its number in the mesh.
+        distance: from the eye, in metres.
+        point: (3,) in the world.
         corners: (3, 3) of the triangle, in the world.
     """
 

@@ -51,11 +51,14 @@ class ViewerSession:
     """Draws a scene frame by frame.
 
     Attributes:
-        scene, renderer: the scene, and its renderer. layers: drawn over each frame, but not in screenshots.
-        controller: moves the camera while nothing is replayed. counter: counts frames.
-        seconds: the scene's time. is_paused: whether that stands still.
-        replay: the walk-through that is replayed, if any. hit, hit_lines: what was picked, and lines about
-            it.
+        scene, renderer: the scene, and its renderer.
+        layers: drawn over each frame, but not in screenshots.
+        controller: moves the camera while nothing is replayed.
+        counter: counts frames.
+        seconds: the scene's time.
+        is_paused: whether that stands still.
+        replay: the walk-through that is replayed, if any.
+        hit, hit_lines: what was picked, and lines about it.
         folder: commands write only below it; None: anywhere.
         budget: selects the settings of frames, if any; changing settings ends it.
     """

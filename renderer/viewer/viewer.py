@@ -44,11 +44,13 @@ class Viewer:
     """Shows a scene on a device, one frame at a time.
 
     Attributes:
-        session: the scene, its camera and what draws it. file_reloader: reloads saved files, while it
-            watches.
-        commands: the commands of `run`. console: see `Console`.
-        clock: returns the time in seconds. has_keys: whether the keys are listed. is_over: whether it has
-            quit.
+        session: the scene, its camera and what draws it.
+        file_reloader: reloads saved files, while it watches.
+        commands: the commands of `run`.
+        console: see `Console`.
+        clock: returns the time in seconds.
+        has_keys: whether the keys are listed.
+        is_over: whether it has quit.
         set_size: draws the next frames in so many physical pixels; on a screen, asks its canvas for them.
     """
 

@@ -30,8 +30,9 @@ class ViewerScreen:
     """A viewer and the screen that shows it.
 
     Attributes:
-        viewer, screen: these. frames: how many frames were shown. end_after: how many there are to be, None
-            for no end.
+        viewer, screen: these.
+        frames: how many frames were shown.
+        end_after: how many there are to be, None for no end.
     """
 
     def __init__(self, viewer: Viewer, screen: Screen) -> None:
@@ -115,7 +116,8 @@ def open_viewer(
         scene: a scene, or the text that names one.
         backend: by default `RHI_BACKEND`, or `gl`.
         canvas: one of `rhi_screen.CANVASES`; by default a widget in a notebook, and else a window.
-        size: in logical pixels. display, camera: the initial display settings and camera.
+        size: in logical pixels.
+        display, camera: the initial display settings and camera.
         settings: a file of settings instead of the display's (`RenderSettings.load`).
         reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are
             saved, and shaders that can't be drawn with at the beginning are as they were when a viewer has

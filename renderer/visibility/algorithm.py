@@ -26,7 +26,9 @@ class VisibilityStatistics:
     """The cost of finding the visible objects of one frame.
 
     Attributes:
-        objects: number of objects in the scene. visible: number of objects drawn. batches: number of batches.
+        objects: number of objects in the scene.
+        visible: number of objects drawn.
+        batches: number of batches.
         nodes_tested, objects_tested: boxes of nodes and of objects that were tested against planes.
         plane_tests: number of (box, plane) pairs tested.
         queries: number of occlusion queries issued.

@@ -34,7 +34,7 @@ class SpeedTrial:
 
     Attributes:
         names: the names of all candidates.
-        chosen: the name of the fastest, or during a trial of the one on trial.
+        current_name: the name of the fastest candidate, or of the one on trial during a trial.
         times: the least time of each candidate in the last trial, in seconds.
     """
 

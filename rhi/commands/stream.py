@@ -58,7 +58,8 @@ class Refusal:
     def __str__(self) -> str:
         given = f": {_on_one_line(self.given)}" if self.given else ""
         allowed = f" (allowed: {_on_one_line(self.allowed)})" if self.allowed else ""
-        return f"{self.call}{given}{allowed}{f'  {self.site}' if self.site is not None else ''}  REFUSED [{self.error}]"
+        site = f"  {self.site}" if self.site is not None else ""
+        return f"{self.call}{given}{allowed}{site}  REFUSED [{self.error}]"
 
 
 def _on_one_line(text: str) -> str:

@@ -208,14 +208,14 @@ class TriangleReference:
     """The samples, depths and varyings that triangles must give.
 
     Attributes:
-        seen: (n,), the numbers of the triangles that may draw something; the other arrays are about these.
+        visible: (n,), the numbers of the triangles that may draw something; the other arrays are about these.
         certain: (n, CELL, CELL), texels that must be drawn.
         possible: (n, CELL, CELL), texels that may be drawn.
-        within: (n, CELL, CELL), texels whose centre lies inside.
+        is_inside: (n, CELL, CELL), texels whose centre lies inside.
         depth: (n, CELL, CELL).
         weights: (n, CELL, CELL, 2): of corners 1 and 2 with perspective.
         low, high: (n,), the depths that the triangle has anywhere in the view.
-        front: (n,), whether all corners lie before the eye.
+        is_before_eye: (n,), whether all corners lie before the eye.
     """
 
     visible: NDArray[np.int64]

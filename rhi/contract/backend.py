@@ -294,7 +294,8 @@ class SupportsPreparedKernels(Protocol):
         Args:
             vertex_array: a vertex array of the program; 0 for none.
             colors: the formats of the color targets; without any target, they aren't known yet.
-            depth: the format of the depth target. samples: the number of samples of all targets.
+            depth: the format of the depth target.
+            samples: the number of samples of all targets.
             states: the value of every state type.
         """
 

@@ -7,7 +7,7 @@ them on. By default that commit is where the branch left `main`; on `main` itsel
 
 | changed file | tests |
 |---|---|
-| a module of the product | those named after it, or those of its folder; the test files elsewhere that use it most |
+| a module of the product | those named after it or of its folder; the files elsewhere that use it most |
 | a module of a backend | also the conformance kit on that backend |
 | a test file, or one of the kit | itself |
 | a module that tests share | the test files that import it |

@@ -163,9 +163,11 @@ class DeformedMesh:
 
     Attributes:
         geometry: the mesh as it stands in the file.
-        offsets: (t, v, 3) of positions and of normals. weights: theirs, with their tracks.
-        joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a
-            skin.
+        position_offsets, normal_offsets: (t, v, 3), what each of the t targets adds at weight 1.
+        weights: the targets' weights, with the tracks that animate them.
+        skeleton: the joints' transforms; None without a skin.
+        joints, joint_weights: (v, 4), the joints of each vertex and their weights, which add up to 1; None
+            without a skin.
     """
 
     geometry: MeshGeometry

@@ -33,8 +33,8 @@ class Solid:
 
     Attributes:
         directions: (k, 3), where the vertices lie from their end; the first axis leads along the segment.
-        ends: (k,), the end of each vertex: 0, or 1. faces: (f, 3), the triangles, counter-clockwise from
-            outside.
+        ends: (k,), the end of each vertex: 0, or 1.
+        faces: (f, 3), the triangles, counter-clockwise from outside.
     """
 
     directions: Floats

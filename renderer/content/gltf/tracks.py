@@ -177,7 +177,8 @@ class NodeMotion:
     """The motion of k nodes: a simulation for `SceneBuilder.animate`.
 
     Attributes:
-        tracks: all tracks. owners: (t,) the member that each animates.
+        tracks: all tracks.
+        owners: (t,) the member that each animates.
         rest: the translations (k, 3), rotations (k, 4) and scales (k, 3) where no clip is played.
     """
 

@@ -70,9 +70,11 @@ class ParetoPoint:
     """Settings that were drawn and timed.
 
     Attributes:
-        values: the value of each quality setting. settings: the settings with these values.
+        values: the value of each quality setting.
+        settings: the settings with these values.
         error: the mean difference to the reference in levels of 255, in the view where it is the greatest.
-        mean_error: the mean over all views. milliseconds: the median time of a frame.
+        mean_error: the mean over all views.
+        milliseconds: the median time of a frame.
         ratio, low, high: to the most accurate settings, with the ends of the 95 % confidence interval.
         is_best: whether no other settings are as accurate and faster.
     """
@@ -179,7 +181,8 @@ def search(
     first.
 
     Args:
-        values_by_setting: the values of each quality setting, in order. start: combinations to begin with.
+        values_by_setting: the values of each quality setting, in order.
+        start: combinations to begin with.
         measure: returns the error of a combination, and the bounds of its time.
         max_tried: the most combinations to try.
     """

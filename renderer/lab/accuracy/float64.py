@@ -154,7 +154,8 @@ class Float64Image:
     Attributes:
         levels: (h, w, 3), sRGB in levels of 255, not rounded; 0 where there is nothing.
         objects: (h, w) the object of each pixel, -1 where there is nothing.
-        depth: (h, w) as the depth buffer has it. distances: (h, w) from the plane of the eye.
+        depth: (h, w) as the depth buffer has it.
+        distances: (h, w) from the plane of the eye.
         positions: (h, w, 3), relative to the eye.
     """
 

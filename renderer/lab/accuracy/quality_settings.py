@@ -76,7 +76,8 @@ class Reference:
     another way.
 
     Attributes:
-        name: what it is, in a few words. changes: settings of its image that differ from the value's.
+        name: what it is, in a few words.
+        changes: settings of its image that differ from the value's.
         scale: how many times as wide and high its image is. Pixels are averaged as light.
         rays: rays along each side of a pixel, if it is ray-traced; 0 if a renderer draws it. `changes` and
             `scale` are then the nearest that a renderer can draw; combined quality settings, compared in many
@@ -96,12 +97,15 @@ class QualitySetting:
     """A choice between accuracy and time.
 
     Attributes:
-        description: what it decides. path: the setting, as `RenderSettings.get` finds it; empty for an
-            encoding, which shaders have for good, and for an option of generated scenes. values: by how
-            tables call them, the least accurate first.
+        description: what it decides.
+        path: the setting, as `RenderSettings.get` finds it; empty for an encoding, which shaders have for
+            good, and for an option of generated scenes.
+        values: by how tables call them, the least accurate first.
         reason: why we chose the default.
-        unit: of the error. reference: what values are compared with.
-        base_settings: other settings that it needs to matter. requirement: what it needs in the scene.
+        unit: of the error.
+        reference: what values are compared with.
+        base_settings: other settings that it needs to matter.
+        requirement: what it needs in the scene.
         history_frames: the number of earlier frames that a frame depends on, drawn before the first that
             counts; 0 if frames needn't follow each other.
         non_monotonic_reason: why errors needn't fall from each value to the next; empty where they must.
@@ -272,7 +276,8 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             {"off": False, "on": True},
             "it also blurs what isn't an edge",
             reference=SUPER_SAMPLED,
-            non_monotonic_reason="edges come nearer to the reference, and texels as bright as an edge go away from it",
+            non_monotonic_reason="edges come nearer to the reference, "
+            "and texels as bright as an edge go away from it",
         ),
         _image_quality(
             "texture_filter",

@@ -79,9 +79,11 @@ class SweepSetup:
     """The scene, device and size of a sweep. Small enough to be sent to other machines, which load the scene.
 
     Attributes:
-        scene, camera: their texts. backend: its name, None for the machine's choice.
+        scene, camera: their texts.
+        backend: its name, None for the machine's choice.
         size: (width, height) of the image in pixels.
-        views: the number of frames that are compared. rounds: the number that are timed.
+        views: the number of frames that are compared.
+        rounds: the number that are timed.
         settings: the settings that quality settings change.
         first, last: the frames of a path among which views are spread; `last` may be None for its end.
     """
@@ -134,7 +136,8 @@ class ValueSample:
         max_error, worst: the greatest error, -1 if nothing was compared, and its frame, x and y.
         image: a crop there, as in `SettingReport`.
         seconds, processor_seconds: of each round.
-        p99, flicker: as in `ValueRow`. flips: the FLIP error of each view that is compared by images.
+        p99, flicker: as in `ValueRow`.
+        flips: the FLIP error of each view that is compared by images.
     """
 
     sums: tuple[tuple[float, int], ...]
@@ -153,7 +156,8 @@ class SettingSample:
     """The measurements of one shard of a sweep.
 
     Attributes:
-        left_out: as in `SettingReport`. values: by name, the least accurate first.
+        left_out: as in `SettingReport`.
+        values: by name, the least accurate first.
         reference_ratios: the reference's time divided by the most accurate value's, round by round.
     """
 

@@ -45,7 +45,8 @@ class PathFrames:
 
     Attributes:
         scene: the scene's text.
-        path: the frame before the first, and the frames to render. first: the number of the former.
+        path: the frame before the first, and the frames to render.
+        first: the number of the former.
         backend: the backend's name; None for the machine's own choice.
         size: (width, height) of the image in pixels.
         emulated: whether queries are two counters and a fence, even if the device has its own.

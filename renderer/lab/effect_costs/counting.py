@@ -61,11 +61,15 @@ class FrameCosts:
     """The costs of a scene and of a frame of it.
 
     Attributes:
-        passes: the names of the frame's events. draws, dispatches: the numbers of calls. programs: that of
-            the programs that run. bindings: that of the resources that are bound.
-        uploads: bytes written in the frame, in which the eye moves. setup: bytes written before.
+        passes: the names of the frame's events.
+        draws, dispatches: the numbers of calls.
+        programs: that of the programs that run.
+        bindings: that of the resources that are bound.
+        uploads: bytes written in the frame, in which the eye moves.
+        setup: bytes written before.
         images, buffers: bytes of the textures and of the buffers in use.
-        steps: of simulations. calls: of Python functions.
+        steps: of simulations.
+        calls: of Python functions.
     """
 
     passes: tuple[str, ...]
@@ -86,7 +90,9 @@ class CountedFrame:
     """A frame with its counts and its commands.
 
     Attributes:
-        costs: the counts. call_counts: calls of Python functions. commands: the frame's commands.
+        costs: the counts.
+        call_counts: calls of Python functions.
+        commands: the frame's commands.
         allocated_bytes: bytes in use on the device, by name and shape.
     """
 
@@ -101,8 +107,8 @@ class Leftovers:
     """What remains of an effect that was removed, compared with a scene that never had it.
 
     Attributes:
-        differences: of the frame's commands. calls: of the renderer's functions, of which one of the frames
-            makes more.
+        differences: of the frame's commands.
+        calls: of the renderer's functions, of which one of the frames makes more.
         device_calls: the same of the device's functions: it counts the draws of each program that there is.
         allocated_bytes: additional bytes in use on the device, by name.
     """

@@ -30,12 +30,15 @@ class EffectRow:
     """The figures of an effect step.
 
     Attributes:
-        costs: of a frame with all steps up to this one. added: how much this step adds to each number.
-        passes: names of passes that the step adds. replaced: names of passes that it removes.
+        costs: of a frame with all steps up to this one.
+        added: how much this step adds to each number.
+        passes: names of passes that the step adds.
+        replaced: names of passes that it removes.
         leftovers: what remains once the effect is removed; None for the first step.
         faults: costs of the effect in scenes without it, and unexplained leftovers.
-        times: by backend, milliseconds of the processor. ratios: by backend, the time of a frame from which
-            the effect was removed as a multiple of one that never had it.
+        times: by backend, milliseconds of the processor.
+        ratios: by backend, the time of a frame from which the effect was removed as a multiple of one that
+            never had it.
     """
 
     name: str
@@ -95,8 +98,8 @@ def time_effect_costs(
     """Time what steps add on a device, and what remains of each once it is removed.
 
     Args:
-        rounds: in which all steps are timed; their removal is timed in five times as many. watch: shows
-            progress.
+        rounds: in which all steps are timed; their removal is timed in five times as many.
+        watch: shows progress.
     """
     backend = device.backend_name
     numbers = {EFFECT_STEPS[number].name: number for number in range(len(EFFECT_STEPS))}

@@ -57,8 +57,8 @@ class Case:
         number: selects the case; those up to 51 are known from the literature on the techniques.
         description: what is hard, in a few words.
         reference: what the device is compared with.
-        tolerance: the greatest error that passes, in `unit`. why: the reason why it may be that large, and no
-            larger.
+        tolerance: the greatest error that passes, in `unit`.
+        why: the reason why it may be that large, and no larger.
         measure: measures the error on a device.
         requires: names of the capabilities without which the case doesn't apply.
         is_long: whether it takes so long that it only runs if it is named.

@@ -116,7 +116,8 @@ class UnculledFrames:
     Its resources on the device last until the end of its `with` statement.
 
     Attributes:
-        frames: one for each camera. holds: conditions without which no comparison says anything.
+        frames: one for each camera.
+        holds: conditions without which no comparison says anything.
     """
 
     def __init__(self, device: Device, scene: Scene, shots: Shots, size: tuple[int, int] = SIZE) -> None:

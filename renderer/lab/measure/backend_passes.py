@@ -90,8 +90,10 @@ class BackendPasses:
     """The passes of one scene on one device, seen by one camera.
 
     Attributes:
-        targets: the targets. resources: the scene. camera: the camera, with the targets' aspect. view: its
-            view.
+        targets: the targets.
+        resources: the scene.
+        camera: the camera, with the targets' aspect.
+        view: its view.
     """
 
     def __init__(self, device: Device, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:

@@ -218,9 +218,11 @@ class Encoding:
     """An encoding to compare.
 
     Attributes:
-        stores: what it stores. bits: how many bits that takes.
-        shader: stores and reads it. sample: makes `count` (k, 8) values. measure: the error of each, from the
-            values and what was read, in `unit`.
+        stores: what it stores.
+        bits: how many bits that takes.
+        shader: stores and reads it.
+        sample: makes `count` (k, 8) values.
+        measure: the error of each, from the values and what was read, in `unit`.
         uniforms: the shader's other bindings.
     """
 

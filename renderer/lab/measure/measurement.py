@@ -78,7 +78,8 @@ def alternate(
             start.
         rounds: the rounds' numbers, at least one: a `range`, or a progress bar around one.
         warm_ups: how often all are run beforehand, untimed, with the number 0.
-        before: called before each run with its name, untimed. after: called after each run that is timed.
+        before: called before each run with its name, untimed.
+        after: called after each run that is timed.
     """
     names = list(work)
     for _ in range(warm_ups):

@@ -29,7 +29,8 @@ class MemoryReport:
     """The memory of a renderer.
 
     Attributes:
-        rows: all buffers and textures, the largest first. bytes: the memory of all.
+        rows: all buffers and textures, the largest first.
+        bytes: the memory of all.
         image_bytes: the memory of the arrays that hold the scene's images, with their mip levels.
         single_image_bytes: the memory that the images would take if each were a texture.
     """

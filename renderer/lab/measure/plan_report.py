@@ -28,7 +28,8 @@ class PassRow:
     Attributes:
         reason: why the frame has the pass.
         reads, writes: names of resources; those that are drawn over are in both lists.
-        bytes: size of the textures that are written. draws, dispatches: numbers of commands.
+        bytes: size of the textures that are written.
+        draws, dispatches: numbers of commands.
         changes: state changes between the draws.
     """
 
@@ -56,7 +57,8 @@ class SimulationReport:
 
     Attributes:
         run, skipped: the numbers of simulated and animated objects that are drawn, and that aren't.
-        steps: steps of all members. dispatches: the dispatches that run these steps.
+        steps: steps of all members.
+        dispatches: the dispatches that run these steps.
     """
 
     run: int
@@ -70,10 +72,13 @@ class PlanReport:
     """The plan of one frame.
 
     Attributes:
-        passes: in their order. effects: the frame's effects, with the reasons.
+        passes: in their order.
+        effects: the frame's effects, with the reasons.
         left_out: effects that the frame lacks, passes that were dropped, and what the scene's file has and
-            the scene hasn't. texture_bytes: the size of all textures that passes write.
-        textures: the resources that share each texture. shadow_maps: the state of each shadow map.
+            the scene hasn't.
+        texture_bytes: the size of all textures that passes write.
+        textures: the resources that share each texture.
+        shadow_maps: the state of each shadow map.
         memory: what the renderer holds on the device, the scene included.
         orders: state changes between the objects of the first pass over the scene, drawn in several orders.
         simulations: the work of simulations; None in a scene without any.

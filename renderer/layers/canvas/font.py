@@ -53,12 +53,13 @@ class Font:
 
     Attributes:
         size: the height of the font as its designer means it.
-        line_height: from one line's top to the next. tab: the width between tab stops.
+        line_height: from one line's top to the next.
+        tab: the width between tab stops.
         coverage: (h, w) uint8, the atlas; its corner at the top left is full.
         advance: (GLYPHS,) from a glyph to the next.
-        place: (GLYPHS, 2) from the pen, at the line's top, to a glyph's top left. extent: (GLYPHS, 2) its
-            size.
-        texel: (GLYPHS, 2) its top left in the atlas.
+        bearing: (GLYPHS, 2) from the pen, at the line's top, to a glyph's top left.
+        extent: (GLYPHS, 2) its size.
+        atlas_position: (GLYPHS, 2) its top left in the atlas.
         is_kerned: whether pairs are kerned, for which Pillow needs HarfBuzz (on Debian `libfribidi0`).
     """
 

@@ -21,7 +21,8 @@ class TextLayout(NamedTuple):
 
     Attributes:
         glyphs: (k,) the glyphs that cover anything. places: (k, 2) their top left.
-        width: the width of the longest line, tabs included. height: that of all lines.
+        width: the width of the longest line, tabs included.
+        height: that of all lines.
     """
 
     glyphs: NDArray[np.int32]

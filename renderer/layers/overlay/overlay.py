@@ -55,7 +55,8 @@ class Overlay:
     """A layer that shows what frames cost. It turns on the device's timing where there are timestamps.
 
     Attributes:
-        draws: the number of draws of the latest frame's overlay. milliseconds: what it cost the CPU.
+        draws: the number of draws of the latest frame's overlay.
+        milliseconds: what it cost the CPU.
     """
 
     def __init__(self, device: Device, *, scale: int = 1, font: Font | None = None) -> None:

@@ -73,7 +73,8 @@ class ClothBuffers:
 
         Args:
             phases: those of the gusts in the first of the steps, (j, MAX_GUSTS).
-            begins: (j,), the number of each member's first vertex; without `vertices` nothing is written.
+            first_vertices: (j,), the number of each member's first vertex; without `vertices` nothing is
+                written.
             stride: floats from vertex to vertex.
         """
         jobs: Any = np.zeros(len(members), ClothJob.dtype)

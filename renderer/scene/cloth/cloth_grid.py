@@ -69,8 +69,8 @@ class Gust:
     """A wave of wind that runs over a cloth.
 
     Attributes:
-        velocity: its greatest velocity in m/s. along: waves per metre along each axis, in the space of the
-            object.
+        velocity: its greatest velocity in m/s.
+        along: waves per metre along each axis, in the space of the object.
         period: seconds from wave to wave, rounded to whole steps, one at least. Whole numbers keep the phase
             exact for all times.
     """
@@ -110,13 +110,16 @@ class ClothGrid:
 
     Attributes:
         rows, columns: the size of the grid.
-        points: (n, 3) float32, where the points are at first. is_free: (n,) bool, whether a point isn't
-            pinned.
-        anchors: (n, 3) float32, the nearest pin of each point. reaches: (n,) float32, how far it may be away.
-        constraints: (k,) of `CONSTRAINT`, batch by batch. batches: (b + 1,) int32, where each begins.
+        points: (n, 3) float32, where the points are at first.
+        is_free: (n,) bool, whether a point isn't pinned.
+        anchors: (n, 3) float32, the nearest pin of each point.
+        reaches: (n,) float32, how far it may be away.
+        constraints: (k,) of `CONSTRAINT`, batch by batch.
+        batches: (b + 1,) int32, where each begins.
         lower, upper: (3,) float32, the corners of its room, which no point ever leaves.
-        fabric: what it is made of. sub_steps: how many of them a step has. interval: the length of a step in
-            seconds.
+        fabric: what it is made of.
+        sub_steps: how many of them a step has.
+        interval: the length of a step in seconds.
     """
 
     rows: int
@@ -178,7 +181,7 @@ def make_cloth_grid(
         flat: (rows, columns, 3), where the points are when the cloth lies flat, if it hangs slack at first:
             distances are taken from there.
         fabric: what it is made of.
-        room: the lower and the upper corner of a box that the points can't leave; it holds `points`. By
+        bounds: the lower and the upper corner of a box that the points can't leave; it holds `points`. By
             default it is as large as the distances from pins allow. Choose it as small as the movement
             permits: it is the cloth's bounds.
         sub_steps: so many sub-steps has a step, 1 to 64, and fewer of more than 2,048 points: more of them

@@ -27,7 +27,8 @@ class ClothSimulation(DeferredSteps[ClothArrays, ClothBuffers]):
     """A simulation of `count` cloths of one sheet in one wind, each in the space of its object.
 
     Attributes:
-        sheet, wind: what they are and what blows on them.
+        cloth_grid: the sheet that all of them are.
+        wind: the wind that blows on them.
         catch_up: its `error` is in metres: the greatest distance between two states of a point.
     """
 

@@ -178,7 +178,8 @@ class PoolBuffers:
         """Advance `members` (j,) by `steps` (j,) to their steps `numbers` (j,), and write their vertices.
 
         Args:
-            is_reset: (j,) 1 for those that begin flat. drops: (j, most steps, 4), of each step.
+            is_reset: (j,) 1 for those that begin flat.
+            drops: (j, most steps, 4), of each step.
             first_vertices: (j,), the number of each member's first vertex; without `vertices` nothing is
                 written.
             stride: floats from vertex to vertex.

@@ -43,9 +43,10 @@ class WaterPool:
         depth: of the water in metres: waves go √(9.81 depth) metres a second.
         damping: a wave is exp(-damping t / 2) of itself after t seconds. Without any, nothing is ever
             forgotten, and each missed step is taken.
-        rain: drops a second. drop: the height in metres by which one lifts the water.
+        rain: drops a second.
+        drop: the height in metres by which one lifts the water.
         radius: of a drop in metres.
-        limit: metres: no point is ever higher, nor lower than minus as much.
+        max_height: metres: no point is ever higher, nor lower than minus as much.
         start: (rows + 1, columns + 1), the heights at first, in metres; None is flat.
 
     Raises:
@@ -181,8 +182,8 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         """Begin with all surfaces as the pool's is at first.
 
         Args:
-            seed: drops follow from it. steps_per_frame: the most steps that all pools take in a frame
-                together, at least one each.
+            seed: drops follow from it.
+            steps_per_frame: the most steps that all pools take in a frame together, at least one each.
 
         Raises:
             ValidationError `scene-bad-water`: a count outside 1 to 65,535.

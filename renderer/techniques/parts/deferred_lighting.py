@@ -99,8 +99,8 @@ def volume_passes(
 
     Args:
         stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
-        light_bits: the bits of a channel of the light that is added up. normal_bits: those of each number of
-            a normal.
+        light_bits: the bits of a channel of the light that is added up.
+        normal_bits: those of each number of a normal.
     """
     reads = geometry_buffer_names(effects)
     lights, last = declare_lights(

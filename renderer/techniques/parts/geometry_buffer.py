@@ -7,7 +7,7 @@ drawn.
 | `surface`, if shadows fall on normal maps | RGBA32UI | 16 | and the normal without maps; a word isn't used |
 | `material` | R32UI | 4 | the index of the material |
 | `material`, if the scene has images or maps | RG32UI | 8 | and the texel's colour, 3 × 10 bits |
-| `details`, if it has roughness or occlusion maps | R32UI | 4 | metallic and occlusion, 8 bits each; roughness, 16 |
+| `details`, if it has roughness or occlusion maps | R32UI | 4 | 8 bits metallic, 8 occlusion, 16 roughness |
 | `details`, if it has emissive maps | RG32UI | 8 | and the emissive texel, 3 × 10 bits |
 | `depth` | D32F | 4 | depth, for tests only |
 

@@ -35,7 +35,8 @@ class ClusterSettings:
     the view's `LightLists`.
 
     Attributes:
-        tile: the width and height of a tile in pixels. slices: into how many parts its depths are divided.
+        tile: the width and height of a tile in pixels.
+        slices: into how many parts its depths are divided.
         sphere_test: the name of the test of lights against cells, of `SPHERE_TESTS`.
     """
 

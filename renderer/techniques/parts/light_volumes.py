@@ -119,7 +119,9 @@ class ${Element}Volumes(KindVolume, VolumeShader):
     def squared_angular_size(self, position: sl.vec3, light: int) -> float:
         return self.squared_angular_sizes(self.${kind}_lights[light].position - position, light).$component
 
-    def apply_shadow(self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int) -> sl.vec3:
+    def apply_shadow(
+        self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int
+    ) -> sl.vec3:
         return self.shadow_${kind}_light(light, position, geometric_normal, light_index)
 """,
         kind,
@@ -174,7 +176,8 @@ def declare_lights(
     last pass; both empty without such lights.
 
     Args:
-        scale: the size of the buffers in that of the frame. bits: those of a channel, of `SUM_FORMATS`.
+        scale: the size of the buffers in that of the frame.
+        bits: those of a channel, of `SUM_FORMATS`.
         are_written: whether an earlier pass has written the buffers, to which the light is added.
         reason: the first part of why the passes run.
         run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and
@@ -228,7 +231,8 @@ def draw_volumes(
 
     Args:
         shader: lights what is in a volume, with bindings of its `own` and its `switches`.
-        targets, depth: names of resources. clears: whether they are cleared to 0 first.
+        targets, depth: names of resources.
+        clears: whether they are cleared to 0 first.
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
         states: states instead of those that light what is in a volume.
     """

@@ -117,8 +117,8 @@ class PixelBins:
     """Lists of a frame's pixels by material.
 
     Attributes:
-        pixels: x and y in 16 bits each, those of a material side by side. ranges: the places of each shader's
-            pixels.
+        pixels: x and y in 16 bits each, those of a material side by side.
+        ranges: the places of each shader's pixels.
         groups: the work-groups of each shader.
     """
 

@@ -206,7 +206,8 @@ class MaterialRectangles:
 
     Attributes:
         tile: the side of a tile in pixels.
-        rectangles: the list. draw: its indirect draw, whose number of instances is that of the rectangles.
+        rectangles: the list.
+        draw: its indirect draw, whose number of instances is that of the rectangles.
         corners: the mesh that the rectangles are drawn as.
     """
 

@@ -37,7 +37,8 @@ class QueryBoxes:
     """The boxes that queries draw, as one camera sees them.
 
     Attributes:
-        centre: (n, 3) world positions. half: (n, 3) padded half sizes along the boxes' own axes.
+        centre: (n, 3) world positions.
+        half: (n, 3) padded half sizes along the boxes' own axes.
         x, y: (n, 3) float32, unit vectors along the first two axes; the third is their cross product.
         near: (n,) bool, whether the box is so near that its object is drawn without a query.
     """

@@ -157,8 +157,8 @@ class _Groups:
     Attributes:
         nodes: (m,) the node of the cut that each column holds.
         corners: (7, m) lower corner, upper corner and 1 of each node.
-        last: (m,) the plane that culled each node, as of the last sort. starts: where each plane's slice
-            begins.
+        last: (m,) the plane that culled each node, as of the last sort.
+        starts: where each plane's slice begins.
         reach: the sum of the largest absolute coordinates; an upper bound of the terms of a distance.
     """
 
@@ -225,7 +225,8 @@ class _Blocks:
     Attributes:
         corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, padded with
             boxes that every plane culls; w is a multiple of 8, for `_merge`.
-        first: (b,) the first child of each node. size: (b,) the number of its children.
+        first: (b,) the first child of each node.
+        size: (b,) the number of its children.
     """
 
     def __init__(self, lower: Floats, upper: Floats, starts: Indices) -> None:

@@ -41,9 +41,10 @@ class Forest:
 
     Attributes:
         roots: the roots of the trees that are not empty.
-        parent: for each node its parent, -1 for roots. child: the first child, whose sibling is the next
-            node; -1 for nodes of at most `leaf_size` objects, the leaves of the traversal. object: the row of
-            the object of a node that has only one, -1 for other nodes.
+        parent: for each node its parent, -1 for roots.
+        child: the first child, whose sibling is the next node; -1 for nodes of at most `leaf_size` objects,
+            the leaves of the traversal. object: the row of the object of a node that has only one, -1 for
+            other nodes.
         moving: the nodes of the moving objects' tree, as a slice.
         lower, upper: (m, 3) bounds, as of the last `refit`.
         status: OUTSIDE, INSIDE or NEAR for each node.

@@ -113,8 +113,9 @@ class _SplitState:
     """The nodes of one level that are still being split; `order` holds their boxes, run after run.
 
     Attributes:
-        order: (k,) rows of the boxes. first, count: (g,) the nodes' runs of it. owner: (k,) the node of each
-            box.
+        order: (k,) rows of the boxes.
+        first, count: (g,) the nodes' runs of it.
+        owner: (k,) the node of each box.
         lower, upper, centre: (k, 3) corners and centres of the boxes in that order, in units of the root box.
     """
 

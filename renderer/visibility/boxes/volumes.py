@@ -74,8 +74,9 @@ class RotatedBoxes:
     """Rectangular boxes, k of them, that fit their objects more closely than aligned ones.
 
     Attributes:
-        rows: (k,) the indices of the objects.
-        centre: (k, 3) world positions. half: (k, 3) half sizes along the boxes' own axes.
+        object_indices: (k,) the indices of the objects.
+        centre: (k, 3) world positions.
+        half: (k, 3) half sizes along the boxes' own axes.
         axes: (k, 3, 3) those axes: the rows are unit vectors, right-handed.
     """
 

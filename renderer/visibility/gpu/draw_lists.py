@@ -167,7 +167,8 @@ class IndirectDrawList:
         draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i
             on.
         totals: (parts + 1,) the numbers of draws of each part, and of hidden objects.
-        hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
+        hidden: (n,) rows of the hidden objects.
+        box_draw: a draw of as many boxes.
         generation: how often the list was renewed.
     """
 

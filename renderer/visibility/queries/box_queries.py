@@ -66,8 +66,9 @@ class BoxQueries:
         threshold: a query with at most this many samples counts as hidden; above 0, images may differ.
         emulated: whether the queries are emulated by two counters and a fence, even if the device has its
             own.
-        asked: for each node whether it was queried since `begin_frame`.
-        issued: queries since `begin_frame`. draws, boxes: draws of boxes in them, and the boxes drawn.
+        queried: for each node whether it was queried since `begin_frame`.
+        issued: queries since `begin_frame`.
+        draws, boxes: draws of boxes in them, and the boxes drawn.
         stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
 

@@ -20,7 +20,8 @@ class NodeHistory:
     """The visibility of the nodes of a forest, as of the frame in which each was visited last.
 
     Attributes:
-        visible: whether the node was visible. visited: the frame in which it was visited.
+        visible: whether the node was visible.
+        visited: the frame in which it was visited.
         hidden_since: the frame since which it was found to be hidden, each time that it was visited.
         next_query: for a visible leaf, the frame in which it is to be queried again.
     """

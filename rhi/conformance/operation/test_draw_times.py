@@ -23,7 +23,7 @@ def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
             value = device.signal()
             unfinished += device.completed < value
             assert device.wait(value)
-            device.signal()  # so `completed` has to query the backend, instead of returning the value waited for
+            device.signal()  # so `completed` queries the backend, and doesn't return the value waited for
             assert device.completed >= value
             if unfinished == 2:
                 break

@@ -34,7 +34,8 @@ class Difference:
 
     def __str__(self) -> str:
         at = ", ".join(map(str, self.first))
-        return f"{self.name}: {self.count} differ, first at ({at}): {self.actual!r}, not {self.low!r} to {self.high!r}"
+        expected = f"{self.low!r} to {self.high!r}"
+        return f"{self.name}: {self.count} differ, first at ({at}): {self.actual!r}, not {expected}"
 
 
 def check(device: rhi.Device, program: model.Program, tolerances: Tolerances = EXACT) -> list[Difference]:

@@ -56,8 +56,8 @@ class DrawableData:
         buffers, vertex_arrays: as in `Drawable`.
         vertex_count, instance_count: numbers of vertices and of elements of the per-instance data.
         instance_fields: the names of fields that are read once per instance.
-        is_indexed: whether there are indices. element_count: number of indices or, without indices, of
-            vertices.
+        is_indexed: whether there are indices.
+        element_count: number of indices or, without indices, of vertices.
     """
 
     core: Core

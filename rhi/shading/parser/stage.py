@@ -90,8 +90,8 @@ class _Uses:
 
     Attributes:
         functions: those that the entry point calls, and itself.
-        structs, constants, builtins: that they mention. declared: the names of the bindings that they
-            mention.
+        structs, constants, builtins: that they mention.
+        declared: the names of the bindings that they mention.
         stored, loaded: the names of the bindings that they write and read.
         discards: whether a fragment may be discarded.
     """

@@ -63,7 +63,7 @@ class BuiltinAccuracy:
         median_ulp, max_ulp: errors over the sample in units of `rhi.testing.accuracy.probes.count_units`; of
             2^-23 for samples of textures.
         bound_ulp: the error bound that the table of built-ins states.
-        keeps: whether the whole sample is within the bound, including OpenGL's absolute bounds.
+        is_within_bound: whether the whole sample is within the bound, including OpenGL's absolute bounds.
         worst_input: the arguments whose error is `max_ulp`.
         nanoseconds: the time of a call with all cores busy.
     """

@@ -20,8 +20,11 @@ def lit_fraction(
     shadow.
 
     Args:
-        depths: (height, width), those of the atlas. at: (n, 2) places. depth: (n,). slope: (n, 2). tile: x,
-            y, size.
+        depths: (height, width), those of the atlas.
+        at: (n, 2) places.
+        depth: (n,).
+        slope: (n, 2).
+        tile: x, y, size.
     """
     texels, weights = _list_texels(filter, at)
     corner, size = np.array(tile[:2]), tile[2]

@@ -48,7 +48,8 @@ def take(widget):
     def note(event):
         if event["event_type"] not in ("pointer_up", "key_down"):
             return
-        report = dict(kind=event["event_type"], forward=session.camera.forward.tolist(), hit_lines=session.hit_lines)
+        forward = session.camera.forward.tolist()
+        report = dict(kind=event["event_type"], forward=forward, hit_lines=session.hit_lines)
         with open("seen.jsonl", "a") as file:
             print(json.dumps(report | dict(technique=session.display.technique)), file=file)
 

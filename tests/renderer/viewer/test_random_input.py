@@ -66,7 +66,8 @@ class RandomUser:
     """Makes events and lines up.
 
     Attributes:
-        names: the commands that it gives. obeyed: those of them that did something at least once.
+        names: the commands that it gives.
+        obeyed: those of them that did something at least once.
     """
 
     def __init__(self, seed: int, viewer: Viewer) -> None:
@@ -212,8 +213,9 @@ class LiveResources(NamedTuple):
     """What there is between two frames.
 
     Attributes:
-        programs: how many were made. blocks: blocks of memory of Python, without what the backend keeps of
-            arrays of draws up to a limit. resources: textures, buffers, meshes.
+        programs: how many were made.
+        blocks: blocks of memory of Python, without what the backend keeps of arrays of draws up to a limit.
+        resources: textures, buffers, meshes.
     """
 
     programs: int

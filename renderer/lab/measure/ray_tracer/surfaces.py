@@ -26,8 +26,11 @@ class Surfaces:
 
     Attributes:
         position: in the world. plane, normal: unit normals of the triangle and of the surface, on the side
-            that is seen. to_eye: the unit vector to the eye.
-        base: the base colour. alpha: the opacity. emitted: emitted light.
+            that is seen.
+        to_eye: the unit vector to the eye.
+        base: the base colour.
+        alpha: the opacity.
+        emitted: emitted light.
         metallic, roughness, occlusion: with their textures.
         material: (k,) of `MATERIAL`.
     """
@@ -49,7 +52,8 @@ class Geometry:
     """The triangles of all objects of a scene as it stands.
 
     Attributes:
-        corners: (m, 3, 3), in the world. objects: (m,) their objects.
+        corners: (m, 3, 3), in the world.
+        objects: (m,) their objects.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -32,7 +32,8 @@ class BufferMemory:
     """The memory of one buffer.
 
     Attributes:
-        cl: OpenCL's buffer; `address`: where kernels find it.
+        cl: OpenCL's buffer.
+        `address`: where kernels find it.
         host: its host memory, if commands and the CPU may use that at the same time, or None.
         ranges: the sub-buffers that were bound, by offset and size.
         cpu_copy: the copy on the host, or None.

@@ -36,7 +36,8 @@ class ClTexture:
     """The memory of one texture.
 
     Attributes:
-        levels: the planes of its mip levels; `stencil`: those of its stencil, if it has any.
+        levels: the planes of its mip levels.
+        `stencil`: those of its stencil, if it has any.
         words: its descriptions for kernels, by sampler, or for an image by level and layer (see `samplers`).
         changes: how many commands other than draws have changed it.
     """

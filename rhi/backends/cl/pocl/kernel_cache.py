@@ -103,7 +103,10 @@ def choose_folder() -> Path | None:
         atexit.register(shutil.rmtree, instead, ignore_errors=True)
         folder = _replaced[driver_folder] = instead / "pocl"
         (folder / _RECORDS).mkdir(mode=0o700, parents=True)
-        text = f"kernels aren't kept in {driver_folder}: {fault}; they are built in {instead}, and removed at the end"
+        text = (
+            f"kernels aren't kept in {driver_folder}: {fault}; "
+            f"they are built in {instead}, and removed at the end"
+        )
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     os.environ[_DRIVER_ENVIRONMENT] = str(folder)
     return folder

@@ -51,7 +51,8 @@ class BatchState:
         bound: the words that its draws bind.
         width: number of columns of the draws' rows.
         table: fields of the batch table, without what the launcher fills in.
-        surfaces: the surfaces that the raster kernel draws into; `addresses`: the addresses of their memory.
+        surfaces: the surfaces that the raster kernel draws into.
+        `addresses`: the addresses of their memory.
         merger_data: bytes that tell kernels the merger's key, where the surfaces begin in their memory and
             what they are cleared to.
         bounds_depth: whether the key permits bounds of depth.

@@ -75,7 +75,7 @@ class AttributeBoxes:
         measures.
 
         Args:
-            indices: (n,) indices of the prepared draws.
+            prepared_indices: (n,) indices of the prepared draws.
             instances: (n,) their numbers of instances.
 
         Returns:

@@ -238,9 +238,9 @@ class Draws:
         """Draw an array of draws, each on condition of a counter.
 
         Args:
-            rows: (n,) draws are numbered within each run of equal rows.
-            counters: (n,) the counters' addresses. is_counted: whether the draws that count there were
-                submitted.
+            query_indices: (n,) draws are numbered within each run of equal rows.
+            counters: (n,) the counters' addresses.
+            is_counted: whether the draws that count there were submitted.
         """
         if not is_counted:
             self._flush_batch()

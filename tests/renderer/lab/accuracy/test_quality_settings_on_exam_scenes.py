@@ -44,7 +44,10 @@ ALIKE = {ErrorUnit.LEVELS: 5e-3}
 EDGES = (
     "a smaller image is enlarged by bilinear samples, which smooth the edges of what has nothing else to show"
 )
-FACETS = "maps with texels larger than a ball's facets cast no shadow there; finer ones shade facets at grazing angles"
+FACETS = (
+    "maps with texels larger than a ball's facets cast no shadow there; "
+    "finer ones shade facets at grazing angles"
+)
 EXCEPTIONS: Mapping[tuple[str, str], str] = {
     **{
         (setting, title): FACETS

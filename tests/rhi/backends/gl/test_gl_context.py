@@ -21,7 +21,8 @@ from rhi.errors import DeviceError
 
 
 def test_the_package_imports_no_driver_before_a_backend_is_made() -> None:
-    code = "import sys, rhi.backends.gl as gl; assert 'moderngl' not in sys.modules; gl.create_backend().close(); "
+    code = "import sys, rhi.backends.gl as gl; assert 'moderngl' not in sys.modules; "
+    code += "gl.create_backend().close(); "
     code += "assert 'moderngl' in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
