@@ -81,10 +81,10 @@ def list_stale_names(file: str, text: str) -> list[str]:
     stale: list[str] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, Definition):
-            known = list_members(node) if isinstance(node, ast.ClassDef) else list_parameters(node)
-            known = known | EXTRA_NAMES.get((file, node.name), set())
+            existing = list_members(node) if isinstance(node, ast.ClassDef) else list_parameters(node)
+            existing = existing | EXTRA_NAMES.get((file, node.name), set())
             names = list_explained_names(ast.get_docstring(node) or "")
-            stale += [f"{node.name}: {name}" for name in names if name not in known]
+            stale += [f"{node.name}: {name}" for name in names if name not in existing]
     return stale
 
 

@@ -165,6 +165,11 @@ def register_language(name: str, write: Write, stages: Collection[Stage] = tuple
     _LANGUAGES[name] = DeviceLanguage(write, frozenset(stages))
 
 
+def registered_languages() -> tuple[str, ...]:
+    """Return the names of all languages, in the order of their registration."""
+    return tuple(_LANGUAGES)
+
+
 def make_depth_error(name: str) -> ShaderError:
     """Return the error for a shader whose compilation reached Python's recursion limit.
 

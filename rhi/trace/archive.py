@@ -30,6 +30,7 @@ _MEMBERS: Final = re.compile(
     r"trace\.json|commands\.jsonl|arrays/(0|[1-9]\d{0,8})\.npy"
     r"|programs/[1-9]\d{0,18}\.(vertex|fragment|compute)\.[a-z]{1,16}[0-9]{0,4}"
 )
+_PROGRAMS: Final = "programs/"
 _METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -40,7 +41,7 @@ def array_name(number: int) -> str:
 
 def source_name(program: int, stage: str, language: str) -> str:
     """Return the name of the member that contains the source of a stage."""
-    return f"programs/{program}.{stage}.{language}"
+    return f"{_PROGRAMS}{program}.{stage}.{language}"
 
 
 class ArchiveWriter:
@@ -81,11 +82,15 @@ class ArchiveReader:
         except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
             self.refuse(TRACE_FILE, str(error), "a zip")
         self._infos: dict[str, zipfile.ZipInfo] = {}
+        self._sources: dict[int, list[tuple[str, str]]] = {}
         total = 0
         try:
             for info in self._zip.infolist():
                 self._check_member(info)
                 self._infos[info.filename] = info
+                if info.filename.startswith(_PROGRAMS):
+                    program, stage, language = info.filename.removeprefix(_PROGRAMS).split(".")
+                    self._sources.setdefault(int(program), []).append((stage, language))
                 total += info.file_size
             if total > max_bytes:
                 self.refuse(TRACE_SIZE, f"{total:,} bytes unpacked", f"{max_bytes:,} bytes")
@@ -118,6 +123,10 @@ class ArchiveReader:
 
     def names(self) -> list[str]:
         return list(self._infos)
+
+    def list_sources(self, program: int) -> list[tuple[str, str]]:
+        """Return the stages and languages in which a program has a source."""
+        return self._sources.get(program, [])
 
     def read(self, name: str) -> bytes:
         """Return the bytes of a member, after checking its size and checksum."""

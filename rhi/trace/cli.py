@@ -29,9 +29,10 @@ from rhi.trace.replay import replay
 _EXAMPLES = """\
 examples:
   python -m rhi trace show frame.zip --label sun
-  python -m rhi trace replay frame.zip --backend gl --output frame.png
+  python -m rhi trace replay frame.zip --backend gl --trust --output frame.png
   python -m rhi trace diff before.zip after.zip
-  python -m rhi trace reduce frame.zip fault.py:is_black --output small.zip --test test_black.py"""
+  python -m rhi trace reduce frame.zip fault.py:is_black --output small.zip --test test_black.py
+--trust runs the shaders of a file: give it only for files whose author you know."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -42,7 +43,8 @@ def main(arguments: Sequence[str]) -> int:
     except RhiError as error:
         value = f": {error.given}" if error.given else ""
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-        return _fail(f"{error.rule.sentence}{value}{allowed} [{error.rule.id}]")
+        tip = f"; {error.tip}" if error.tip else ""
+        return _fail(f"{error.rule.sentence}{value}{allowed}{tip} [{error.rule.id}]")
     except BrokenPipeError:
         raise  # whoever reads the output has gone away
     except (OSError, ValueError, ImportError) as error:

@@ -23,16 +23,25 @@ from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 from rhi.commands.ops import Op
 from rhi.contract.backend import Backend
-from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage, StageText, TextureKind
+from rhi.contract.descriptors import (
+    Attribute,
+    Binding,
+    BindingKind,
+    ProgramDescriptor,
+    Stage,
+    StageText,
+    TextureKind,
+)
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT, INT, UINT
 from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, PlatformState, StateChange
 from rhi.errors import RhiError, ShaderError
-from rhi.shading.language.types import VECTORS, ImageType
+from rhi.shading.emitters import registered_languages
+from rhi.shading.language.types import VECTORS, ImageType, TextureType
 from rhi.trace.rules import TRACE_SOURCE, TRACE_TRUST
 
-LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
-"""Languages in which the stages of a program are saved, as far as they exist in them."""
+NOT_SAVED: Final = frozenset({"numpy", "vulkan", "spirv"})
+"""Languages of which a trace has no texts: no device here compiles them, and "numpy" is a Python module."""
 
 _PLATFORM_MODULES: Final = {"gl": "rhi.backends.gl.platform_states"}
 """The modules that are imported for the states of a platform: ours only, whatever a file says."""
@@ -40,8 +49,9 @@ _ATTRIBUTE_TYPES: Final[dict[str, object]] = {
     str(type): type for type in (FLOAT, INT, UINT, *VECTORS.values())
 }
 _TEXTURE_TYPE: Final = re.compile(
-    r"(?:Depth|Int|Uint)?(?:Texture|Image)(2D|2DArray|3D|Cube)(Samples)?(?:\[(\w+)\])?"
+    r"(Depth|Int|Uint|)(Texture|Image)(2D|2DArray|3D|Cube)(Samples)?(?:\[(\w+)\])?"
 )
+_SCALARS: Final = {"": FLOAT, "Depth": FLOAT, "Int": INT, "Uint": UINT}
 _STATES: Final = {state_type.__name__: state_type for state_type in STATE_TYPES}
 
 
@@ -116,6 +126,8 @@ def decode(expected_type: Any, json_value: Any, where: str) -> Any:
         if not isinstance(json_value, str) or json_value not in expected_type.__members__:
             raise MismatchError(f"{where}: {_show(json_value)} is no {expected_type.__name__}")
         return expected_type[json_value]
+    if expected_type is Binding:
+        return _decode_binding(json_value, where)
     if expected_type is Attribute:
         return _decode_attribute(json_value, where)
     if dataclasses.is_dataclass(expected_type):
@@ -176,14 +188,28 @@ def _decode_attribute(json_value: Any, where: str) -> Attribute:
     return dataclasses.replace(attribute, type=attribute_type)
 
 
-def read_image_type(text: str) -> tuple[TextureKind, bool, Format | None] | None:
-    """Return the kind of a texture or image that a binding's type names, whether it has several samples, and
-    the format of an image, None if it isn't written; None if the text isn't the name of such a type."""
+def _decode_binding(json_value: Any, where: str) -> Binding:
+    """Return a binding; backends need the types of textures and images, not their names."""
+    binding: Binding = _decode_dataclass(Binding, json_value, where)
+    if binding.kind in (BindingKind.TEXTURE, BindingKind.IMAGE):
+        type = _parse_texture_type(str(binding.type))
+        if isinstance(type, TextureType) is not (binding.kind is BindingKind.TEXTURE) and type is not None:
+            raise MismatchError(f"{where}: a {binding.kind.value} of type {_show(binding.type)}")
+        binding = dataclasses.replace(binding, type=type or binding.type)
+    return binding
+
+
+def _parse_texture_type(text: str) -> TextureType | ImageType | None:
+    """Return the texture or image type of this name, None if there is none. The images of old files, which
+    don't say their format, are none."""
     match = _TEXTURE_TYPE.fullmatch(text)
     if match is None:
         return None
-    kind = TextureKind(match[1].lower().replace("array", "_array"))
-    return kind, bool(match[2]), Format.__members__.get(match[3] or "")
+    prefix, noun, shape, samples, format = match.groups()
+    kind = TextureKind(shape.lower().replace("array", "_array"))
+    if noun == "Texture":
+        return TextureType(kind, _SCALARS[prefix], prefix == "Depth", bool(samples))
+    return ImageType(kind, Format[format]) if format in Format.__members__ else None
 
 
 def _decode_change(json_value: Any, where: str) -> StateChange:
@@ -269,12 +295,14 @@ class Sources:
 
 
 def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
-    """Return the sources of a program, in all languages in which it can be emitted."""
+    """Return the sources of a program in each language that a device compiles and that has its stages."""
     owner = getattr(descriptor.emit, "__self__", None)
     if isinstance(owner, Sources):
         return owner.texts
     sources: dict[tuple[str, Stage], str] = {}
-    for language in LANGUAGES:
+    for language in registered_languages():
+        if language in NOT_SAVED:
+            continue
         for stage in Stage:  # in their order: equal traces are equal files
             if stage not in descriptor.stages:
                 continue
@@ -286,12 +314,11 @@ def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
 
 
 __all__ = [
-    "LANGUAGES",
+    "NOT_SAVED",
     "MismatchError",
     "Sources",
     "argument_types",
     "decode",
     "encode",
-    "read_image_type",
     "sources_of",
 ]

@@ -30,7 +30,7 @@ from rhi.errors import refuse
 from rhi.errors.call_sites import CallSite
 from rhi.trace import rules
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, ArchiveReader, ArchiveWriter, source_name
-from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of
+from rhi.trace.codec import NOT_SAVED, MismatchError, Sources, argument_types, decode, encode, sources_of
 from rhi.trace.validation import SequenceValidator
 
 FORMAT: Final = "rhi-trace"
@@ -339,11 +339,10 @@ class _Loader:
     def _read_sources(self, program: int, descriptor: ProgramDescriptor) -> None:
         sources: Sources = descriptor.emit.__self__  # type: ignore[attr-defined]
         sources.trusted = self.trusted
-        for language in LANGUAGES:
-            for stage in (stage for stage in Stage if stage in descriptor.stages):
-                name = source_name(program, stage.value, language)
-                if name in self.reader:
-                    sources.texts[language, stage] = self.reader.read_text(name)
+        for stage, language in self.reader.list_sources(program):
+            if Stage(stage) in descriptor.stages and language not in NOT_SAVED:
+                text = self.reader.read_text(source_name(program, stage, language))
+                sources.texts[language, Stage(stage)] = text
 
     def _check(self, where: str, op: Op, values: list[Any], failure: Failure | None) -> list[Any]:
         """Return the arguments in the form that backends receive: memory as bytes."""

@@ -41,12 +41,14 @@ from rhi.contract.descriptors import (
     TextureKind,
     VertexArrayDescriptor,
 )
+from rhi.contract.formats import Format
 from rhi.contract.layout import VectorType
 from rhi.contract.limits import ANY_DEVICE, Fault, Faults
 from rhi.contract.states import PER_TARGET, PlatformState, StateChange
+from rhi.device.resources.programs import shader_kind
 from rhi.errors import refuse, rules
+from rhi.shading.language.types import ImageType, TextureType
 from rhi.trace.archive import ArchiveReader
-from rhi.trace.codec import read_image_type
 from rhi.trace.ids import kinds_of
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
 
@@ -568,24 +570,29 @@ def binding_faults(context: StreamContext) -> Faults:
         resources: Any = context.resources[bound[0]]
         if isinstance(resources, TextureDescriptor):
             layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
-            kind, image_type = (
-                resources.kind if layered else TextureKind.D2,
-                read_image_type(str(binding.type)),
-            )
-            if image_type is not None and (
-                image_type[0] is not kind or image_type[2] not in (None, resources.format)
-            ):
+            kind = resources.kind if layered else TextureKind.D2
+            if not _fits_type(binding.type, kind, resources.format):
                 yield Fault(
                     rules.BINDING_TYPE,
                     f"{kind.value} of {resources.format.name}",
                     f"{binding.name}: {binding.type}",
                 )
-            several = image_type is not None and image_type[1]
+            several = isinstance(binding.type, TextureType) and binding.type.samples
             if (resources.samples > 1) != several:
                 allowed = f"{binding.name}: {'several' if several else 1}"
                 yield Fault(rules.BINDING_TYPE, f"{resources.samples} samples", allowed)
         elif binding.kind is BindingKind.UNIFORM and bound[2] < binding.size:
             yield Fault(rules.BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
+
+
+def _fits_type(type: object, kind: TextureKind, format: Format) -> bool:
+    """Whether a texture of this kind and format fits a binding of this type. Old files name some types by
+    texts that say nothing of formats; anything fits those."""
+    if isinstance(type, TextureType):
+        return type.kind is kind and str(type.scalar) == shader_kind(format)
+    if isinstance(type, ImageType):
+        return type.kind is kind and type.format is format
+    return True
 
 
 def check_capabilities(stream: CommandStream, device: Capabilities) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from testing_kit import SampleFrame, gl_works
+from numpy.typing import NDArray
+from testing_kit import SampleFrame, backend_works, gl_works
 from trace_kit import VERSION_1, Doubled, record, record_much
 
 import rhi
@@ -15,9 +16,10 @@ from rhi import CullMode, Format, LineWidth, Op, PolygonMode
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
-from rhi.contract.descriptors import BufferDescriptor
+from rhi.contract.descriptors import BufferDescriptor, Stage, StageText
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY, PASS_OPEN
+from rhi.shading import emitters, register_language
 from rhi.testing import expect
 from rhi.trace import diff, load, replay, save
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_INCOMPLETE
@@ -184,6 +186,61 @@ def test_a_dispatch_recorded_on_null_computes_on_another_backend(tmp_path: Path,
         result = replay(load(tmp_path / "t.zip", trusted=True), on=device)
         data = device._backend.read_buffer(result.ids[doubled.owner.id], 0, 32)
     assert np.frombuffer(data, np.int32).tolist() == list(range(0, 16, 2))
+
+
+SOURCES = [name for name in ("null", "gl", "cl", "wgpu") if backend_works(name)]
+TARGETS = [name for name in SOURCES if name != "null"]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A trace of the same frames from each backend."""
+    files = {name: tmp_path_factory.mktemp("traces") / f"{name}.zip" for name in SOURCES}
+    for name, path in files.items():
+        with rhi.create_device(name, record=True) as device:
+            record_much(device)
+            save(device, path)
+    return files
+
+
+@pytest.fixture(scope="module")
+def drawn_image() -> NDArray[np.uint8]:
+    """The image that the frames give when they are drawn, and not replayed."""
+    with rhi.create_device(TARGETS[0]) as device:
+        image = record_much(device).read()
+    assert len(np.unique(image.reshape(-1, 4), axis=0)) >= 2  # something is drawn
+    return image
+
+
+@pytest.mark.skipif(not TARGETS, reason="no device that draws")
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_trace_of_any_backend_replays_on_any_other(
+    recordings: dict[str, Path], drawn_image: NDArray[np.uint8], source: str, target: str
+) -> None:
+    with rhi.create_device(target) as device:
+        result = replay(load(recordings[source], trusted=True), on=device)
+    assert result.image is not None
+    np.testing.assert_array_equal(result.image, drawn_image)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_trace_of_any_backend_replays_on_null(recordings: dict[str, Path], source: str) -> None:
+    trace = load(recordings[source])
+    with rhi.create_device("null") as device:
+        assert replay(trace, on=device).commands == len(trace)
+
+
+def test_a_trace_has_texts_in_the_language_of_a_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    languages = dict(emitters._LANGUAGES)
+    monkeypatch.setattr(emitters, "_LANGUAGES", languages)
+    register_language("metal", lambda code, stage: StageText(f"metal {stage.value}"))
+    with rhi.create_device("null") as device:
+        device.program(Colored)
+        save(device, tmp_path / "t.zip")
+    del languages["metal"]  # reading a trace doesn't need the port
+    (creation,) = load(tmp_path / "t.zip", trusted=True).stream.filter(Op.CREATE_PROGRAM)
+    assert creation["descriptor"].emit("metal", Stage.VERTEX).text == "metal vertex"
 
 
 # -- failures ------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from rhi.trace import diff, load, reduce, replay, save
 from rhi.trace.rules import TRACE_COMMAND, TRACE_REFERENCE, TRACE_TRUST
 
 Change = Callable[[dict[str, Any]], object]
-DRAWING = [name for name in ("gl", "cl") if backend_works(name)]
+DRAWING = [name for name in ("gl", "cl", "wgpu") if backend_works(name)]
 drawing = pytest.mark.parametrize("backend", DRAWING)
 
 
@@ -236,6 +236,26 @@ def test_a_texture_has_the_samples_that_its_program_reads(
         changed = edit_texture(file, source.id, samples=5 - samples)
         with refuses(TRACE_REFERENCE):
             replay(load(changed, trusted=True), on=device)
+
+
+@drawing
+@pytest.mark.parametrize(("format", "accepted"), [("R8", True), ("RG32I", False), ("R32UI", False)])
+def test_a_texture_has_the_numbers_that_its_program_reads(
+    tmp_path: Path, backend: str, format: str, accepted: bool
+) -> None:
+    file = tmp_path / "t.zip"
+    with rhi.create_device("null", record=True) as device, device.mesh(rectangle()) as mesh:
+        source, target = (device.texture((4, 4), rhi.Format.RGBA8) for _ in range(2))
+        with device.render_pass(target):
+            device.draw(device.program(Loads), mesh, source=source)
+        save(device.stream, file)
+    changed = load(edit_texture(file, source.id, format=format), trusted=True)
+    with rhi.create_device(backend) as device:
+        if accepted:
+            replay(changed, on=device)
+        else:
+            with refuses(TRACE_REFERENCE):
+                replay(changed, on=device)
 
 
 def test_a_draw_needs_the_vertex_array_of_its_program(tmp_path: Path) -> None:
