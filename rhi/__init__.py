@@ -86,7 +86,6 @@ from rhi.device.core.state_cache import StateVector as StateVector
 from rhi.device.device import Device as Device
 from rhi.device.encoder import Encoder as Encoder
 from rhi.device.encoder import IndirectDraws as IndirectDraws
-from rhi.device.fallback import install_fallback as install_fallback
 from rhi.device.immediate import Immediate as Immediate
 from rhi.device.passes import RenderPass as RenderPass
 from rhi.device.preparation import DrawPlan as DrawPlan
@@ -97,7 +96,6 @@ from rhi.device.queries.timers import TimerNode as TimerNode
 from rhi.device.registry import backend_names as backend_names
 from rhi.device.registry import create_device as create_device
 from rhi.device.registry import report as report
-from rhi.device.reloading import Reloader as Reloader
 from rhi.device.resources.buffers import Buffer as Buffer
 from rhi.device.resources.buffers import StorageBuffer as StorageBuffer
 from rhi.device.resources.buffers import UniformArray as UniformArray
@@ -127,13 +125,20 @@ from rhi.shading.language.builtins import Precision as Precision
 
 if _TYPE_CHECKING:
     from rhi import math as math
+    from rhi.device.fallback import install_fallback as install_fallback
+    from rhi.device.reloading import Reloader as Reloader
 
 __version__ = "0.1.0"
 
-__all__ = _list_public(globals())
+_LATER = {"Reloader": "rhi.device.reloading", "install_fallback": "rhi.device.fallback"}
+"""Names whose modules are imported on first use: they need the shaders' compiler, which is slow to import."""
+
+__all__ = sorted([*_list_public(globals()), *_LATER])
 
 
 def __getattr__(name: str) -> _Any:
+    if name in _LATER:
+        return getattr(_import_module(_LATER[name]), name)
     if name != "math":  # which is imported when it is asked for
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return _import_module("rhi.math")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("rhi", "rhi_screen", "renderer", "scripts", "benchmarks", "examples", "tests")
+FOLDERS = ("rhi", "rhi_pytest", "rhi_screen", "renderer", "scripts", "benchmarks", "examples", "tests")
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 SECTION = re.compile(r"( *)(Args|Attributes|Raises|Returns|Yields):\s*")
 EXTRA_NAMES = {

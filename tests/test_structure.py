@@ -19,8 +19,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("rhi", "rhi_screen", "renderer")
-FOLDERS = ("rhi", "rhi_screen", "renderer", "examples", "benchmarks", "tests")
+PACKAGES = ("rhi", "rhi_pytest", "rhi_screen", "renderer")
+FOLDERS = ("rhi", "rhi_pytest", "rhi_screen", "renderer", "examples", "benchmarks", "tests")
 PAGES = [
     *sorted(ROOT.glob("*.md")),
     *sorted((ROOT / "docs").glob("*.md")),
@@ -33,7 +33,7 @@ PROGRAMS = [
     if path.suffix in (".py", ".pyi")
 ]
 TICKED = re.compile(r"`([^`\n]+)`")
-DOTTED = re.compile(r"(?:rhi_screen|rhi|renderer)(?:\.\w+)+")
+DOTTED = re.compile(r"(?:rhi_screen|rhi_pytest|rhi|renderer)(?:\.\w+)+")
 FILE = re.compile(
     r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)"
 )

@@ -35,8 +35,8 @@ class Nodes:
             `order`.
         hidden_itself: (n,) bool, whether a node is hidden by itself; changed by `hide` and `show`.
         hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
-        keeps_parent: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space
-            above it.
+        keeps_parent: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the
+            space above it.
         index_of_id: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
         last_writer: the simulator that has last set transforms; None if something else has.

@@ -116,7 +116,9 @@ class LightPairs(PairReader):
         return {_pair_bounds(LOCAL_LIGHT_KINDS)}
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        return sl.vec4(self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), v.lights), 0.0)
+        return sl.vec4(
+            self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), v.lights), 0.0
+        )
 """,
     "LightPairs",
     __name__,
@@ -139,14 +141,18 @@ VisibleLightPairs: Final[type[VisiblePairReader]] = define(
     f"""
 class VisibleLightPairs(VisiblePairReader):
     def list_lights(self, object_data: Object) -> LightBounds:
-        return LightBounds(self.pairs[sl.instance_index()].entry, self.get_object_index(){", 0" * (KIND_COUNT - 1)})
+        return LightBounds(
+            self.pairs[sl.instance_index()].entry, self.get_object_index(){", 0" * (KIND_COUNT - 1)}
+        )
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
         if self.visible_objects.load(sl.ivec2(sl.fragment_coordinate().xy)).x != sl.uint(v.lights.y + 1):
             return sl.vec4(0.0)
         entry = v.lights.x
         lights = {_pair_bounds(LOCAL_LIGHT_KINDS)}
-        return sl.vec4(self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), lights), 0.0)
+        return sl.vec4(
+            self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), lights), 0.0
+        )
 """,
     "VisibleLightPairs",
     __name__,

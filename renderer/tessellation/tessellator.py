@@ -45,8 +45,8 @@ class FieldTessellation:
 
     Attributes:
         field: the height field. row: the row of its object.
-        limited_views: how many of the views so far needed more triangles than the field's limit, as far as is known
-            without waiting. Their triangles are those of as many levels as fit.
+        limited_views: how many of the views so far needed more triangles than the field's limit, as far as is
+            known without waiting. Their triangles are those of as many levels as fit.
     """
 
     def __init__(self, device: Device, resources: SceneResources, object_index: int) -> None:

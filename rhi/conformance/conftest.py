@@ -16,7 +16,12 @@ import pytest
 import rhi
 from rhi.conformance.plugin import FAILED, PROPERTY
 from rhi.conformance.shapes import rectangle
-from rhi.testing.plugin import get_backend_names
+from rhi_pytest import get_backend_names
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the kit's plugin, unless an option or another conftest has done so."""
+    config.pluginmanager.import_plugin("rhi.conformance.plugin")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

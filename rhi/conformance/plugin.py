@@ -4,8 +4,9 @@
 - A test that fails because a method of the backend is missing is reported as "missing", apart from failures:
   the scoreboard counts it, and no traceback is printed for it, which would say no more.
 
-Pytest loads it through an entry point. It also loads `rhi.testing.plugin`, with the fixtures for users' tests
-and the option `--rhi-backend`: pytest would not know the option if a conftest below `--pyargs` defined it.
+The kit's conftest registers it, so pytest imports it only when it collects the kit. The option
+`--rhi-backend` comes from `rhi_pytest`, which pytest loads through an entry point: it would not know the
+option if a conftest below `--pyargs` defined it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import pytest
 
 from rhi.conformance.port_steps import STEPS, missing_method, step_of
 
-pytest_plugins = ("rhi.testing.plugin",)
+pytest_plugins = ("rhi_pytest",)
 
 PROPERTY: Final = "rhi-conformance"
 """Key of the user property that holds the backend and group of a kit test."""

@@ -52,7 +52,8 @@ pip install --editable .[test]
 pytest --pyargs rhi.conformance --rhi-backend {name} -q
 ```
 
-`rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` explains what each must do.
+`rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` explains what
+each must do.
 """
 
 _INIT: Final = '''\
@@ -118,7 +119,8 @@ class {type}:
 
     @property
     def capabilities(self) -> Capabilities:
-        """The features and limits of this device. Set to False what the platform lacks: its tests are then skipped."""
+        """The features and limits of this device. Set to False what the platform lacks: its tests are
+        then skipped."""
         return self._capabilities
 
     def close(self) -> None:
@@ -164,7 +166,8 @@ def _methods() -> Iterator[str]:
 def _method(name: str) -> str:
     function = getattr(Backend, name)
     signature = inspect.signature(function)
-    head = f"    def {name}({', '.join(map(str, signature.parameters.values()))}) -> {signature.return_annotation}:"
+    parameters = ", ".join(map(str, signature.parameters.values()))
+    head = f"    def {name}({parameters}) -> {signature.return_annotation}:"
     head = head.replace("'", "")
     if len(head) > LINE:
         parameters = "".join(f"        {parameter},\n" for parameter in signature.parameters.values())

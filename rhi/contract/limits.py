@@ -13,6 +13,7 @@ from math import prod
 from typing import Any, Final, NamedTuple
 
 from rhi.contract import states
+from rhi.contract.alternatives import ALTERNATIVES
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
@@ -49,6 +50,19 @@ class Fault(NamedTuple):
 
 
 Faults = Iterator[Fault]
+
+
+def lack(given: str, capability: str, allowed: str = "", rule: Rule = rules.DEVICE_CAPABILITY) -> Fault:
+    """Return the fault of a call that needs a capability which the device lacks; the tip says what to use
+    instead.
+
+    Args:
+        capability: a field of `Capabilities`.
+        allowed: what is allowed; by default this names the capability.
+    """
+    needed = "not among" if capability.endswith("_formats") else "needs"
+    return Fault(rule, given, allowed or f"{needed} capabilities.{capability}", ALTERNATIVES[capability])
+
 
 _MANY: Final = 1 << 16
 MAX_ROW_BYTES: Final = (1 << 31) - 1
@@ -111,9 +125,7 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
         yield Fault(rules.TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
     if descriptor.format in limits.unsupported_formats:
-        yield Fault(
-            rules.DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats"
-        )
+        yield lack(descriptor.format.name, "unsupported_formats")
     minimum, maximum = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
         kind, (1, limits.max_texture_layers)
     )
@@ -121,7 +133,7 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
         yield Fault(rules.TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{minimum} to {maximum}")
     if layers > limits.max_texture_layers:
         allowed = f"up to capabilities.max_texture_layers, {limits.max_texture_layers}"
-        yield Fault(rules.DEVICE_CAPABILITY, f"{layers} layers of {kind.name}", allowed)
+        yield lack(f"{layers} layers of {kind.name}", "max_texture_layers", allowed)
     if kind is TextureKind.CUBE and width != height:
         yield Fault(rules.TEXTURE_SIZE, f"a cube of {width}×{height}", "square faces")
     maximum = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
@@ -135,7 +147,7 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
         )
     if samples > 1 and descriptor.format in limits.single_sampled_formats:
         given = f"{samples} samples of {descriptor.format.name}"
-        yield Fault(rules.DEVICE_CAPABILITY, given, "not among capabilities.single_sampled_formats")
+        yield lack(given, "single_sampled_formats")
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
         yield Fault(
             rules.TEXTURE_SAMPLES,
@@ -147,7 +159,7 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
     yield from compressed_faults(descriptor)
     if descriptor.compressed is not None and descriptor.compressed not in limits.compressed_formats:
         given = descriptor.compressed.name
-        yield Fault(rules.DEVICE_CAPABILITY, given, "a format among capabilities.compressed_formats")
+        yield lack(given, "compressed_formats", "a format among capabilities.compressed_formats")
 
 
 def compressed_faults(descriptor: TextureDescriptor) -> Faults:
@@ -165,9 +177,9 @@ def sampler_faults(descriptor: SamplerDescriptor, limits: Capabilities) -> Fault
     """Yield what a device lacks for a sampler."""
     if descriptor.max_anisotropy > limits.max_anisotropy:
         maximum = f"up to capabilities.max_anisotropy, {limits.max_anisotropy:g}"
-        yield Fault(rules.DEVICE_CAPABILITY, f"max_anisotropy={descriptor.max_anisotropy:g}", maximum)
+        yield lack(f"max_anisotropy={descriptor.max_anisotropy:g}", "max_anisotropy", maximum)
     if descriptor.uses_border and not limits.border_colors:
-        yield Fault(rules.DEVICE_CAPABILITY, str(Wrap.BORDER), "needs capabilities.border_colors")
+        yield lack(str(Wrap.BORDER), "border_colors")
 
 
 def level_faults(texture: TextureDescriptor, level: int, layer: int = 0) -> Faults:
@@ -272,7 +284,7 @@ def row_faults(
     texel = texture.format.transfer_bytes
     yield from plain_faults(texture)
     if not limits.texture_buffer_copies:
-        yield Fault(rules.DEVICE_CAPABILITY, texture.format.name, "needs capabilities.texture_buffer_copies")
+        yield lack(texture.format.name, "texture_buffer_copies")
     yield from region_faults(texture, level, region)
     yield from single_sample_faults(texture)
     minimum, step = region.width * texel, max(texel, limits.copy_row_alignment)
@@ -293,9 +305,7 @@ def row_faults(
 def resolve_faults(source: TextureDescriptor, target: TextureDescriptor, limits: Capabilities) -> Faults:
     """Yield why a texture can't be resolved to another."""
     if source.format in limits.unresolvable_formats:
-        yield Fault(
-            rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats"
-        )
+        yield lack(source.format.name, "unresolvable_formats")
     if source.samples == 1 or target.samples != 1:
         yield Fault(
             rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1"
@@ -466,7 +476,7 @@ def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, siz
 def count_faults(offset: int, size: int, limits: Capabilities) -> Faults:
     """Yield why the number of draws can't be read at an offset of a buffer of `size` bytes."""
     if not limits.indirect_count:
-        yield Fault(rules.DEVICE_CAPABILITY, "a count from a buffer", "needs capabilities.indirect_count")
+        yield lack("a count from a buffer", "indirect_count")
     if not 0 <= offset <= size - 4:
         yield Fault(rules.INDIRECT_RANGE, f"count at byte {offset}", f"within {size} bytes")
 
@@ -495,15 +505,13 @@ def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
         kind, "timestamps"
     )
     if not getattr(limits, needed):
-        yield Fault(rules.DEVICE_CAPABILITY, f"a {kind.value} query", f"needs capabilities.{needed}")
+        yield lack(f"a {kind.value} query", needed)
 
 
 def condition_faults(limits: Capabilities) -> Faults:
     """Yield what a device lacks for conditions."""
     if not limits.conditional_rendering:
-        yield Fault(
-            rules.DEVICE_CAPABILITY, "conditional rendering", "needs capabilities.conditional_rendering"
-        )
+        yield lack("conditional rendering", "conditional_rendering")
 
 
 # -- programs, states, passes --------------------------------------------------------------------------------
@@ -525,39 +533,34 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     for kind, maximum in room.items():
         used = sum(binding.kind is kind for binding in descriptor.bindings)
         if used > maximum:
-            yield Fault(rules.DEVICE_CAPABILITY, f"{used} {kind.value} bindings", f"at most {maximum}")
+            yield lack(f"{used} {kind.value} bindings", f"max_{kind.value}_slots", f"at most {maximum}")
     if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
         given = "a point size" if descriptor.point_size else "point_coordinate()"
-        yield Fault(rules.DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
+        yield lack(given, "max_point_size")
     if descriptor.reads_draw_index and not limits.draw_index:
-        yield Fault(rules.DEVICE_CAPABILITY, "draw_index()", "needs capabilities.draw_index")
+        yield lack("draw_index()", "draw_index")
     if descriptor.early_depth and not limits.early_depth:
-        yield Fault(rules.DEVICE_CAPABILITY, "early_depth = True", "needs capabilities.early_depth")
+        yield lack("early_depth = True", "early_depth")
     if descriptor.vertex_writes and not limits.vertex_writes:
-        yield Fault(
-            rules.DEVICE_CAPABILITY, "a vertex stage that writes memory", "needs capabilities.vertex_writes"
-        )
+        yield lack("a vertex stage that writes memory", "vertex_writes")
     for binding in descriptor.bindings:
         if binding.kind is BindingKind.IMAGE:
             yield from _image_faults(binding, limits)
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         given = f"{len(descriptor.attributes)} attributes"
-        yield Fault(rules.DEVICE_CAPABILITY, given, f"at most {limits.max_vertex_attributes}")
+        yield lack(given, "max_vertex_attributes", f"at most {limits.max_vertex_attributes}")
     if Stage.VERTEX in descriptor.stages and not limits.draws:
-        yield Fault(
-            rules.DEVICE_CAPABILITY, show_stages(descriptor), "a compute program: needs capabilities.draws"
-        )
+        yield lack(show_stages(descriptor), "draws", "a compute program: needs capabilities.draws")
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = group = descriptor.work_group
         total = limits.max_work_group_invocations
         fits = all(0 < n <= maximum for n, maximum in zip(group, limits.max_work_group, strict=True))
         if not limits.compute or not fits or x * y * z > total:
-            yield Fault(
-                rules.DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
-            )
+            allowed = f"{limits.max_work_group}, {total} in all" if limits.compute else ""
+            yield lack(f"work-group {x}×{y}×{z}", "max_work_group" if limits.compute else "compute", allowed)
         if descriptor.shared_bytes > limits.max_shared_bytes:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
-            yield Fault(rules.DEVICE_CAPABILITY, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+            yield lack(f"{descriptor.shared_bytes} bytes of shared memory", "max_shared_bytes", allowed)
 
 
 def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
@@ -565,13 +568,9 @@ def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
     format = getattr(binding.type, "format", None)  # descriptors that are made by hand may have no types
     given = f"{binding.name}, an image of {format.name}" if isinstance(format, Format) else ""
     if format in limits.unstorable_formats:
-        yield Fault(rules.DEVICE_CAPABILITY, given, "not among capabilities.unstorable_formats")
+        yield lack(given, "unstorable_formats")
     if binding.writes and binding.reads and format in limits.unloadable_formats:
-        yield Fault(
-            rules.DEVICE_CAPABILITY,
-            f"{given} that is loaded from",
-            "not among capabilities.unloadable_formats",
-        )
+        yield lack(f"{given} that is loaded from", "unloadable_formats")
 
 
 def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faults:
@@ -620,10 +619,10 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
         )
     needs = _REQUIRED_CAPABILITIES.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
-        yield Fault(rules.STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
+        yield lack(repr(state), needs[0], rule=rules.STATE_CAPABILITY)
     if isinstance(state, states.LineWidth) and state.width > limits.max_line_width:
         maximum = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
-        yield Fault(rules.STATE_CAPABILITY, repr(state), maximum)
+        yield lack(repr(state), "max_line_width", maximum, rules.STATE_CAPABILITY)
 
 
 def target_bytes(formats: Iterable[Format]) -> int:
@@ -649,14 +648,12 @@ def pass_faults(
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
     used = [textures[target.texture] for target in targets]
     if len(colors) > limits.max_color_targets:
-        yield Fault(rules.DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
+        yield lack(f"{len(colors)} color targets", "max_color_targets", f"{limits.max_color_targets}")
     if 16 * len(colors) > limits.max_target_bytes:  # no texel has more
         taken = target_bytes(texture.format for texture in used[: len(colors)])
         if taken > limits.max_target_bytes:
             allowed = f"up to capabilities.max_target_bytes, {limits.max_target_bytes}"
-            yield Fault(
-                rules.DEVICE_CAPABILITY, f"texels of {taken} bytes in {len(colors)} color targets", allowed
-            )
+            yield lack(f"texels of {taken} bytes in {len(colors)} color targets", "max_target_bytes", allowed)
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
         yield Fault(rules.PASS_TARGET, "the same texture twice", "each level and layer once")
     for texture in used[: len(colors)]:
@@ -680,9 +677,7 @@ def pass_faults(
             continue
         end = textures[color.resolve]
         if source.format in limits.unresolvable_formats:
-            yield Fault(
-                rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats"
-            )
+            yield lack(source.format.name, "unresolvable_formats")
         fits = (
             source.samples > 1
             and end.samples == 1

@@ -11,11 +11,6 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 from rhi.errors.exports import list_public as _list_public
-from rhi.shading.compile import compile_shader as compile_shader
-from rhi.shading.compile import opencl_kernel as opencl_kernel
-from rhi.shading.compile import stage_trees as stage_trees
-from rhi.shading.emitters import ShaderCode as ShaderCode
-from rhi.shading.emitters import register_language as register_language
 from rhi.shading.language.annotations import Flat as Flat
 from rhi.shading.language.annotations import FragmentDepth as FragmentDepth
 from rhi.shading.language.annotations import NoPerspective as NoPerspective
@@ -42,6 +37,11 @@ from rhi.shading.language.textures import *  # noqa: F403
 from rhi.shading.language.vectors import *  # noqa: F403
 
 if _TYPE_CHECKING:
+    from rhi.shading.compile import compile_shader as compile_shader
+    from rhi.shading.compile import opencl_kernel as opencl_kernel
+    from rhi.shading.compile import stage_trees as stage_trees
+    from rhi.shading.emitters import ShaderCode as ShaderCode
+    from rhi.shading.emitters import register_language as register_language
     from rhi.shading.evaluation.compute import evaluate as evaluate
     from rhi.shading.evaluation.compute import run_compute as run_compute
     from rhi.shading.evaluation.stages import run_fragment as run_fragment
@@ -52,13 +52,18 @@ if _TYPE_CHECKING:
 _LATER = {
     "HostTexture": "numpy.host_textures",
     "NumpyKernel": "numpy.kernel",
+    "ShaderCode": "emitters",
+    "compile_shader": "compile",
     "evaluate": "evaluation.compute",
+    "opencl_kernel": "compile",
+    "register_language": "emitters",
     "run_compute": "evaluation.compute",
     "run_fragment": "evaluation.stages",
     "run_vertex": "evaluation.stages",
+    "stage_trees": "compile",
 }
-"""Names whose modules are imported on first use: few programs need them, and they would double the import
-time."""
+"""Names whose modules are imported on first use. The compiler is needed when a program is made, the others by
+few programs, and they would double the import time."""
 
 
 def __getattr__(name: str) -> _Any:

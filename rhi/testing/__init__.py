@@ -10,7 +10,7 @@
 - `binding_data` returns the numbers in a uniform or storage binding at a command (`binding_data`).
 - `explain_invisible_draw` lists possible reasons why a draw isn't visible (`nothing`).
 - `portability` checks a frame against the capabilities of other devices.
-- `plugin` is the pytest plugin: fixtures and the option `--rhi-backend`.
+- The pytest plugin, with fixtures and the option `--rhi-backend`, is the package `rhi_pytest`.
 """
 
 from rhi.testing.buffer_tracking import UnknownDataError, binding_data

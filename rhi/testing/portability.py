@@ -38,7 +38,8 @@ class Obstacle:
         error = self.error
         value = f": {error.given}" if error.given else ""
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-        return f"{self.capability}: {error.call}{value}{allowed}  {error.site or ''}  [{error.rule.id}]"
+        tip = f"; {error.tip}" if error.tip else ""
+        return f"{self.capability}: {error.call}{value}{allowed}{tip}  {error.site or ''}  [{error.rule.id}]"
 
 
 @dataclass(frozen=True)

@@ -351,7 +351,7 @@ class Copy:
             shutil.copy2(project / file, folder / file)
         # The bytecode is valid for a text, not for a time: a fault is often as old and as long as what it
         # replaces.
-        for package in ("rhi", "rhi_screen", "renderer", "tests"):
+        for package in ("rhi", "rhi_pytest", "rhi_screen", "renderer", "tests"):
             if (folder / package).is_dir():
                 compileall.compile_dir(
                     folder / package, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH

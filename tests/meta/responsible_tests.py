@@ -165,7 +165,7 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
             paths[file] = None
         elif path.parts[0] == "tests":
             paths |= dict.fromkeys(_list_test_importers(root, path))
-        elif path.parts[0] in ("rhi", "rhi_screen", "renderer"):
+        elif path.parts[0] in ("rhi", "rhi_pytest", "rhi_screen", "renderer"):
             paths |= dict.fromkeys(_choose_near_tests(root, path))
             if path.parts[:2] == ("rhi", "backends") and path.parts[2] in _BACKENDS:
                 kits[path.parts[2]] = None

@@ -111,7 +111,9 @@ def _define_volumes(kind: LocalLightKind) -> type[VolumeShader]:
         """
 class ${Element}Volumes(KindVolume, VolumeShader):
     def is_reached(self, position: sl.vec3, light: int) -> bool:
-        return is_within_range(position, self.${kind}_lights[light].position, self.${kind}_lights[light].range)
+        return is_within_range(
+            position, self.${kind}_lights[light].position, self.${kind}_lights[light].range
+        )
 
     def light_incidence(self, position: sl.vec3, light: int) -> Incidence:
         return $incidence(position, self.${kind}_lights[light])

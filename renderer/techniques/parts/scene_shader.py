@@ -345,7 +345,9 @@ else:
         + for_each_kind(
             """
     def shade_${kind}_light(self, surface: SurfacePoint, light_index: int) -> sl.vec3:
-        if not in_range(surface, self.${kind}_lights[light_index].position, self.${kind}_lights[light_index].range):
+        if not in_range(
+            surface, self.${kind}_lights[light_index].position, self.${kind}_lights[light_index].range
+        ):
             return sl.vec3(0.0)
         if self.has_${kind}_spheres:
             size = self.squared_angular_sizes(

@@ -153,7 +153,8 @@ class OpenScopes(FixedStack[Scope]):
         if _may_raise(error):
             given = f"{inner.describe()}, entered inside it, is still open"
             if self.records_lines:
-                given += f"\nentered at {self._lines.get(index + 1)}, the one around it at {self._lines.get(index)}"
+                entry, around = self._lines.get(index + 1), self._lines.get(index)
+                given += f"\nentered at {entry}, the one around it at {around}"
             self.refusals.refuse(
                 SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope"
             )

@@ -560,7 +560,10 @@ def as_constants(check: ArgumentChecker, value: Any) -> tuple[Any, Struct]:
         elif array.shape == (len(array), len(array)) and scalar is FLOAT:
             kind = CLASSES.get(len(array))
     if kind is None or not is_host_shareable(value_type_of(kind)):
-        allowed = "a struct, e.g. Tint(scale=(1, 1, 1)), a number, or an array: 2 to 4 numbers, or 2×2 to 4×4 floats"
+        allowed = (
+            "a struct, e.g. Tint(scale=(1, 1, 1)), a number, "
+            "or an array: 2 to 4 numbers, or 2×2 to 4×4 floats"
+        )
         check.fail("value", value, allowed)
     return kind, _wrapper(kind)(value=value)
 

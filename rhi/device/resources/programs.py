@@ -31,7 +31,6 @@ from rhi.errors import ShaderWarning, ValidationError, rules
 from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.shading import Precision, Shader, Struct
-from rhi.shading.compile import describe_with_precision, list_exact_functions
 from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
 
 P = ParamSpec("P")
@@ -440,10 +439,14 @@ class ProgramTable:
 
     def compile(self, shader: type[Shader]) -> ProgramDescriptor:
         """Compile a shader in its own precision, or else in the device's."""
+        from rhi.shading.compile import describe_with_precision  # slow to import: when a program needs it
+
         return describe_with_precision(shader, self.precision)
 
     def list_exact_functions(self, shader: type[Shader]) -> list[str]:
         """Return the functions of a shader that run in `Precision.EXACT` here and have a faster form."""
+        from rhi.shading.compile import list_exact_functions
+
         return list_exact_functions(shader) if self.compile(shader).flushes_denormals is False else []
 
     def find(self, shader: object) -> Program[...] | None:

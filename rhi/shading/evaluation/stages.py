@@ -151,8 +151,8 @@ def run_fragment(
         bindings: as for `run_compute`.
 
     Raises:
-        ValidationError `shading-arguments`: a varying or binding is missing, unknown or has another shape; or the stage
-            uses `ddx` or `ddy` and the number of rows or columns is odd.
+        ValidationError `shading-arguments`: a varying or binding is missing, unknown or has another shape; or
+            the stage uses `ddx` or `ddy` and the number of rows or columns is odd.
         ShaderError: the shader has no fragment stage, or breaks a rule.
     """
     call = f"run_fragment({shader.__name__}, …)"

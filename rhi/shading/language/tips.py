@@ -71,7 +71,8 @@ FOREIGN: Final[dict[str, str]] = {
     "textureQueryLevels": _SAMPLING + "self.albedo.levels()",
     "textureSize": _SAMPLING + "self.albedo.size()",
     "imageLoad": "an image is a field of the shader, and its methods access it: self.target.load(texel)",
-    "imageStore": "an image is a field of the shader, and its methods access it: self.target.store(texel, value)",
+    "imageStore": "an image is a field of the shader, and its methods access it: "
+    "self.target.store(texel, value)",
     "imageSize": "an image is a field of the shader, and its methods access it: self.target.size()",
     "sampler2D": "annotate the field with Texture2D; the sampler is bound with the texture",
     "samplerCube": "annotate the field with TextureCube; the sampler is bound with the texture",
@@ -137,7 +138,8 @@ FOREIGN: Final[dict[str, str]] = {
     "eye": "use mat4(1.0)",
     "identity": "use mat4(1.0)",
     # Python
-    "print": "devices can't print: store the value in a StorageRW and read that, or call the shader on the CPU with "
+    "print": "devices can't print: store the value in a StorageRW and read that, "
+    "or call the shader on the CPU with "
     "run_compute(…), run_vertex(…) or run_fragment(…)",
     "divmod": "write x // y and x % y",
     "enumerate": "write for i in range(len(values)): value = values[i]",

@@ -186,7 +186,10 @@ class FunctionParser:
             return tree.Construct(expected_type, span_of(node), parts)
         parse = self.stage.parsers.expressions.get(type(node))
         if parse is None:
-            tip = "array(float, 4) makes an array of zeros; a constant array is a tuple defined in the module or class"
+            tip = (
+                "array(float, 4) makes an array of zeros; "
+                "a constant array is a tuple defined in the module or class"
+            )
             self.unsupported(node, tip if isinstance(node, ast.List) else "")
         self.nest(node)
         result = parse(self, node)

@@ -195,7 +195,8 @@ class TextWriter:
             return index
         limit = self.limit(node)
         if node.index.type is UINT:
-            return f"min({index}, {f'{int(limit) - 1}u' if limit.isdigit() else f'{self.type(UINT)}({limit} - 1)'})"
+            last = f"{int(limit) - 1}u" if limit.isdigit() else f"{self.type(UINT)}({limit} - 1)"
+            return f"min({index}, {last})"
         return f"clamp({index}, 0, {int(limit) - 1 if limit.isdigit() else f'{limit} - 1'})"
 
     def limit(self, node: tree.Index) -> str:
@@ -207,7 +208,8 @@ class TextWriter:
     def bounds_test(self, node: tree.Index, index: str) -> str:
         """Return the condition under which an index is inside."""
         limit = self.limit(node)
-        return f"{self.type(UINT)}({index}) < {f'{limit}u' if limit.isdigit() else f'{self.type(UINT)}({limit})'}"
+        bound = f"{limit}u" if limit.isdigit() else f"{self.type(UINT)}({limit})"
+        return f"{self.type(UINT)}({index}) < {bound}"
 
     def construct(self, node: tree.Construct) -> str:
         """Return a constructor. A matrix is built from columns in GLSL, so the rows given are transposed."""

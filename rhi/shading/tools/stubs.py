@@ -187,7 +187,8 @@ def _vector_operators(name: str, scalar: ScalarType, size: int) -> Iterator[str]
     floats = str(VECTORS[FLOAT, size])
     divisor = f"{name} | {accepted}" + ("" if scalar is FLOAT else " | float")
     yield f"    def __truediv__(self, other: {divisor}) -> {floats}: ..."
-    yield f"    def __rtruediv__(self, other: {'float' if scalar is not UINT else 'uint | float'}) -> {floats}: ..."
+    dividend = "float" if scalar is not UINT else "uint | float"
+    yield f"    def __rtruediv__(self, other: {dividend}) -> {floats}: ..."
     if scalar is FLOAT:
         yield f"    def __pow__(self, other: {name} | float) -> {name}: ..."
         yield f"    def __matmul__(self, other: mat{size}) -> {name}: ..."

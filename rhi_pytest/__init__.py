@@ -3,18 +3,22 @@
 - `null_device`: a null device. `command_stream`: the commands of that device.
 - `rhi_device`: a recording device on each backend that `--rhi-backend` names (default: `RHI_BACKEND`, else
   null), so that the same test runs without a GPU and, where there is one, with it.
+
+Pytest loads this module through an entry point in each environment where `rhi` is installed. So it imports
+`rhi` only when a test uses a fixture or an option names a backend: other projects' tests pay nothing for it.
+That is why it is a package of its own, because importing a module of `rhi` imports `rhi`.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import pytest
 
-from rhi import CommandStream, Device, DeviceError, create_device
-from rhi.device.registry import load_backend_factory
+if TYPE_CHECKING:
+    from rhi import CommandStream, Device
 
 OPTION: Final = "--rhi-backend"
 
@@ -54,6 +58,9 @@ def _backend_of(item: pytest.Item) -> object:
 
 
 def _check_name(name: str, where: str) -> None:
+    from rhi.device.registry import load_backend_factory
+    from rhi.errors import DeviceError
+
     try:
         load_backend_factory(name)
     except DeviceError as error:
@@ -70,6 +77,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 @pytest.fixture
 def null_device() -> Iterator[Device]:
     """A null device for one test."""
+    from rhi import create_device
+
     with create_device("null") as device:
         yield device
 
@@ -77,6 +86,8 @@ def null_device() -> Iterator[Device]:
 @pytest.fixture
 def rhi_device(request: pytest.FixtureRequest) -> Iterator[Device]:
     """A recording device for one test, on each of the requested backends."""
+    from rhi import create_device
+
     with create_device(request.param, record=True) as device:
         yield device
 
