@@ -83,7 +83,7 @@ class Worker:
         command = [python, str(FOLDER / f"with_{program}.py"), json.dumps(job | {"engine": engine})]
         variables = {"RHI_CACHE": f"{cache}/{engine}", "MESA_SHADER_CACHE_DISABLE": "true"}
         self._log = Path(f"{cache}/{engine}.log")
-        with self._log.open("w") as log:
+        with self._log.open("w", encoding="utf-8") as log:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
@@ -93,6 +93,7 @@ class Worker:
                 env=os.environ
                 | variables
                 | {"PYTHONPATH": str(FOLDER.parents[1]) if program == "rhi" else ""},
+                encoding="utf-8",
             )
         self.device = str(self._read()["device"])
         self.load_s = perf_counter() - begin
@@ -113,7 +114,7 @@ class Worker:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise SystemExit(f"error: an engine has ended: {self._log.read_text()[-2000:]}")
+            raise SystemExit(f"error: an engine has ended: {self._log.read_text(encoding='utf-8')[-2000:]}")
         return json.loads(line)
 
     def close(self) -> None:
@@ -127,11 +128,11 @@ def install(program: str) -> str:
         return sys.executable
     folder = ENVIRONMENTS / program
     python, done = folder / "bin" / "python", folder / "installed.txt"
-    if not done.exists() or done.read_text() != "\n".join(packages):
+    if not done.exists() or done.read_text(encoding="utf-8") != "\n".join(packages):
         note(f"installing {', '.join(packages)} in {folder}")
         venv.create(folder, clear=True, with_pip=True)
         subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
-        done.write_text("\n".join(packages))
+        done.write_text("\n".join(packages), encoding="utf-8")
     return str(python)
 
 

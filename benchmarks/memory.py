@@ -207,7 +207,7 @@ def resident_bytes() -> int:
     """Return the resident memory of this process, without what the C library keeps of memory that was
     freed."""
     trim_heap()
-    lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
+    lines = Path("/proc/self/smaps_rollup").read_text(encoding="utf-8").splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
 
 

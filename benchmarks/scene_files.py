@@ -55,7 +55,7 @@ def write_scene(path: Path, meshes: int, side: int, nodes: int) -> None:
 
 def add_images(path: Path) -> list[bytes]:
     """Give a written document materials with images, in files beside it; return the encoded images."""
-    document = json.loads(path.read_text())
+    document = json.loads(path.read_text(encoding="utf-8"))
     encoded = []
     for number in range(IMAGES):
         blocks = np.random.default_rng(number).integers(
@@ -75,7 +75,7 @@ def add_images(path: Path) -> list[bytes]:
         for primitive in mesh["primitives"]:
             primitive["material"] = number % IMAGES
     document.pop("extras", None)
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(document), encoding="utf-8")
     return encoded
 
 

@@ -150,7 +150,9 @@ def environment() -> dict[str, str]:
 def run_alone(*arguments: str, **variables: str) -> Any:
     """Return what a program prints as JSON in a new interpreter."""
     command = [sys.executable, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment() | variables)
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, env=environment() | variables, encoding="utf-8"
+    )
     return json.loads(done.stdout)
 
 
@@ -167,7 +169,7 @@ def time_scene(scene: str, backend: str) -> dict[str, float]:
     figures = {}
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / f"{scene}.py"  # shaders are read from files
-        script.write_text(HEAD + shaders + TAIL)
+        script.write_text(HEAD + shaders + TAIL, encoding="utf-8")
         for state, is_off in (("cold", "true"), ("warm", "false")):
             variables = {"RHI_CACHE": f"{folder}/cache", "MESA_SHADER_CACHE_DISABLE": is_off}
             figures_alone = run_alone(str(script), backend, *arguments, **variables)

@@ -41,7 +41,7 @@ MARKS: Final = ("", " (emulated)")
 
 PLATFORMS: Final = ("PC", "Xbox 360", "PlayStation 3", "Wii")
 
-_THESIS: Final = json.loads(Path(__file__).with_name("thesis.json").read_text())
+_THESIS: Final = json.loads(Path(__file__).with_name("thesis.json").read_text(encoding="utf-8"))
 TIMES: Final[dict[str, dict[str, list[float | None]]]] = _THESIS["milliseconds"]
 """The thesis's milliseconds on its platforms (Tables 7.1 to 7.4); None where it gives none."""
 
@@ -218,11 +218,11 @@ def describe(path: str, reports: list[dict[str, Any]]) -> str:
 def insert(page: Path, path: str, text: str) -> None:
     """Replace the page's section between the path's two markers."""
     begin, end = f"<!-- thesis_tables.py {path} -->\n", "\n<!-- end of thesis_tables.py -->"
-    before, marker, rest = page.read_text().partition(begin)
+    before, marker, rest = page.read_text(encoding="utf-8").partition(begin)
     if not marker:
         raise SystemExit(f"error: {page} has no line {begin.strip()}")
     after = rest.partition(end)[2]
-    page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+    page.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
 
 
 def main() -> None:
@@ -245,11 +245,13 @@ def main() -> None:
     arguments = parser.parse_args()
     os.environ.setdefault("RHI_KERNELS", "optimised")  # as a long run has them
     if arguments.load is not None:
-        reports = [report for file in arguments.load for report in json.loads(file.read_text())]
+        reports = [
+            report for file in arguments.load for report in json.loads(file.read_text(encoding="utf-8"))
+        ]
     else:
         reports = [measure(arguments, backend) for backend in arguments.backends.split(",")]
     if arguments.save is not None:
-        arguments.save.write_text(json.dumps(reports, indent=1) + "\n")
+        arguments.save.write_text(json.dumps(reports, indent=1) + "\n", encoding="utf-8")
     text = describe(arguments.path, reports)
     print(text)
     if arguments.figure is not None:

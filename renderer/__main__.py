@@ -7,14 +7,15 @@ import rhi
 
 def run() -> int:
     """Run the command that the process was given, and return its exit status."""
-    if not hasattr(rhi, "__path__"):
+    if not hasattr(rhi, "__path__"):  # so nothing of the package can be imported
         print(
             f"error: {rhi.__file__} hides the package rhi: rhi-renderer, or python -P -m renderer",
             file=sys.stderr,
         )
         return 2
-    from rhi.errors.pipes import run_until_pipe_closes
+    from rhi.errors.pipes import open_standard_streams, run_until_pipe_closes
 
+    open_standard_streams()
     if sys.argv[1:2] == ["view"]:  # before the renderer's shaders are imported
         rhi.install_fallback()
     try:

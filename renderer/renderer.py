@@ -38,7 +38,7 @@ from renderer.frame import (
 from renderer.frame.scene_images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
 from renderer.scene.catch_up import count_steps
-from renderer.scene.finite import check_finite
+from renderer.scene.finite import check_finite, check_time
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, eye_image_size
 from renderer.techniques import AutoTechnique, Forward, Technique
@@ -47,7 +47,7 @@ from renderer.techniques.parts.depth import bind_depth_programs
 from renderer.techniques.parts.scaling import scale_image
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
-from rhi import Device, Texture
+from rhi import Device, Format, Texture
 from rhi.shading import Precision
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -177,6 +177,8 @@ class Renderer:
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._recent_features = VisibleFeatures(scene)
         self._effects: FrameEffects | None = None  # of the last frame
+        blends_singles = not {Format.RGBA32F, Format.R32F} & device.capabilities.unblendable_formats
+        self._widest_blended = Format.RGBA32F if blends_singles else Format.RGBA16F
         self._planned_technique: Technique | None = None
         self._last_plan: Plan[Frame] | None = None  # the plan of the last frame
         self._size, self._scale = size, 1.0
@@ -373,7 +375,8 @@ class Renderer:
         """Draw a frame; return it and its effects."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
-        check_finite("render", seconds=seconds, position=camera.position, rotation=camera.rotation)
+        check_finite("render", position=camera.position, rotation=camera.rotation)
+        check_time("render", seconds)
         self.scene.check_numbers("render")
         around = self._aim(camera)
         if self._animation_step:
@@ -460,6 +463,7 @@ class Renderer:
         camera = self._fit(camera)
         if self._pair is not None:
             camera = self._pair.stereo.rig.enclose(camera)
+        self.scene.lights.refresh()
         effects = self._collect_effects(camera)
         return effects, self._plan(effects)
 
@@ -473,6 +477,7 @@ class Renderer:
             bloom=self.bloom,
             visible_features=recent_features,
             lights=resources.lights,
+            widest=self._widest_blended,
             last=self._effects,
         )
         return self._effects

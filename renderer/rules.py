@@ -236,6 +236,11 @@ NO_WIREFRAME: Final = Rule(
     "technique-no-wireframe", "a wireframe needs a device that draws the edges of triangles"
 )
 BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
+BAD_TIME: Final = Rule(
+    "animation-time",
+    "the time of a frame is a number of seconds that steps can be counted to",
+    "count from the beginning of the program, or take the time modulo the length of what is animated",
+)
 BAD_LAG: Final = Rule("animation-lag", "what is small on the screen may be late by some pixels")
 BAD_CUTOFF: Final = Rule("light-cutoff", "local lights end where less than an amount of their light arrives")
 BAD_SCALE: Final = Rule("render-scale", "a frame is drawn at a scale of its size")

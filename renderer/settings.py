@@ -158,7 +158,8 @@ class RenderSettings:
         it."""
         parts = {setting.name: to_json(getattr(self, setting.name)) for setting in fields(self)}
         path.write_text(
-            json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **metadata}, indent=2) + "\n"
+            json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **metadata}, indent=2) + "\n",
+            encoding="utf-8",
         )
 
     @classmethod

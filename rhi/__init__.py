@@ -100,6 +100,8 @@ from rhi.device.resources.buffers import Buffer as Buffer
 from rhi.device.resources.buffers import StorageBuffer as StorageBuffer
 from rhi.device.resources.buffers import UniformArray as UniformArray
 from rhi.device.resources.buffers import UniformBuffer as UniformBuffer
+from rhi.device.resources.image_decoding import decode_colors as decode_colors
+from rhi.device.resources.image_decoding import open_image as open_image
 from rhi.device.resources.images import load_image as load_image
 from rhi.device.resources.meshes import Drawable as Drawable
 from rhi.device.resources.meshes import Mesh as Mesh

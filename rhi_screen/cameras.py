@@ -12,14 +12,16 @@ E and the arrows move as long as they are held, faster with Shift. What a handle
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, inf, isfinite, sin
 from time import perf_counter
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rhi.errors.rules import CAMERA_VALUE
 from rhi.math import Camera, Orthographic, Perspective
+from rhi.math.arguments import check_camera, check_real, read_floats
 from rhi_screen.controllers import Controller, Fly, Orbit
 from rhi_screen.gestures import Event, Gestures
 from rhi_screen.screen import Screen
@@ -60,7 +62,7 @@ class ScreenCamera:
         """
         now = perf_counter()
         past = 0.0 if self._time is None else now - self._time
-        step = min(past, MAX_STEP) if seconds is None else seconds
+        step = min(past, MAX_STEP) if seconds is None else float(seconds)
         is_moving = self._gestures.has_pressed_keys or self.controller.is_moving
         self._time = now if is_moving else None
         if is_moving:
@@ -105,8 +107,16 @@ class OrbitCamera(ScreenCamera):
             target: (3,), the point in the middle.
             distance, yaw, pitch: where the camera is, as of `rhi.math.orbit`.
             projection: the projection; None: `Perspective()`.
+
+        Raises:
+            ValidationError: `camera-bad-value` for numbers that aren't finite, and a distance that isn't
+                above 0.
         """
-        middle = np.asarray(target, np.float64)
+        check_real("OrbitCamera", distance=distance, yaw=yaw, pitch=pitch)
+        middle = read_floats("OrbitCamera(target=...)", target, 3, rule=CAMERA_VALUE)
+        check_camera("OrbitCamera(distance=...)", distance, 0.0 < distance < inf, "above 0, finite")
+        check_camera("OrbitCamera(yaw=...)", yaw, isfinite(yaw), "finite")
+        check_camera("OrbitCamera(pitch=...)", pitch, isfinite(pitch), "finite")
         away = distance * np.array([sin(yaw) * cos(pitch), sin(pitch), cos(yaw) * cos(pitch)])
         begin = Camera.look_at(middle + away, middle, projection=projection)
         super().__init__(screen, Orbit(begin, middle, distance))

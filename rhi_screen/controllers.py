@@ -9,19 +9,26 @@ integral, so a second in one step ends where a second in sixty steps does.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import atan2, exp, hypot, pi
+from math import atan2, exp, hypot, inf, isnan, pi
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from rhi.errors.rules import CAMERA_VALUE
 from rhi.math import Camera, Floats, Orthographic, Perspective, Projection, yaw_pitch_rotation
+from rhi.math.arguments import check_camera, check_real, read_floats
+from rhi_screen.arguments import are_gestures, check_number
 
 NOTCH: Final = 1.15
 """The ratio of distances by which a notch of the wheel brings nearer."""
 FAST_FACTOR: Final = 4.0
 """The factor of motion's speed with Shift."""
 MIN_DISTANCE: Final = 1e-6
-"""Metres of an orbit."""
+MAX_DISTANCE: Final = 1e12
+"""Metres of an orbit, of a parallel projection's height, and of coordinates that gestures reach. One that
+begins farther out isn't pulled in."""
+_MAX_NOTCHES: Final = 1000.0  # from the smallest distance to the largest it is 297
 
 _ACCELERATION_RATE: Final = 12.0  # a second: how quickly the speed approaches what the keys ask for
 _TURN_RATE: Final = 1.6  # radians a second, by keys
@@ -46,6 +53,8 @@ class Heading:
 
     def turn(self, left: float, up: float) -> None:
         """Turn by angles; the pitch stays between straight down and straight up."""
+        if not are_gestures(left, up):
+            return
         self.yaw = (self.yaw + left + pi) % (2.0 * pi) - pi
         self.pitch = min(max(self.pitch + up, -pi / 2), pi / 2)
 
@@ -78,7 +87,8 @@ class Glide:
 
 
 class Controller(Protocol):
-    """A way to move a camera.
+    """A way to move a camera. Motion by numbers that aren't finite is none, and all motion keeps the camera's
+    numbers finite: whatever a gesture does, another undoes.
 
     Attributes:
         name: the word for it in commands.
@@ -135,6 +145,19 @@ class _GlidingController:
         self._move, self._swing = Glide(), Glide()
 
     @property
+    def speed(self) -> float:
+        """Metres a second at which keys move.
+
+        Raises:
+            ValidationError: `device-argument` for a new speed that isn't finite.
+        """
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        self._speed = check_number(type(self).__name__, "speed", speed)
+
+    @property
     def is_moving(self) -> bool:
         """Whether it still glides."""
         return self._move.is_moving or self._swing.is_moving
@@ -166,23 +189,27 @@ class Fly(_GlidingController):
 
     def drag(self, right: float, up: float) -> None:
         """Move sideways and up or down, by parts of a second's way."""
+        if not are_gestures(right, up):
+            return
         self._move_by(np.array((-right, -up, 0.0)) * self.speed)
 
     def zoom(self, notches: float) -> None:
         """Go ahead a quarter of a second's way for each notch; a parallel projection shows less."""
         if isinstance(self._projection, Orthographic):
             self._projection = zoom_projection(self._projection, notches)
-        else:
+        elif are_gestures(notches):
             self._move_by(np.array((0.0, 0.0, -0.25 * notches)) * self.speed)
 
     def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
         """Move for some seconds."""
+        if not _can_advance(push, turn, seconds):
+            return
         left, up, _ = (_TURN_RATE * self._swing.advance(turn, seconds)).tolist()
         self._heading.turn(left, up)
         self._move_by(self._move.advance(push, seconds) * self.speed)
 
     def _move_by(self, way: Floats) -> None:
-        self._position = self._position + way @ self._heading.rotation
+        self._position = _bound(self._position, way @ self._heading.rotation)
 
 
 class Orbit(_GlidingController):
@@ -197,8 +224,39 @@ class Orbit(_GlidingController):
             Camera.look_at(camera.position, target, projection=camera.projection) if away.any() else camera
         )
         super().__init__(aimed, speed)
-        self.target: Floats = np.array(target, np.float64)
+        self.target = target
         self.distance = max(float(np.linalg.norm(away)), MIN_DISTANCE)
+
+    @property
+    def target(self) -> Floats:
+        """The point (3,) in the middle.
+
+        Raises:
+            ValidationError: `camera-bad-value` for a new one that isn't three finite numbers.
+        """
+        return self._target
+
+    @target.setter
+    def target(self, target: ArrayLike) -> None:
+        point = np.array(read_floats("Orbit(target=...)", target, rule=CAMERA_VALUE))
+        fine = point.shape == (3,) and bool(np.isfinite(point).all())
+        check_camera("Orbit(target=...)", target, fine, "three finite numbers")
+        self._target: Floats = point
+
+    @property
+    def distance(self) -> float:
+        """Metres from the point to the camera.
+
+        Raises:
+            ValidationError: `camera-bad-value` for a new one that isn't finite and above 0.
+        """
+        return self._distance
+
+    @distance.setter
+    def distance(self, distance: float) -> None:
+        check_real("Orbit", distance=distance)
+        check_camera("Orbit(distance=...)", distance, 0.0 < distance < inf, "above 0, finite")
+        self._distance = float(distance)
 
     @property
     def camera(self) -> Camera:
@@ -213,16 +271,20 @@ class Orbit(_GlidingController):
 
     def drag(self, right: float, up: float) -> None:
         """Move the point with what is seen: it stays below the pointer."""
+        if not are_gestures(right, up):
+            return
         high = image_height(self._projection, self.distance)
-        self.target = self.target + np.array((-right, -up, 0.0)) * high @ self._heading.rotation
+        self._target = _bound(self._target, np.array((-right, -up, 0.0)) * high @ self._heading.rotation)
 
     def zoom(self, notches: float) -> None:
         """Go nearer by a ratio; a parallel projection shows less."""
-        self.distance = max(self.distance * NOTCH**-notches, MIN_DISTANCE)
+        self._distance = _zoom(self._distance, notches)
         self._projection = zoom_projection(self._projection, notches)
 
     def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
         """Move for some seconds: keys to the side and up turn around the point, those ahead go nearer."""
+        if not _can_advance(push, turn, seconds):
+            return
         around = np.array((turn[0] + push[0], turn[1] + push[1], 0.0))
         left, up, _ = (_TURN_RATE * self._swing.advance(around, seconds)).tolist()
         self._heading.turn(left, -up)
@@ -235,10 +297,31 @@ def zoom_projection(projection: Projection, notches: float) -> Projection:
     """Return the projection that shows less after some notches of the wheel; one with perspective stays as it
     is."""
     return (
-        replace(projection, height=projection.height * NOTCH**-notches)
+        replace(projection, height=_zoom(projection.height, notches))
         if isinstance(projection, Orthographic)
         else projection
     )
+
+
+def _zoom(length: float, notches: float) -> float:
+    """Return a length that some notches make shorter, between the smallest and the largest."""
+    if isnan(notches):
+        return length
+    shorter = float(length * NOTCH ** -min(max(notches, -_MAX_NOTCHES), _MAX_NOTCHES))
+    return min(max(shorter, min(length, MIN_DISTANCE)), max(length, MAX_DISTANCE))
+
+
+def _bound(position: Floats, way: Floats) -> Floats:
+    """Return a position (3,) that has moved, at most to the largest coordinates."""
+    if not np.isfinite(way).all():
+        return position
+    farthest = np.maximum(np.abs(position), MAX_DISTANCE)
+    return np.clip(position + way, -farthest, farthest)
+
+
+def _can_advance(push: Floats, turn: Floats, seconds: float) -> bool:
+    """Whether keys and time can be a person's, and time doesn't run backwards."""
+    return are_gestures(*push.tolist(), *turn.tolist(), seconds) and seconds >= 0.0
 
 
 def image_height(projection: Projection, distance: float) -> float:

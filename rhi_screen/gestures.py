@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhi.math import Floats
+from rhi_screen.arguments import are_gestures
 from rhi_screen.controllers import FAST_FACTOR, NOTCH, Controller
 
 Event = Mapping[str, Any]
@@ -90,7 +91,12 @@ class Gestures:
         )
 
     def move(self, event: Event, controller: Controller, height: float) -> None:
-        """Apply a pointer or wheel event in an image of `height` logical pixels."""
+        """Apply a pointer or wheel event in an image of `height` logical pixels; one with numbers that aren't
+        finite is dropped."""
+        numbers = [event[name] for name in ("x", "y", "dx", "dy") if name in event]
+        if not are_gestures(*numbers):
+            return
+        height = max(height, 1.0)  # of a window that is minimised
         match event["event_type"]:
             case "wheel":
                 controller.zoom(-float(event["dy"]) / _WHEEL)
@@ -106,6 +112,8 @@ class Gestures:
 
     def _move_pointer(self, event: Event, controller: Controller, height: float) -> None:
         fingers = [(float(touch["x"]), float(touch["y"])) for touch in (event.get("touches") or {}).values()]
+        if not all(are_gestures(*finger) for finger in fingers):
+            return
         if len(fingers) == 2:
             self._move_fingers(fingers, controller, height)
             return

@@ -23,4 +23,6 @@ SCREEN_IMAGE: Final = Rule(
 )
 SCREEN_ERRORS: Final = Rule("screen-errors", "a screen raises the errors of its draws, or logs them")
 SCREEN_WINDOW: Final = Rule("screen-window", "only a window can do this", 'canvas="window" opens one')
+VIDEO_FILE: Final = Rule("video-file", "the file can't be written as a video", "name it .mp4 or .webm")
+VIDEO_IMAGE: Final = Rule("video-image", "this is no image of a video")
 VIDEO_SIZE: Final = Rule("video-size", "the images of a video have one size")

@@ -13,6 +13,7 @@ destroyed with the screen.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Protocol
 
 from rhi import Device, Format, RenderPass, Texture
@@ -107,21 +108,32 @@ class ScreenTargets:
 
     def destroy(self) -> None:
         """Destroy the textures. They are made again if they are asked for."""
-        for texture in {*self._drawn, *self._images, self._depth} - {None}:
+        textures = {*self._drawn, *self._images, self._depth} - {None}
+        self._drawn, self._images, self._depth = [], [], None
+        for texture in textures:
             assert texture is not None
             texture.destroy()
-        self._drawn, self._images, self._depth = [], [], None
 
     def _fit(self) -> None:
-        """Make the textures again if the screen has another size."""
+        """Make the textures again if the screen has another size: all of them, or none if one can't be
+        made."""
         size = self._screen.size
         if self._images and self._images[0].size == size:
             return
+        device = self._screen.device
+        with ExitStack() as created:
+
+            def make(format: Format, samples: int, label: str) -> Texture:
+                return created.enter_context(device.texture(size, format, samples=samples, label=label))
+
+            drawn = [make(each, self.samples, "screen color") for each in self._formats]
+            images = drawn
+            if self.samples > 1:
+                images = [make(each, 1, "screen image") for each in self._formats]
+            depth = (
+                None if self._depth_format is None else make(self._depth_format, self.samples, "screen depth")
+            )
+            created.pop_all()
         self.destroy()
-        make, samples = self._screen.device.texture, self.samples
-        self._drawn = [make(size, each, samples=samples, label="screen color") for each in self._formats]
-        self._images = self._drawn
-        if samples > 1:
-            self._images = [make(size, each, label="screen image") for each in self._formats]
-        if self._depth_format is not None:
-            self._depth = make(size, self._depth_format, samples=samples, label="screen depth")
+        self._drawn, self._depth = drawn, depth
+        self._images = images  # the last one, since it tells whether all are made

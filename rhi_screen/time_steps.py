@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from time import perf_counter
 
+from rhi.errors.arguments import ArgumentChecker
+from rhi_screen.arguments import check_number
+
 
 class FixedSteps:
     """Divides the time between frames into steps.
@@ -23,9 +26,17 @@ class FixedSteps:
     """
 
     def __init__(self, rate: float = 60.0, max_steps: int = 8) -> None:
-        """`rate`: steps a second."""
-        self.seconds = 1.0 / rate
-        self.max_steps = max_steps
+        """
+        Args:
+            rate: steps a second.
+            max_steps: the most steps of a frame.
+
+        Raises:
+            ValidationError: `device-argument` for a rate that isn't above 0, or fewer steps than 1.
+        """
+        self.seconds = 1.0 / check_number("FixedSteps", "rate", rate, above=0.0)
+        check_number("FixedSteps", "rate", self.seconds, above=0.0)  # a rate next to 0 has no inverse
+        self.max_steps = ArgumentChecker("FixedSteps").integer("max_steps", max_steps, 1)
         self.part = 0.0
         self._time: float | None = None
 
@@ -34,10 +45,14 @@ class FixedSteps:
 
         Args:
             seconds: the time since the last call; None: as a clock says, 0 the first time.
+
+        Raises:
+            ValidationError: `device-argument` for a time that is negative or not finite.
         """
         if seconds is None:
             now = perf_counter()
             seconds, self._time = 0.0 if self._time is None else now - self._time, now
+        seconds = check_number("FixedSteps.advance", "seconds", seconds, minimum=0.0)
         passed = self.part + seconds / self.seconds
         count = int(passed + 1e-9)  # 0.1 ten times is a second
         self.part = max(passed - count, 0.0)

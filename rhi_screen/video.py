@@ -10,15 +10,20 @@ The container follows from the file's name, and the codec from the container: H.
 from __future__ import annotations
 
 from fractions import Fraction
+from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rhi
 from rhi.errors import DeviceError, refuse
-from rhi_screen.rules import SCREEN_MISSING, VIDEO_SIZE
+from rhi.errors.arguments import ArgumentChecker
+from rhi_screen.rules import SCREEN_MISSING, VIDEO_FILE, VIDEO_IMAGE, VIDEO_SIZE
+
+_MIN_RATE: Final = 0.001
+_MAX_RATE: Final = 1000.0
 
 
 class VideoWriter:
@@ -38,20 +43,36 @@ class VideoWriter:
 
         Raises:
             DeviceError: `screen-missing` without PyAV.
+            ValidationError: `device-argument` for a path that is none, or a rate outside of 0.001 to 1,000
+                frames a second; `video-file` for a file that can't be written, or a name of another
+                container.
         """
+        check = ArgumentChecker("VideoWriter")
+        if not isinstance(path, (str, PathLike)):
+            check.fail("path", path, "the path of a file")
+        path = Path(path)
+        rate = Fraction(check.number("fps", fps, _MIN_RATE, _MAX_RATE)).limit_denominator(1001)
         try:
             import av
         except ImportError as error:
             raise DeviceError(
                 SCREEN_MISSING, "VideoWriter", "PyAV", "", 'pip install "rhi[video]"'
             ) from error
-        self.path = Path(path)
+        self.path = path
         self.frames = 0
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._rate = Fraction(fps).limit_denominator(1001)
+        self._rate = rate
         self._library = av
-        self._file: Any = av.open(str(self.path), "w")
+        self._file: Any = None
         self._stream: Any = None
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = av.open(str(self.path), "w")
+            if self._file.default_video_codec == "none":
+                self._file.close()
+                self._file = None
+                raise ValueError("its container has no video")
+        except (OSError, ValueError, av.FFmpegError) as error:
+            refuse(VIDEO_FILE, "VideoWriter", f"{path}: {error}")
 
     def add(self, image: rhi.Texture | NDArray[np.uint8]) -> None:
         """Add an image as the next frame.
@@ -62,9 +83,14 @@ class VideoWriter:
                 take even ones.
 
         Raises:
-            ValidationError: `video-size` for an image of another size, or below 2×2.
+            ValidationError: `video-image` for anything else, and after `close`; `video-size` for an image of
+                another size, or below 2×2.
         """
-        texels = image.read() if isinstance(image, rhi.Texture) else image
+        if self._file is None:
+            refuse(
+                VIDEO_IMAGE, "VideoWriter.add", "an image after close()", "images before the file is finished"
+            )
+        texels = self._read(image)
         height, width = (each & ~1 for each in texels.shape[:2])
         if self._stream is None and min(width, height) > 0:
             self._stream = self._file.add_stream(self._file.default_video_codec, rate=self._rate)
@@ -76,6 +102,18 @@ class VideoWriter:
         for packet in self._stream.encode(self._library.VideoFrame.from_ndarray(colors, format="rgb24")):
             self._file.mux(packet)
         self.frames += 1
+
+    @staticmethod
+    def _read(image: rhi.Texture | NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the texels of an image, (height, width, 3 or 4) uint8."""
+        check = ArgumentChecker("VideoWriter.add", rule=VIDEO_IMAGE)
+        texels = image.read() if isinstance(image, rhi.Texture) else check.array("image", image)
+        if texels.ndim != 3 or texels.shape[2] not in (3, 4) or texels.dtype != np.uint8:
+            actual = (
+                repr(image) if isinstance(image, rhi.Texture) else f"shape {texels.shape} of {texels.dtype}"
+            )
+            refuse(VIDEO_IMAGE, "VideoWriter.add", actual, "(height, width, 3 or 4) of uint8")
+        return texels
 
     @property
     def is_closed(self) -> bool:

@@ -87,6 +87,7 @@ def build(folder: Path) -> list[str]:
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     lines = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
     return [line for line in lines if not line.strip().startswith(_HARMLESS)] + ["failed"] * (

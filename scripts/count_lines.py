@@ -56,7 +56,10 @@ def count_python_lines(path: Path) -> int:
 def count_opencl_lines(path: Path) -> int:
     """Return how many lines of a file of OpenCL C hold code."""
     text = re.sub(
-        r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), path.read_text(), flags=re.DOTALL
+        r"/\*.*?\*/",
+        lambda comment: "\n" * comment[0].count("\n"),
+        path.read_text(encoding="utf-8"),
+        flags=re.DOTALL,
     )
     return sum(bool(line.partition("//")[0].strip()) for line in text.splitlines())
 
@@ -64,7 +67,8 @@ def count_opencl_lines(path: Path) -> int:
 def count_shell_lines(path: Path) -> int:
     """Return how many lines of a shell script hold code."""
     return sum(
-        bool(line.strip()) and not line.lstrip().startswith("#") for line in path.read_text().splitlines()
+        bool(line.strip()) and not line.lstrip().startswith("#")
+        for line in path.read_text(encoding="utf-8").splitlines()
     )
 
 
@@ -94,7 +98,7 @@ def list_programs(*suffixes: str) -> list[PurePosixPath]:
         return sorted(PurePosixPath(path) for path in paths if path.parts[0] not in (".venv", "build"))
     patterns = [f"*{suffix}" for suffix in suffixes]
     listed = subprocess.run(
-        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True, encoding="utf-8"
     )
     names = listed.stdout.split()
     return [PurePosixPath(name) for name in names if (ROOT / name).exists()]  # not what was just deleted

@@ -64,10 +64,12 @@ _DIGITS: Final = 8
 
 def import_modules() -> None:
     """Import every module of the tree that may define shaders, tests as pytest does."""
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"][
+        "ini_options"
+    ]
     sys.path += [str(ROOT / folder) for folder in settings["pythonpath"]]
     for path in list_programs(".py"):
-        text = (ROOT / path).read_text()
+        text = (ROOT / path).read_text(encoding="utf-8")
         mentions = "Shader" in text or "conformance.shaders" in text  # whose shaders are bases of others
         if path.parts[0] == "scripts" or path.stem == "__main__" or not mentions:
             continue
@@ -289,7 +291,6 @@ def check_wgsl() -> int:
     """Let naga, the compiler of wgpu, read each text in WGSL; print what it refuses. Return 1 if it refuses
     any."""
     import wgpu
-    import wgpu.backends.wgpu_native
 
     adapter = next(a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] != "OpenGL")
     features = sorted(name for name in adapter.features if name != "pipeline-cache")
@@ -343,10 +344,12 @@ def main() -> int:
     hashes = dump(arguments.origins)
     print(f"{len(hashes)} shaders, {sum(len(row) - 1 for row in hashes.values())} texts", file=sys.stderr)
     if arguments.output is not None:
-        arguments.output.write_text(write_dump(hashes))
+        arguments.output.write_text(write_dump(hashes), encoding="utf-8")
     if arguments.compare is None:
         return 0
-    differ, compared = compare(read_dump(arguments.compare.read_text()), hashes, arguments.all)
+    differ, compared = compare(
+        read_dump(arguments.compare.read_text(encoding="utf-8")), hashes, arguments.all
+    )
     print(f"{compared} compared, {len(differ)} differ", file=sys.stderr)
     print("\n".join(differ), end="\n" if differ else "")
     return 1 if differ else 0

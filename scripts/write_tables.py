@@ -69,6 +69,7 @@ def _read_report(*arguments: str) -> Any:
         capture_output=True,
         text=True,
         check=True,
+        encoding="utf-8",
     )
     return json.loads(done.stdout)
 

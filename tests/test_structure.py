@@ -45,7 +45,10 @@ def read_prose(path: Path) -> tuple[tuple[int, str], ...]:
     """The text of a page, or the strings and comments of a program, with their first lines."""
     if path.suffix == ".md":
         text = re.sub(
-            r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL
+            r"```.*?```",
+            lambda block: "\n" * block[0].count("\n"),
+            path.read_text(encoding="utf-8"),
+            flags=re.DOTALL,
         )
         return ((1, text),)
     with path.open("rb") as file:

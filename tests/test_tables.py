@@ -128,7 +128,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_each_table_of_figures_has_the_command_that_makes_it(page: Path) -> None:
-    assert list_lacking(page.read_text()) == []
+    assert list_lacking(page.read_text(encoding="utf-8")) == []
 
 
 def test_a_table_without_a_command_is_found() -> None:

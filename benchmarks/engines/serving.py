@@ -44,7 +44,7 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
         load: makes what a job needs; returns what draws, and the function that draws a frame and returns its
             image (h, w, 3 or more) as bytes, top row first.
     """
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)
     device, draw = load(json.loads(sys.argv[1]))
     print(json.dumps({"device": device}), file=answers)
@@ -54,7 +54,7 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
         figures: dict[str, float] = {}
         if order == "end":
             Path(file).write_bytes(np.ascontiguousarray(image[..., :3]).tobytes())
-            status = Path("/proc/self/status").read_text()
+            status = Path("/proc/self/status").read_text(encoding="utf-8")
             figures["memory"] = float(status.partition("VmHWM:")[2].split()[0]) / 1024.0
         print(json.dumps(figures), file=answers)
 

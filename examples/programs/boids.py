@@ -58,16 +58,14 @@ class Flock(Shader):
                 middle += gap
                 heading += other.velocity - own.velocity
                 away -= gap / (far * far)
-        push = self.rules.separation * away * 0.02 - own.position * (
-            0.3 if sl.length(own.position) > 3.0 else 0.0
-        )
+        home = 0.3 if sl.length(own.position) > 3.0 else 0.0
+        push = self.rules.separation * away * 0.02 - own.position * home
         if near > 0.0:
             push += (self.rules.cohesion * middle + self.rules.alignment * heading) / near
         velocity = own.velocity + push * self.rules.seconds * 4.0
         velocity = sl.normalize(velocity) * min(max(sl.length(velocity), 0.6), 1.6)
-        self.then[sl.global_id().x] = Boid(
-            position=own.position + velocity * self.rules.seconds, velocity=velocity
-        )
+        position = own.position + velocity * self.rules.seconds
+        self.then[sl.global_id().x] = Boid(position=position, velocity=velocity)
 
 
 class View(Struct):
@@ -114,9 +112,8 @@ class Demo:
         self.move, self.show = device.program(Flock), device.program(Darts)
         self.rules = {"cohesion": 0.4, "alignment": 0.6, "separation": 1.0, "reach": 0.7}
         corners = np.array([(0, 0, 2), (-0.6, 0, -1), (0.6, 0, -1), (0, 0.5, -1)], np.float32)
-        self.dart = device.mesh(
-            {"position": corners}, np.array([0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3], np.uint16)
-        )
+        triangles = np.array([0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3], np.uint16)
+        self.dart = device.mesh({"position": corners}, triangles)
 
     def draw(self, seconds: float | None = None) -> None:
         device = self.screen.device

@@ -88,8 +88,8 @@ _OPTIONS: Final = (
         metavar="E",
     ),
     options.executor("shards of quality settings", KINDS),
-    options.file("--plot", "write charts of errors and times"),
-    options.file("--output", "folder for the results; a sweep that was interrupted goes on there", "DIR"),
+    options.output_file("--plot", "write charts of errors and times"),
+    options.output_folder("--output", "folder for the results; a sweep that was interrupted goes on there"),
     *options.form(),
 )
 
@@ -205,8 +205,8 @@ def _write_results(arguments: argparse.Namespace, result: AccuracyResult) -> Non
     accuracy_report.write_page(
         folder / "report.html", result.setup, result.reports, result.points, result.choice, charts
     )
-    (folder / "accuracy.json").write_text(json.dumps(result.report, indent=2) + "\n")
-    (folder / "table.md").write_text(format_reports(result.measured, markdown=True) + "\n")
+    (folder / "accuracy.json").write_text(json.dumps(result.report, indent=2) + "\n", encoding="utf-8")
+    (folder / "table.md").write_text(format_reports(result.measured, markdown=True) + "\n", encoding="utf-8")
     best = [
         BudgetStep(point.settings, point.milliseconds, point.error)
         for point in result.points

@@ -229,7 +229,7 @@ def write_images(
     for report in reports:
         value = next((row.value for row in report.rows if row.value in report.images), None)
         if value is not None:
-            image = Image.open(BytesIO(b64decode(report.images[value])))
+            image = Image.open(BytesIO(b64decode(report.images[value])), formats=("PNG",))
             size = image.width * _MAGNIFICATION, image.height * _MAGNIFICATION
             image.resize(size, Image.Resampling.NEAREST).save(
                 folder / f"worst-{report.setting}.png", optimize=True
@@ -275,7 +275,7 @@ def write_page(
             f"<li>{escape(setting)} {escape(value)}: {escape(lack)}</li>" for setting, value, lack in left_out
         )
         parts.append(f"<h2>Left out</h2><ul>{lines}</ul>")
-    path.write_text("\n".join(parts))
+    path.write_text("\n".join(parts), encoding="utf-8")
 
 
 def _embed(png: bytes) -> str:

@@ -37,8 +37,8 @@ _OPTIONS: Final = (
     options.frame(),
     options.frames(1000),
     options.size(),
-    options.file("--output", "table of all frames to write", "F.csv", required=True),
-    options.file("--plot", "chart of the frames' times to write", "F.svg"),
+    options.output_file("--output", "table of all frames to write", "F.csv", required=True),
+    options.output_file("--plot", "chart of the frames' times to write", "F.svg"),
     options.switch("--json", "print the medians as JSON"),
 )
 

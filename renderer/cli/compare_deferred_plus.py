@@ -38,7 +38,7 @@ _OPTIONS: Final = (
     options.frames(16),
     options.size(),
     options.BACKEND,
-    options.file("--output", "write an image of the buffers and rectangles"),
+    options.output_file("--output", "write an image of the buffers and rectangles"),
     *options.form("tables"),
 )
 

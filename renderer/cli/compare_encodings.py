@@ -30,7 +30,7 @@ _OPTIONS: Final = (
     option("--backend", "gl or cl", None, "all devices here that run shaders", metavar="NAME"),
     options.count("--count", "number of values", 1 << 14),
     options.rounds("times each is timed"),
-    options.file("--plot", "write a chart of errors and times", "FILE"),
+    options.output_file("--plot", "write a chart of errors and times", "FILE"),
     *options.form(),
 )
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Final
 
 from renderer.cli import options
@@ -19,15 +20,21 @@ from renderer.cli.arguments import open_scene
 from renderer.cli.output import note
 from renderer.cli.subcommand import Subcommand
 from renderer.content import save_scene
+from renderer.content.gltf import check_model_name
+from rhi.errors.output_paths import check_output_file
 
 _OPTIONS: Final = (
     options.SCENE,
-    options.file("output", "file to write: .glb, or .gltf with a .bin beside it", "FILE"),
+    options.output_file("output", "file to write: .glb, or .gltf with a .bin beside it", "FILE"),
     options.JSON,
 )
 
 
 def _run(arguments: argparse.Namespace) -> None:
+    file: Path = arguments.output
+    check_model_name(file)
+    if file.suffix.lower() == ".gltf":
+        check_output_file(file.with_suffix(".bin"), "output")
     scene = open_scene(arguments.scene)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     left_out = save_scene(scene, arguments.output)

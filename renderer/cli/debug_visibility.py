@@ -51,7 +51,7 @@ _OPTIONS: Final = (
     options.count("--warm-up", "number of frames to draw before it", 30, minimum=0),
     options.BACKEND,
     options.size(what="size of each of the two images in pixels"),
-    options.file("--output", "file to write", default="visibility.png"),
+    options.output_file("--output", "file to write", default="visibility.png"),
     options.switch("--json", "print the number of objects of each outcome as JSON"),
 )
 

@@ -37,7 +37,8 @@ from renderer.cli.subcommand import Subcommand
 from renderer.lab.comparison import Column, Frames, Subject, average, compare, ratio, time
 from renderer.lab.measure import format_rows
 from renderer.renderer import FrameStatistics, Renderer
-from renderer.scene import FRAME_COUNT
+from renderer.scene import FRAME_COUNT, Scene
+from rhi.errors.output_paths import check_output_file
 
 _IMAGE_FRAMES = {"ground": 900, "sky": 700}
 """The frame of each path that is written as an image."""
@@ -53,7 +54,7 @@ _IDLE = ("simulation_steps", "skipped_simulations")
 
 _OPTIONS: Final = (
     option("scene", "a scene generator (see `scenes`) or a model file", "city", nargs="?", metavar="SCENE"),
-    options.file("--output", "folder for the images", "DIR", "out"),
+    options.output_folder("--output", "folder for the images", "out"),
     options.frames(9, "number of frames of each path"),
     options.size(what="size of the images in pixels"),
 )
@@ -61,6 +62,8 @@ _OPTIONS: Final = (
 
 def _run(arguments: argparse.Namespace) -> None:
     scene = open_scene(arguments.scene)
+    for name in scene.paths:
+        check_output_file(_image_path(scene, name, arguments.output), "--output")
     with ExitStack() as stack:
         devices = open_devices(stack)
         numbers = [
@@ -110,12 +113,17 @@ def open_devices(stack: ExitStack) -> list[rhi.Device]:
 def write_path_image(renderer: Renderer, name: str, folder: Path) -> None:
     """Write one image of the scene's path with this name."""
     scene = renderer.scene
-    suffix = "" if name == next(iter(scene.paths)) else f"-{name}"
     path_frame = scene.paths[name].path_frame(_IMAGE_FRAMES.get(name, FRAME_COUNT // 2))
     result = renderer.render(path_frame.camera, path_frame.seconds)
-    path = prepare_image(folder / f"{short_name(scene)}{suffix}.png")
+    path = prepare_image(_image_path(scene, name, folder))
     write_image(path, result.image.read())
     note(f"wrote {path}, drawn by {renderer.device.backend_name}")
+
+
+def _image_path(scene: Scene, name: str, folder: Path) -> Path:
+    """The file of the image of the scene's path with this name."""
+    suffix = "" if name == next(iter(scene.paths)) else f"-{name}"
+    return folder / f"{short_name(scene)}{suffix}.png"
 
 
 COMMAND: Final = Subcommand(

@@ -71,7 +71,7 @@ _OPTIONS: Final = (
         metavar="NAME",
     ),
     options.rounds("frames of each effect step that are timed", 40),
-    options.file("--output", "where the page and its image go", "DIR"),
+    options.output_folder("--output", "where the page and its image go"),
     *options.form("tables"),
 )
 

@@ -17,6 +17,7 @@ import json
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -29,6 +30,7 @@ from renderer.lab.exam import CASES, Case, ExamRow, examine, select_cases
 from renderer.lab.exam.case import NOTHING
 from renderer.lab.exam.case_images import join_images
 from renderer.lab.measure import format_table
+from rhi.errors.output_paths import check_output_file
 
 _OPTIONS: Final = (
     option(
@@ -42,8 +44,16 @@ _OPTIONS: Final = (
     option("--case", "only this case; may be repeated", [], "", action="append", type=int, metavar="N"),
     options.switch("--long", "also the cases that take minutes"),
     option("--show", "print all numbers of one case", type=int, metavar="N"),
-    option(
-        "--output", "with --show: where its images go", None, "none is written", type=Path, metavar="F.png"
+    replace(
+        option(
+            "--output",
+            "with --show: where its images go",
+            None,
+            "none is written",
+            type=Path,
+            metavar="F.png",
+        ),
+        output=check_output_file,
     ),
     *options.form(),
 )

@@ -85,7 +85,7 @@ def list_cpus() -> list[int]:
 
     def find_core(cpu: int) -> int:
         try:
-            siblings = Path(_SIBLINGS.format(cpu)).read_text()
+            siblings = Path(_SIBLINGS.format(cpu)).read_text(encoding="utf-8")
         except OSError:
             return cpu
         return int(siblings.replace("-", ",").partition(",")[0])

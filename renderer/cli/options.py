@@ -19,6 +19,7 @@ from renderer.scene import Depth
 from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
 from renderer.visibility import ALGORITHMS
+from rhi.errors.output_paths import check_output_file, check_output_folder
 
 QUERY_KINDS: Final = ("native", "emulated")
 """The kinds of occlusion queries that `--queries` names."""
@@ -97,11 +98,13 @@ class CommandOption:
         flag: the option's name.
         keywords: the keyword arguments of `add_argument`.
         group: options of one group exclude each other.
+        output: of an option that names what will be written: checks the path before any work is done for it.
     """
 
     flag: str
     keywords: dict[str, Any]
     group: str = ""
+    output: Callable[[Path, str], None] | None = None
 
 
 def add_options(parser: argparse.ArgumentParser, options: Iterable[CommandOption]) -> None:
@@ -144,6 +147,30 @@ def file(
 ) -> CommandOption:
     """An option with the path of a file or folder."""
     return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **keywords)
+
+
+def output_file(
+    flag: str, help: str, form: str = "F.png", default: str | None = None, **keywords: Any
+) -> CommandOption:
+    """An option with the path of a file to write."""
+    return replace(file(flag, help, form, default, **keywords), output=check_output_file)
+
+
+def output_folder(flag: str, help: str, default: str | None = None) -> CommandOption:
+    """An option with the path of a folder to write to."""
+    return replace(file(flag, help, "DIR", default), output=check_output_folder)
+
+
+def check_outputs(options: Iterable[CommandOption], arguments: argparse.Namespace) -> None:
+    """Check the paths of all that a command will write.
+
+    Raises:
+        OutputPathError: nothing can be written to one of them.
+    """
+    for command_option in options:
+        path = getattr(arguments, command_option.flag.lstrip("-").replace("-", "_"), None)
+        if command_option.output is not None and path is not None:
+            command_option.output(path, command_option.flag)
 
 
 def choice(
@@ -244,7 +271,7 @@ def form(what: str = "table") -> tuple[CommandOption, ...]:
 
 def chart(what: str = "the times") -> CommandOption:
     """The option for a chart; `what` says what it shows."""
-    return file("--plot", f"write a chart of {what}")
+    return output_file("--plot", f"write a chart of {what}")
 
 
 def settings(what: str, default_text: object = None) -> CommandOption:

@@ -48,7 +48,7 @@ _OPTIONS: Final = (
         "null, which measures nothing",
         metavar="NAME",
     ),
-    options.file("--plot", "chart of passes and textures to write", "F.svg"),
+    options.output_file("--plot", "chart of passes and textures to write", "F.svg"),
     options.switch("--json", "print the plan as JSON"),
 )
 

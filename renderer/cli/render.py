@@ -46,6 +46,7 @@ from renderer.stereo import Stereo, read_hole_mask
 from renderer.techniques import AutoTechnique, Forward, ResourceCapture, Technique
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
+from rhi.errors.output_paths import check_output_file
 from rhi.trace import save
 
 _MAGENTA: Final = (255, 0, 255, 255)
@@ -63,7 +64,9 @@ _OPTIONS: Final = (
     options.frames(1, "number of frames to time"),
     options.size(),
     *options.STEREO,
-    options.file("--holes", "as --reproject, and write the right eye's image with its holes in magenta"),
+    options.output_file(
+        "--holes", "as --reproject, and write the right eye's image with its holes in magenta"
+    ),
     options.DEPTH,
     options.BLENDING,
     option(
@@ -80,9 +83,12 @@ _OPTIONS: Final = (
         "of the technique's plan, such as surface (see `plan`)",
         metavar="NAME",
     ),
-    option("--output", "image to write", None, "SCENE.png", type=Path, metavar="F.png"),
-    options.file("--trace", "write a trace of all commands (see python -m rhi trace)", "F.zip"),
-    options.file(
+    replace(
+        option("--output", "image to write", None, "SCENE.png", type=Path, metavar="F.png"),
+        output=check_output_file,
+    ),
+    options.output_file("--trace", "write a trace of all commands (see python -m rhi trace)", "F.zip"),
+    options.output_file(
         "--record", "write the frames' cameras as a walk-through, for --camera and --camera-path", "F.json"
     ),
     options.switch("--particles", "draw the drops of the hall's fountains as particles, too"),
@@ -103,6 +109,8 @@ def _run(arguments: argparse.Namespace) -> None:
     settings = merge_settings(arguments)
     arguments.reproject = arguments.reproject or (settings.reprojects and arguments.stereo is not None)
     scene = open_scene(arguments.scene)
+    if arguments.output is None:
+        check_output_file(Path(f"{short_name(scene)}.png"), "--output")
     frames = range(arguments.frame, arguments.frame + arguments.frames)
     path_frames = [
         replace(path_frame, camera=settings.adapt_camera(path_frame.camera))

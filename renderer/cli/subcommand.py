@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from renderer.cli.options import CommandOption, add_options
+from renderer.cli.options import CommandOption, add_options, check_outputs
 
 
 class Parser(argparse.ArgumentParser):
@@ -49,7 +49,11 @@ class Subcommand:
             self.name, help=self.summary, description=_sentence(self.summary), epilog=f"examples:\n{examples}"
         )
         add_options(parser, self.options)
-        parser.set_defaults(run=self.run)
+        parser.set_defaults(run=self._check_and_run)
+
+    def _check_and_run(self, arguments: argparse.Namespace) -> None:
+        check_outputs(self.options, arguments)
+        self.run(arguments)
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,7 @@ def _try_all(executor: Executor, path_frames: PathFrames, pairs: Sequence[Parame
 
 def write_trials(path: Path, trials: Sequence[Trial]) -> None:
     """Write a CSV row for each trial, in the order in which they ran."""
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         names = [field.name for field in fields(Trial)]
         writer.writerow(names)
@@ -204,7 +204,7 @@ _OPTIONS: Final = (
     options.queries("native"),
     options.BACKEND,
     options.size(),
-    options.file("--output", "folder for the results", "DIR", "tuned"),
+    options.output_folder("--output", "folder for the results", "tuned"),
     options.JSON,
 )
 COMMAND: Final = Subcommand(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from io import BytesIO
+from math import inf
 from os import cpu_count
 from typing import Any, Final
 from weakref import WeakValueDictionary
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry
+from rhi import ValidationError, decode_colors, open_image
 
 _images: Final[WeakValueDictionary[bytes, Any]] = WeakValueDictionary()
 _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
 
 
 def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | str]:
-    """Return the pixels of images (PNG, JPEG and others that pillow reads), or the reason why one can't be
+    """Return the pixels of images (of `rhi.open_image`), or the reason why one can't be
     read.
 
     Each content is decoded once, in as many threads as there are processors.
@@ -69,16 +70,8 @@ def hash_content(*parts: bytes | NDArray[np.uint8]) -> bytes:
 
 
 def _decode(content: NDArray[np.uint8]) -> ImagePixels | str:
-    from PIL import Image, UnidentifiedImageError
-
     try:
-        with Image.open(BytesIO(content.tobytes())) as image:
-            if image.mode.startswith("I"):  # 16 bits, which pillow would clip to 8
-                grey = np.asarray(image, np.float64) * (255.0 / 65535.0)
-                levels = np.clip(np.round(grey), 0.0, 255.0).astype(np.uint8)
-                return np.dstack([levels, levels, levels, np.full_like(levels, 255)])
-            return np.array(image.convert("RGBA"), np.uint8)
-    except UnidentifiedImageError:
-        return f"of no known format: it begins with {content[:12].tobytes()!r}"
-    except Exception as error:  # pillow's decoders raise whatever a broken file leads them to
-        return f"{type(error).__name__}: {error}"
+        with open_image(content.data, max_pixels=inf) as image:  # `Budget` has counted its pixels
+            return decode_colors(image)
+    except ValidationError as error:
+        return error.given.partition(": ")[2]  # without the number of bytes

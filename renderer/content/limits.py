@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from io import BytesIO
 from math import inf
 from pathlib import Path
 from typing import Final
@@ -16,6 +15,7 @@ from typing import Final
 from renderer import rules
 from renderer.content.file_index import FileIndex
 from renderer.scene.files import read_file
+from rhi import ValidationError, open_image
 from rhi.errors import refuse
 
 _ZEROS: Final = 1 << 20
@@ -82,12 +82,10 @@ class Budget:
 
     def spend_image(self, content: bytes) -> None:
         """Count the pixels of an encoded image, which is decoded only then."""
-        from PIL import Image
-
         try:
-            with Image.open(BytesIO(content)) as image:
+            with open_image(content, max_pixels=inf) as image:
                 pixels = image.width * image.height
-        except Exception:  # whatever a broken file leads pillow to; decoding says what is wrong
+        except ValidationError:  # decoding says what is wrong
             return
         if pixels > self.limits.pixels / _IMAGE_PART:
             self._refuse(f"an image of {pixels:,} pixels", f"{self.limits.pixels / _IMAGE_PART:,.0f}")

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,12 +23,11 @@ from renderer.content.assets import share_geometry, share_image
 from renderer.content.file_index import FileIndex
 from renderer.content.limits import Budget, ModelLimits
 from renderer.scene.arrays import Floats
-from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry, join, make_geometry
-from renderer.scene.omissions import Omission
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from rhi import from_srgb
+from rhi import ValidationError, decode_colors, from_srgb, open_image
 from rhi.errors import RhiError, refuse
 from rhi.math import Perspective, is_affine, translation
 
@@ -130,7 +130,7 @@ def _find_file(path: str | Path) -> str:
 
 
 def _add_by_trimesh(builder: SceneBuilder, path: str, budget: Budget) -> None:
-    meshes, nodes, files = _read(path, budget)
+    meshes, nodes, files = _read(path, budget, builder.omissions)
     builder.files += files
     ids: dict[str, tuple[int, int, Floats]] = {}
     for name, mesh in meshes.items():
@@ -159,7 +159,9 @@ def read_geometry(path: str) -> MeshGeometry:
     return join(parts)
 
 
-def _read(path: str, budget: Budget) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
+def _read(
+    path: str, budget: Budget, omissions: Omissions
+) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
     """Read the file's triangle meshes by name, its nodes, parents before children, and which files that
     took."""
     file, call = Path(path), f"load_model({path!r})"
@@ -173,6 +175,8 @@ def _read(path: str, budget: Budget) -> tuple[dict[str, Any], list[_FileNode], l
             loaded = trimesh.load_scene(content, file_type=kind, process=False, resolver=noted)
             if noted.refusal is not None:
                 raise noted.refusal
+            for name, reason in noted.unreadable:
+                omissions.add(f"an image that can't be read ({reason})", name)
         except RhiError:
             raise
         except Exception as error:
@@ -201,8 +205,11 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
             super().__init__(source)
             self.files = [Path(source)]
             self.refusal: RhiError | None = None
+            self.unreadable: list[tuple[str, str]] = []  # names of images, and the reasons
+            self._is_image = file.suffix.lower() != ".obj"  # of which the materials are read first
 
         def get(self, name: str) -> Any:
+            is_image, self._is_image = self._is_image, True
             beside = [
                 Path(self.parent) / relative for relative in (name.strip().lstrip("/"), Path(name).name)
             ]
@@ -212,11 +219,22 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
                 raise FileNotFoundError(f"{name} isn't in the folder of {file}")
             try:
                 content = budget.read(file)
-                budget.spend_image(content)
+                if is_image:
+                    budget.spend_image(content)
             except RhiError as error:  # which trimesh goes on after
                 self.refusal = error
                 raise
+            if is_image:
+                self._check_image(name, content)
             return content
+
+        def _check_image(self, name: str, content: bytes) -> None:
+            """Refuse what `rhi` doesn't open as an image, before any other reader of Pillow sees it."""
+            try:
+                open_image(content, max_pixels=inf).close()
+            except ValidationError as error:
+                self.unreadable.append((name, error.given.partition(": ")[2]))
+                raise
 
     return Noting(str(file))
 
@@ -311,7 +329,14 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     visual = mesh.visual
     material = getattr(visual, "material", None)
     image = getattr(material, "image", None)
-    texture = -1 if image is None else builder.add_image(share_image(_pixels(image)))
+    texture = -1
+    if image is not None:
+        try:
+            texture = builder.add_image(share_image(decode_colors(image)))
+        except ValidationError as error:
+            builder.omissions.add(
+                f"an image that can't be read ({error.given})", mesh.metadata.get("name", "")
+            )
     diffuse = (
         getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
     )
@@ -319,11 +344,6 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     return builder.add_material(
         base_color=(*from_srgb(color[:3]), color[3]), texture=texture, rim_strength=0.1
     )
-
-
-def _pixels(image: Any) -> ImagePixels:
-    with _quiet():
-        return np.asarray(image.convert("RGBA"), np.uint8)
 
 
 def _unit_range(color: Any) -> Floats:

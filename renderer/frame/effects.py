@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
+from renderer.frame.thin_air import is_fog_seen, is_haze_seen
+from renderer.frame.transparent_layers import TransparentLayers
 from renderer.frame.visible_features import VisibleFeatures
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
@@ -196,6 +198,7 @@ class EffectSources:
         local_lights: the positions (k, 3) and ranges (k,) of the point and of the spot lights.
         height_fields: the object indices of the height fields.
         shaders: those that materials have of their own.
+        layers: those of transparent objects.
     """
 
     state: tuple[object, ...]
@@ -204,6 +207,7 @@ class EffectSources:
     local_lights: tuple[tuple[Floats, Floats], ...]
     height_fields: Indices
     shaders: tuple[type[Any], ...]
+    layers: TransparentLayers
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -222,6 +226,9 @@ class FrameEffects:
         bloom: how bloom is made.
         has_bloom: whether the scene has bloom, whatever shines in it.
         shaders: those that the scene's materials have of their own.
+        layers_format: the format that transparent objects are added up in; None if they are blended to the
+            image itself.
+        unseen_air: haze and fog that change nothing in the view.
         sources: what of this doesn't depend on the view.
         visible_features: those of surfaces that shaders have.
     """
@@ -236,6 +243,8 @@ class FrameEffects:
     shaders: tuple[type[Any], ...]
     sources: EffectSources
     visible_features: frozenset[str]
+    unseen_air: frozenset[Effect]
+    layers_format: Format | None
 
     @property
     def image(self) -> Target:
@@ -279,13 +288,15 @@ class FrameEffects:
             self.has_shadow_casters,
             self.blending,
             self.bloom,
+            self.layers_format,
         )
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
         if effect in (Effect.HAZE, Effect.FOG):
-            return f"the scene has {effect.value if count else f'no {effect.value}'}"
+            unseen = ", too thin to be seen" if effect in self.unseen_air else ""
+            return f"the scene has {effect.value if count else f'no {effect.value}'}{unseen}"
         if effect is Effect.BLOOM:
             return self._explain_bloom(count)
         noun, plural = _NOUNS[effect]
@@ -323,6 +334,7 @@ def collect_frame_effects(
     bloom: BloomSettings = EXACT_BLOOM,
     visible_features: frozenset[str] | None = None,
     lights: Lights | None = None,
+    widest: Format = Format.RGBA32F,
     last: FrameEffects | None = None,
 ) -> FrameEffects:
     """Find what `scene` needs as `camera` sees it.
@@ -333,12 +345,12 @@ def collect_frame_effects(
         bloom: how bloom is to be made.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
-        lights: the scene's, with the ranges that count; by default as they are.
+        lights: the scene's that shine, with the ranges that count; by default those that shine, as they are.
+        widest: the color format with the most bits that the device blends.
         last: what the last frame of the scene needed: it is returned again if nothing has changed.
     """
-    sources = _collect_effect_sources(
-        scene, scene.lights if lights is None else lights, None if last is None else last.sources
-    )
+    lights = scene.lights.without_dark() if lights is None else lights
+    sources = _collect_effect_sources(scene, lights, None if last is None else last.sources)
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
     in_view |= {
         effect: select_lights_in_view(camera.frustum.planes, *spheres)
@@ -351,15 +363,22 @@ def collect_frame_effects(
         casts = scene.objects.casts_shadow[height_fields] & any(
             sources.counts[effect] for effect in SHADOW_EFFECTS
         )
+        if casts.any():  # shadows fall on something in view, or there are no maps
+            casts &= bool(len(select_in_view(scene, camera, np.arange(len(scene.objects)))))
         height_fields = np.union1d(height_fields[casts], select_in_view(scene, camera, height_fields))
     in_view[Effect.HEIGHT_FIELDS] = height_fields
     visible_features = (
         VisibleFeatures(scene).collect(camera) if visible_features is None else visible_features
     )
-    same = (sources, blending, bloom, visible_features)
+    air = frozenset(
+        effect
+        for effect, is_seen in ((Effect.HAZE, is_haze_seen), (Effect.FOG, is_fog_seen))
+        if sources.counts[effect] and not is_seen(scene, camera)
+    )
+    same = (sources, blending, bloom, visible_features, air)
     if (
         last is not None
-        and same == (last.sources, last.blending, last.bloom, last.visible_features)
+        and same == (last.sources, last.blending, last.bloom, last.visible_features, last.unseen_air)
         and all(
             object_indices.tobytes() == last.in_view[effect].tobytes()
             for effect, object_indices in in_view.items()
@@ -367,20 +386,21 @@ def collect_frame_effects(
     ):
         return last
     for effect, row in LOCAL_LIGHTS.items():
-        lights_of_kind, light_indices = scene.lights.of_kind(row.kind), in_view[effect]
+        lights_of_kind, light_indices = lights.of_kind(row.kind), in_view[effect]
         in_view[row.spheres] = light_indices[lights_of_kind["source_radius"][light_indices] > 0.0]
         in_view[row.shadows] = (
             light_indices[lights_of_kind["casts_shadow"][light_indices]]
             if sources.counts[row.shadows]
             else _NONE
         )
-    hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)}
+    hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)} | air
     hidden |= {
         _EFFECTS[name]
         for name in (*sources.features, "bloom")
         if name not in visible_features and name != "vertex colors"
     }
     enabled = frozenset(effect for effect, count in sources.counts.items() if count and effect not in hidden)
+    image = LIGHT_FORMATS[bloom.bits] if Effect.BLOOM in enabled else IMAGE_FORMAT
     return FrameEffects(
         enabled,
         sources.counts,
@@ -392,7 +412,20 @@ def collect_frame_effects(
         sources.shaders,
         sources,
         visible_features,
+        air,
+        _layers_format(sources, in_view[Effect.TRANSPARENCY], blending, image, widest),
     )
+
+
+def _layers_format(
+    sources: EffectSources, in_view: Indices, blending: Blending, image: Format, widest: Format
+) -> Format | None:
+    """Return the format that transparent objects in view are added up in."""
+    if not len(in_view):
+        return None
+    if blending is Blending.WEIGHTED:
+        return sources.layers.weighted_target(in_view, widest)
+    return sources.layers.sorted_target(in_view, image, widest)
 
 
 def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | None) -> EffectSources:
@@ -430,7 +463,8 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         counts[row.spheres] = int(np.count_nonzero(lights_of_kind["source_radius"]))
         local_lights.append((lights_of_kind["position"].copy(), lights_of_kind["range"].astype(np.float64)))
     shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)
-    return EffectSources(state, counts, tuple(features), tuple(local_lights), height_fields, shaders)
+    layers = TransparentLayers.count(scene)
+    return EffectSources(state, counts, tuple(features), tuple(local_lights), height_fields, shaders, layers)
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

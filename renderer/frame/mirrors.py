@@ -60,9 +60,9 @@ class MirroredArray(Generic[T]):
         rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
         if self.buffer is None or rows.shape != self._rows.shape:
             self.destroy()
-            self.buffer = self._device.storage(self._element, len(array), label=self._label)
-            self._upload(self.buffer, rows, 0)
-            self._rows = rows.copy()
+            buffer = self._device.storage(self._element, len(array), label=self._label)
+            self._upload(buffer, rows, 0)
+            self._rows, self.buffer = rows.copy(), buffer  # once both are made
             return
         if indices is None:
             changed = (rows != self._rows).any(1).nonzero()[0]

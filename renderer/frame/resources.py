@@ -137,7 +137,7 @@ class SceneResources:
         self._device = device
         self._material_version = -1  # that of the materials on the device
         self.light_cutoff = 0.0
-        self._cut: tuple[object, Lights] = (None, scene.lights)
+        self._chosen_lights: tuple[object, Lights] = (None, scene.lights)  # and what they were chosen from
         objects = scene.objects
         computed = [
             simulated.objects
@@ -351,9 +351,9 @@ class SceneResources:
         assert buffer is not None
         for first, end in join_runs(begins, sizes):
             part = self.scene.meshes.vertices[first:end]
-            if part.dtype != vertices.dtype:  # a second uv, tangents and colours stay as they are
+            if part.dtype != vertices.dtype:  # what the simulation hasn't got stays as it is
                 part = part.copy()
-                for name in vertices.dtype.names or ():
+                for name in set(vertices.dtype.names or ()) & set(part.dtype.names or ()):
                     part[name] = vertices[name][at : at + end - first]
             else:
                 part = vertices[at : at + end - first]
@@ -417,7 +417,7 @@ class SceneResources:
         counts = self._rows[BOUND_FIELDS[number + 1]][object_indices] - begins
         entries = list_ranges(begins, counts)
         lit = self._listed[entries]
-        is_requested = np.zeros(len(self.scene.lights.of_kind(kind)), bool)
+        is_requested = np.zeros(len(self.lights.of_kind(kind)), bool)
         is_requested[lights] = True
         requested = np.flatnonzero(is_requested[lit])
         order = requested[np.argsort(lit[requested], kind="stable")]
@@ -425,14 +425,12 @@ class SceneResources:
 
     @property
     def lights(self) -> Lights:
-        """The scene's lights; with a `light_cutoff`, they end where their light is fainter."""
-        lights = self.scene.lights
-        if not self.light_cutoff:
-            return lights
-        key = lights.snapshot, self.light_cutoff
-        if self._cut[0] != key:
-            self._cut = key, lights.with_cutoff(self.light_cutoff)
-        return self._cut[1]
+        """The scene's lights that shine; with a `light_cutoff`, they end where their light is fainter."""
+        key = self.scene.lights.snapshot, self.light_cutoff
+        if self._chosen_lights[0] != key:
+            lights = self.scene.lights.without_dark()
+            self._chosen_lights = key, lights.with_cutoff(self.light_cutoff) if self.light_cutoff else lights
+        return self._chosen_lights[1]
 
     @property
     def reaching(self) -> tuple[bool, ...]:
@@ -446,7 +444,7 @@ class SceneResources:
         following = scene.objects.following_indices  # others that move are simulated before they are drawn
         self._transform(following)
         if self._listed_from is not lights.snapshot:
-            self.directional.write(scene.lights.directional)
+            self.directional.write(lights.directional)
         has_others = False
         if self._material_version != scene.material_version:
             self._material_version = scene.material_version

@@ -278,7 +278,9 @@ def lit_cells(
         reached = np.flatnonzero(squared < np.float64(light["range"]) ** 2 * (1.0 - 1e-6))
         if kind.cones is not None:
             along_axis = away[reached] @ light["direction"].astype(np.float64)
-            reached = reached[along_axis > (kind.cone_cosine(light) + 1e-6) * np.sqrt(squared[reached])]
+            reached = reached[
+                along_axis > (1.0 - kind.cone_versine(light) + 1e-6) * np.sqrt(squared[reached])
+            ]
         is_lit[cell[reached], number] = True
     return is_lit
 

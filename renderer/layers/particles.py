@@ -142,8 +142,9 @@ class Particles(SceneLayer):
             return
         array = np.concatenate(parts).reshape(-1).view(Particle.dtype)
         if _CORNERS * len(array) > self._mesh.count:
-            self._mesh.destroy()
-            self._mesh = device.mesh(_CORNERS << (len(array) - 1).bit_length(), label="particles")
+            corners = _CORNERS << (len(array) - 1).bit_length()
+            old, self._mesh = self._mesh, device.mesh(corners, label="particles")
+            old.destroy()
         shader, fog = _select_shader(frame)
         program: Any = self._device.program(shader)
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]

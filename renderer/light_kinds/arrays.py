@@ -13,6 +13,7 @@ from renderer import rules
 from renderer.light_kinds.kind import LightKind
 from rhi.errors import refuse
 from rhi.math import Floats
+from rhi.math.arguments import read_floats
 
 _ROUNDING: Final = 2.0**-23  # of a unit vector's components in float32
 _OFF_UNIT: Final = 1e-3  # by so much the light of a direction may be off before it shows
@@ -67,7 +68,7 @@ def check_lights(call: str, lights: NDArray[Any]) -> None:
 
 def count_positions(call: str, position: ArrayLike) -> int:
     """The number of positions (k, 3)."""
-    positions = np.asarray(position, np.float64)
+    positions = read_floats(f"{call}(position=...)", position, rule=rules.BAD_LIGHT)
     if positions.ndim != 2 or positions.shape[1] != 3:
         refuse(rules.BAD_LIGHT, f"{call}(position=...)", f"shape {positions.shape}", "(k, 3)")
     return len(positions)
@@ -97,7 +98,7 @@ def _check_related_fields(
 def _check_numbers(call: str, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Finite numbers of `shape`, (k,) or (k, 3), from a `value` for each light or one for all."""
     minimum = 0.0 if name in _NON_NEGATIVE else -np.inf
-    numbers = np.asarray(value, np.float64)
+    numbers = read_floats(f"{call}({name}=...)", value, rule=rules.BAD_LIGHT)
     expected = "a finite number" if len(shape) == 1 else "three finite numbers"
     if minimum >= 0.0:
         expected = f"{expected}, {minimum:g} or more"

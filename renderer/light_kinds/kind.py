@@ -89,7 +89,7 @@ class LocalLightKind(LightKind):
             world.
         cones: the same volumes as cones, where they are narrower than spheres: the values of the struct
             `Cone` in the world, in float64; None for kinds whose volumes are spheres.
-        cone_cosine: the cosines (k,) of the half angles of the cones that lights are within; -2 for all
+        cone_versine: 1 - cos (k,) of the half angles of the cones that lights are within; 3 for all
             directions.
         volume: the vertex stage that moves the corners of a sphere or a cone around a light (`VolumeCorner`).
         fits_cone: which lights (k,) have a volume that is smaller as a cone than as a sphere.
@@ -102,7 +102,7 @@ class LocalLightKind(LightKind):
     volume: type[Shader]
     pack: Callable[[Lights, Lights], None] = lambda packed, lights: None
     cones: Callable[[Lights], Mapping[str, NDArray[Any]]] | None = None
-    cone_cosine: Callable[[Lights], NDArray[Any]] = lambda lights: np.full(np.shape(lights), -2.0)
+    cone_versine: Callable[[Lights], NDArray[Any]] = lambda lights: np.full(np.shape(lights), 3.0)
     fits_cone: Callable[[Lights], NDArray[np.bool_]] = lambda lights: np.zeros(len(lights), bool)
     half_angle: Callable[[Lights], NDArray[np.floating[Any]]] = lambda lights: np.full(
         np.shape(lights), np.nan, np.float32

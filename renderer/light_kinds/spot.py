@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import rhi.shading as sl
 from renderer.light_kinds.arrays import LightArrays, count_positions
-from renderer.light_kinds.incidence import Incidence, attenuation, safe_normalize
+from renderer.light_kinds.incidence import Incidence, attenuation, safe_normalize, versine
 from renderer.light_kinds.kind import LOCAL_FIELDS, GltfMapping, LightKind, LocalLightKind
 from renderer.light_kinds.volumes import FARTHEST_CORNER, LightVolume, VolumeCorner, VolumeVarying
 from rhi.math import Floats
@@ -39,12 +39,18 @@ RELATIVE_SPOT: Final = np.dtype(
         ("color", "<f4", 3),
         ("intensity", "<f4"),
         ("direction", "<f4", 3),
-        ("cos_inner", "<f4"),
-        ("cos_outer", "<f4"),
+        ("inner_versine", "<f4"),
+        ("outer_versine", "<f4"),
         ("pad", "<f4", 3),
     ]
 )
-"""64 bytes, std430; positions relative to the eye."""
+"""64 bytes, std430; positions relative to the eye. A versine is 1 - cos of a half angle."""
+
+_MIN_EDGE: Final = 1e-14
+"""The least difference of versines between the edges of a cone: the quotient by it is finite."""
+
+_ALL_DIRECTIONS: Final = 3.0
+"""A versine above that of each angle."""
 
 
 class SpotLight(sl.Struct):
@@ -55,8 +61,8 @@ class SpotLight(sl.Struct):
     color: vec3
     intensity: float
     direction: vec3
-    cos_inner: float
-    cos_outer: float
+    inner_versine: float
+    outer_versine: float
 
 
 @function
@@ -66,10 +72,10 @@ def spot_incidence(position: vec3, light: SpotLight) -> Incidence:
     to_light = light.position - position
     distance_squared = dot(to_light, to_light)
     direction = safe_normalize(to_light)
-    away = -dot(direction, light.direction)
-    if away <= light.cos_outer:
+    inside = light.outer_versine - versine(-direction, light.direction)
+    if inside <= 0.0:
         return Incidence(direction=vec3(0.0), irradiance=vec3(0.0))
-    cone = saturate((away - light.cos_outer) / max(light.cos_inner - light.cos_outer, 1e-4))
+    cone = saturate(inside / max(light.outer_versine - light.inner_versine, _MIN_EDGE))
     irradiance = light.color * (light.intensity * cone * cone * attenuation(distance_squared, light.range))
     return Incidence(direction=direction, irradiance=irradiance)
 
@@ -85,7 +91,7 @@ class SpotVolume(LightVolume):
         light = self.spot_lights[light_index]
         # A float32 is too coarse for the cosine of a small angle; light reaches up to two steps of it beyond
         # the cone.
-        cosine = sl.max(light.cos_outer - 1e-6, 1e-3)
+        cosine = sl.max(1.0 - light.outer_versine - 1e-6, 1e-3)
         slope = sl.sqrt(sl.max(1.0 - cosine * cosine, 0.0)) / cosine
         width = light.range * (slope if v.cone > 0.0 else 1.0)
         up = sl.vec3(0.0, 1.0, 0.0) if sl.abs(light.direction.y) < 0.9 else sl.vec3(1.0, 0.0, 0.0)
@@ -100,8 +106,26 @@ class SpotVolume(LightVolume):
 
 
 def pack(packed: NDArray[Any], lights: NDArray[Any]) -> None:
-    """Set the cosines of the half angles."""
-    packed["cos_inner"], packed["cos_outer"] = np.cos(lights["inner"]), np.cos(lights["outer"])
+    """Set the versines of the half angles."""
+    packed["outer_versine"] = cone_versine(lights)
+    packed["inner_versine"] = np.where(_is_everywhere(lights), _ALL_DIRECTIONS, _versine(lights["inner"]))
+
+
+def cone_versine(lights: NDArray[Any]) -> Floats:
+    """1 - cos (k,) of the half angles of spot lights' cones; more than that of each direction if all of them
+    are inside the inner angle."""
+    return np.where(_is_everywhere(lights), _ALL_DIRECTIONS, _versine(lights["outer"]))
+
+
+def _versine(angles: Any) -> Floats:
+    """1 - cos of angles (k,) in radians, with all digits of small ones."""
+    sine = np.sin(0.5 * np.asarray(angles, np.float64))
+    return np.asarray(2.0 * sine * sine)
+
+
+def _is_everywhere(lights: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether spot lights (k,) light all directions in full."""
+    return np.asarray(lights["inner"] >= np.float32(np.pi))
 
 
 def bound_cones(
@@ -133,8 +157,13 @@ def make_cones(lights: NDArray[Any]) -> dict[str, NDArray[Any]]:
         "apex": lights["position"],
         "range": lights["range"].astype(np.float64),
         "axis": lights["direction"].astype(np.float64),
-        "cosine": np.cos(lights["outer"]),  # in float32, as shaders have it
+        "cosine": _round_down(np.cos(lights["outer"].astype(np.float64))),
     }
+
+
+def _round_down(cosines: Floats) -> NDArray[np.float32]:
+    """Cosines (k,) in float32 that aren't above the exact ones: no cone is narrower than its light."""
+    return np.nextafter(cosines.astype(np.float32), np.float32(-2.0))
 
 
 def half_angles(lights: NDArray[Any]) -> NDArray[Any]:
@@ -173,7 +202,7 @@ KIND: Final = LocalLightKind(
     pack=pack,
     bounds=bound,
     cones=make_cones,
-    cone_cosine=lambda lights: np.cos(lights["outer"]),
+    cone_versine=cone_versine,
     volume=SpotVolume,
     fits_cone=lambda lights: lights["outer"] <= MAX_CONE_HALF_ANGLE,
     half_angle=half_angles,

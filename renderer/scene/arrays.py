@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from rhi.errors import refuse
+from rhi.errors.array_likes import to_real_array
 from rhi.math import Floats as Floats
 
 Indices = NDArray[np.int64]
@@ -20,8 +21,12 @@ def read_ids(call: str, values: ArrayLike, count: int) -> Indices:
     Raises:
         ValidationError: `scene-bad-index`, in the name of `call`.
     """
-    ids = np.atleast_1d(np.asarray(values, np.int64))
-    if ids.size and (ids.min() < 0 or ids.max() >= count):
+    try:
+        numbers = np.atleast_1d(to_real_array(values))
+        ids = numbers.astype(np.int64)
+    except (TypeError, ValueError, OverflowError) as error:
+        refuse(rules.BAD_INDEX, call, values, f"0 to {count - 1}: {error}")
+    if ids.size and (ids.min() < 0 or ids.max() >= count or (ids != numbers).any()):
         refuse(rules.BAD_INDEX, call, ids, f"0 to {count - 1}")
     return ids
 

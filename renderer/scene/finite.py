@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,22 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from rhi.errors import refuse
 
+_LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, and 0.1 ms be told apart
+
 
 def check_finite(call: str, **values: ArrayLike) -> None:
     """Refuse values that aren't finite: `scene-not-finite`."""
     for name, value in values.items():
         if not np.isfinite(value).all():
             refuse(rules.NOT_FINITE, f"{call}: {name}", value, "finite numbers")
+
+
+def check_time(call: str, seconds: float) -> None:
+    """Refuse a time that isn't finite (`scene-not-finite`), or too far from 0 to count steps to it
+    (`animation-time`)."""
+    check_finite(call, seconds=seconds)
+    if abs(seconds) > _LONGEST_TIME:
+        refuse(rules.BAD_TIME, f"{call}: seconds", seconds, f"{-_LONGEST_TIME:g} to {_LONGEST_TIME:g}")
 
 
 class FiniteArrays:

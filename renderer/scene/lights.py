@@ -73,6 +73,18 @@ class Lights(AllLightArrays):
         shorter.refresh()
         return shorter
 
+    def without_dark(self) -> Lights:
+        """The lights that shine: these, or a copy without those of no intensity or color, and without local
+        lights of no range. Their indices are those among what is left."""
+        shining = {kind.name: _shine(self.of_kind(kind)) for kind in LIGHT_KINDS}
+        if all(shines.all() for shines in shining.values()):
+            return self
+        left = copy(self)
+        for name, shines in shining.items():
+            setattr(left, name, getattr(self, name)[shines])
+        left.refresh()
+        return left
+
     def __len__(self) -> int:
         return sum(len(self.of_kind(kind)) for kind in LIGHT_KINDS)
 
@@ -88,3 +100,12 @@ class Lights(AllLightArrays):
             kind.name: kind.pack_lights(self.of_kind(kind), np.asarray(eye, np.float64))
             for kind in LOCAL_LIGHT_KINDS
         }
+
+
+def _shine(lights: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether lights (k,) of a kind light anything: float32 has their light, and they reach anywhere."""
+    brightest = lights["color"].max(axis=1, initial=0.0) * lights["intensity"]
+    shines = brightest >= np.finfo(np.float32).tiny
+    if "range" in (lights.dtype.names or ()):
+        shines &= lights["range"] > 0.0
+    return np.asarray(shines)

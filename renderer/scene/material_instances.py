@@ -20,6 +20,7 @@ import rhi.shading as sl
 from renderer import rules
 from renderer.scene.materials import MATERIAL, TEXTURES, make_material
 from rhi.errors import refuse
+from rhi.errors.array_likes import to_real_array
 
 MAX_SHADERS: Final = 14
 """The most shaders of their own that the materials of a scene may have: lists that a device makes have four
@@ -72,7 +73,10 @@ class CustomShader:
 def _read(value: Any, dtype: np.dtype[Any], call: str) -> NDArray[Any]:
     """Return a value as a parameter keeps it."""
     base, shape = dtype.subdtype or (dtype, ())
-    array = np.asarray(value)
+    try:
+        array = to_real_array(value)
+    except (TypeError, ValueError) as error:
+        refuse(rules.BAD_MATERIAL, call, value, f"real numbers: {error}")
     whole = base.kind in "iu"
     is_number = array.dtype.kind in ("iu" if whole else "iuf")
     if array.shape != shape or not is_number or not np.isfinite(array).all():

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
+from rhi.math.arguments import read_floats
 
 MATERIAL: Final = np.dtype(
     [
@@ -209,13 +210,14 @@ def make_material(
     if is_metallic and mixed:
         refused = f"{mixed[0]} of the specular model beside the metallic-roughness model"
         refuse(rules.BAD_MATERIAL, "make_material", refused, "parameters of one model")
-    arguments["base_color"] = (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color)
+    color = read_floats("make_material(base_color=...)", base_color, rule=rules.BAD_MATERIAL)
+    arguments["base_color"] = np.append(color, 1.0) if color.shape == (3,) else color
     material = np.zeros((), MATERIAL)
     for name, (low, high) in RANGES.items():
         value = arguments[name]
         if value is None:
             value = float(is_metallic) if name == "metallic" else _SPECULAR.get(name, 1.0)
-        array = np.asarray(value, np.float64)
+        array = read_floats(f"make_material({name}=...)", value, rule=rules.BAD_MATERIAL)
         if array.shape != MATERIAL[name].shape or not ((array >= low) & (array <= high)).all():
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", value, f"{low:g} to {high:g}")
         material[name] = array

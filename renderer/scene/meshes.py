@@ -21,7 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats
 from rhi.errors import refuse
+from rhi.errors.arguments import to_little_endian
 from rhi.math import normal_matrices
+from rhi.math.arguments import read_floats
 
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
 """The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""
@@ -37,6 +39,12 @@ _ABSENT: Final[dict[str, tuple[float, ...]]] = {
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
 """The part of the shared arrays that a mesh uses, in the fields of an indexed draw."""
 
+_EXAMINED_TRIANGLES: Final = 64
+"""Meshes of more triangles aren't examined for being convex."""
+
+_FLATNESS: Final = 1e-6
+"""By so much of its size corners of a convex mesh may be in front of a plane."""
+
 MeshBounds = tuple[Floats, Floats]
 """The lower and the upper corner (3,) of a mesh's bounding box."""
 
@@ -44,8 +52,9 @@ MeshBounds = tuple[Floats, Floats]
 def vertex_format(attributes: Collection[str] = ()) -> np.dtype[Any]:
     """Return the format of vertices with the attributes of `VERTEX` and these.
 
-    They are `uv2`, a second set of texture coordinates; `tangent`, a unit vector along which u grows, and the
-    sign of the bitangent `sign * cross(normal, tangent)`, which leads up in the image, where v decreases; and
+    They are `uv2`, a second set of texture coordinates; `tangent`, a unit vector along which u grows, and a
+    number whose sign is that of the bitangent `sign * cross(normal, tangent)`, which leads up in the image,
+    where v decreases, and whose size is how much longer a step along v is than one along u, or 1; and
     `color`, linear with alpha, which multiplies a material's base colour.
     """
     unknown = set(attributes) - set(_OPTIONAL)
@@ -74,6 +83,8 @@ class MeshGeometry:
 
     def __post_init__(self) -> None:
         call = "MeshGeometry"
+        for name in ("vertices", "indices"):
+            object.__setattr__(self, name, to_little_endian(getattr(self, name)))
         if self.vertices.dtype != vertex_format(list_attributes(self.vertices.dtype)):
             refuse(
                 rules.BAD_MESH,
@@ -175,18 +186,39 @@ def make_geometry(
     """
     attributes: Mapping[str, ArrayLike | None] = {"uv2": uv2, "tangent": tangent, "color": color}
     more = {name: values for name, values in attributes.items() if values is not None}
-    points = np.asarray(positions, np.float64)
-    corners = np.asarray(indices).reshape(-1)
-    if corners.size and (int(corners.min()) < 0 or int(corners.max()) >= len(points)):
+    points = _read_vertices("positions", positions, None, 3)
+    corners = read_floats("make_geometry(indices=...)", indices, rule=rules.BAD_MESH).reshape(-1)
+    if corners.size and not (corners.min() >= 0 and corners.max() < len(points)):
         refuse(rules.BAD_MESH, "make_geometry", f"an index outside 0 to {len(points) - 1}")
+    if corners.size % 3 or (corners != np.floor(corners)).any():
+        refuse(
+            rules.BAD_MESH,
+            "make_geometry",
+            f"{corners.size} indices",
+            "whole numbers, three for each triangle",
+        )
     vertices = np.zeros(len(points), vertex_format(more))
     vertices["position"] = points
-    vertices["normal"] = compute_normals(points, corners) if normals is None else normals
+    vertices["normal"] = (
+        compute_normals(points, corners.astype(np.int64))
+        if normals is None
+        else _read_vertices("normals", normals, len(points), 3)
+    )
     if uv is not None:
-        vertices["uv"] = uv
+        more["uv"] = uv
     for name, values in more.items():
-        vertices[name] = values
+        vertices[name] = _read_vertices(name, values, len(points), vertices[name].shape[1])
     return MeshGeometry(vertices, corners.astype(np.uint32))
+
+
+def _read_vertices(name: str, values: ArrayLike, count: int | None, components: int) -> Floats:
+    """Return an attribute of `count` vertices as (v, components); refuse other shapes."""
+    call = f"make_geometry({name}=...)"
+    numbers = read_floats(call, values, rule=rules.BAD_MESH)
+    if numbers.ndim != 2 or numbers.shape[1] != components or count not in (None, len(numbers)):
+        allowed = f"shape ({'v' if count is None else count}, {components})"
+        refuse(rules.BAD_MESH, call, f"shape {numbers.shape}", allowed)
+    return numbers
 
 
 def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
@@ -205,6 +237,15 @@ def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), (0.0, 1.0, 0.0))
+
+
+def _is_convex(corners: Floats) -> bool:
+    """Return whether all corners of triangles (t, 3, 3) are behind the plane of each triangle."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= np.where(lengths > 0.0, lengths, 1.0)
+    in_front = np.einsum("td,tkd->tk", normals, corners.reshape(1, -1, 3) - corners[:, :1])
+    return bool((in_front <= _FLATNESS * np.ptp(corners.reshape(-1, 3), axis=0).max()).all())
 
 
 class Meshes:
@@ -247,6 +288,7 @@ class Meshes:
         self.lower: Floats = corners[:, 0]
         self.upper: Floats = corners[:, 1]
         self.names: tuple[str, ...] = tuple(names)
+        self._layers: dict[int, int] = {}  # of meshes whose layers were counted
         for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
             array.flags.writeable = False
 
@@ -258,6 +300,16 @@ class Meshes:
         first, count, base = (int(value) for value in self.ranges[mesh])
         end = base + int(self.vertex_counts[mesh])
         return MeshGeometry(self.vertices[base:end].copy(), self.indices[first : first + count].copy())
+
+    def count_layers(self, mesh: int) -> int:
+        """Return how many triangles of a mesh may cover a pixel, if only those that face the eye are drawn:
+        one of a convex mesh. Each may if there are more than 64, which aren't examined."""
+        if mesh not in self._layers:
+            geometry = self.geometry(mesh)
+            corners = geometry.vertices["position"][geometry.indices].astype(np.float64).reshape(-1, 3, 3)
+            is_convex = len(corners) <= _EXAMINED_TRIANGLES and _is_convex(corners)
+            self._layers[mesh] = 1 if is_convex else len(corners)
+        return self._layers[mesh]
 
     @property
     def vertex_counts(self) -> NDArray[np.int64]:

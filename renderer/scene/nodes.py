@@ -20,6 +20,7 @@ from renderer import rules
 from renderer.scene.arrays import Floats, read_ids
 from rhi.errors import refuse
 from rhi.math import is_affine, multiply
+from rhi.math.arguments import read_floats
 
 
 class Nodes:
@@ -47,7 +48,7 @@ class Nodes:
     ) -> None:
         parent_indices = np.asarray(parents, np.int64).reshape(-1)
         count = len(parent_indices)
-        matrices = np.asarray(local, np.float64)
+        matrices = read_floats("Nodes(local=...)", local, rule=rules.BAD_TRANSFORM)
         if matrices.shape != (count, 4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "Nodes(local=...)", f"shape {matrices.shape}", f"({count}, 4, 4)")
         if ((parent_indices < -1) | (parent_indices >= np.arange(count))).any():
@@ -105,7 +106,7 @@ class Nodes:
         """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `indices` (k,); `update` applies
         them."""
         node_indices = read_ids("set_local(indices=...)", indices, len(self))
-        matrices = np.asarray(local, np.float64)
+        matrices = read_floats("set_local(local=...)", local, rule=rules.BAD_TRANSFORM)
         if matrices.shape not in ((4, 4), (len(node_indices), 4, 4)) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "set_local(local=...)", f"shape {matrices.shape}", "(k, 4, 4)")
         self._check_dynamic("set_local", node_indices)

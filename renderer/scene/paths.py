@@ -105,7 +105,10 @@ class CameraPath:
         rows = np.concatenate(
             [self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1
         )
-        path.write_text(json.dumps({"projection": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n")
+        path.write_text(
+            json.dumps({"projection": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n",
+            encoding="utf-8",
+        )
 
     @classmethod
     def load(cls, path: Path) -> Self:

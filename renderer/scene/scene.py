@@ -43,6 +43,7 @@ from renderer.scene.materials import (
     check_image,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
+from renderer.scene.negligible import flag_points, flag_unseen_materials, select_static
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
 from renderer.scene.omissions import Omission, Omissions
@@ -54,10 +55,11 @@ from renderer.scene.simulation import (
     Simulator,
     check_simulation,
 )
-from renderer.scene.tangents import add_tangents
+from renderer.scene.tangents import add_stretch, add_tangents
 from rhi import FixedStack, SamplerDescriptor
 from rhi.errors import refuse
 from rhi.math import Camera, is_affine, relative_to
+from rhi.math.arguments import read_floats
 
 
 class ObjectHandle(NamedTuple):
@@ -160,6 +162,12 @@ class Scene:
             np.zeros(0, np.int64),
         )  # as of a version of the materials
         self._emitters: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # the same
+        alphas = meshes.vertices["color"][:, 3] if self._has_colors else np.ones(1)
+        self._max_alpha = float(alphas.max(initial=1.0))
+        self._unseen: NDArray[np.bool_] = np.zeros(len(objects), bool)  # which cover nothing
+        self._unseen_from = -1  # the version of the materials of which that is
+        self._static: Indices = np.zeros(0, np.int64)  # those whose transforms stay
+        self._static_nodes: NDArray[np.int32] = np.zeros(0, np.int32)  # and their nodes
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -194,14 +202,35 @@ class Scene:
             self._last_parameters = values_now
             self._edits += 1
         moved = self.nodes.update()
-        if self.nodes.update_hidden():
-            self.objects.is_shown[:] = ~self.nodes.hidden[self.objects.node]
+        has_moved = bool(moved.any())
+        if self._flag_unseen(moved if has_moved else None) | self.nodes.update_hidden():
+            self.objects.is_shown[:] = ~self.nodes.hidden[self.objects.node] & ~self._unseen
             self._edits += 1
-        if not moved.any():
+        if not has_moved:
             return np.zeros(0, np.int64)
         boxes = self.objects.boxes.node
         self.objects.refresh_bounds(self.nodes, np.flatnonzero(moved[boxes] & (boxes >= 0)))
         return np.flatnonzero(moved[self.objects.node])
+
+    def _flag_unseen(self, moved: NDArray[np.bool_] | None) -> bool:
+        """Find the objects that cover nothing, whatever the view, and return whether others may than before.
+
+        Those that may move count as seen: lists are made again when one appears.
+
+        Args:
+            moved: which nodes (n,) have moved; None if none has.
+        """
+        objects, version = self.objects, self.material_version
+        if self._unseen_from == version and (moved is None or not moved[self._static_nodes].any()):
+            return False
+        self._unseen_from = version
+        unseen = flag_unseen_materials(self.materials, self._max_alpha)[objects.material]
+        self._static = select_static(objects)
+        self._static_nodes = np.unique(objects.node[self._static])
+        unseen[self._static] |= flag_points(self.nodes.world[objects.node[self._static]])
+        has_changed = not np.array_equal(unseen, self._unseen)
+        self._unseen = unseen
+        return has_changed
 
     def count_features(self) -> Mapping[str, int]:
         """Return how many materials, images, textures or meshes have each feature that a scene may lack, as
@@ -569,7 +598,11 @@ class SceneBuilder:
         self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = ""
     ) -> int:
         """Add one node with a local transform (4, 4), by default the identity, and return its id."""
-        matrix = np.eye(4) if local is None else np.asarray(local, np.float64)
+        matrix = (
+            np.eye(4)
+            if local is None
+            else read_floats("add_node(local=...)", local, 4, 4, rule=rules.BAD_TRANSFORM)
+        )
         first = self.add_nodes(matrix[None], parent, dynamic)[0]
         self._node_names[-1] = name
         return int(first)
@@ -579,7 +612,7 @@ class SceneBuilder:
     ) -> NDArray[np.int64]:
         """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one parent; return their ids
         (k,)."""
-        matrices = np.asarray(locals, np.float64)
+        matrices = read_floats("add_nodes(locals=...)", locals, rule=rules.BAD_TRANSFORM)
         if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "add_nodes(locals=...)", f"shape {matrices.shape}", "(k, 4, 4)")
         first, count = len(self._node_names), len(matrices)
@@ -764,13 +797,23 @@ class SceneBuilder:
             attributes.add("tangent")
         geometries = list(self._geometries)
         simulated = {int(table[row, 1]) for geometry in self._simulated for row in geometry.objects}
+        turned = set(mapped[_turns_tangents(normals[mapped[:, 2]], textures), 1].tolist())
         meshes, first = np.unique(mapped[:, 1], return_index=True)
         for mesh, material in zip(meshes.tolist(), mapped[first, 2].tolist(), strict=True):
+            row = normals[material]
+            uv = "uv2" if row >= 0 and textures["uv_set"][row] else "uv"
             if "tangent" not in geometries[mesh].attributes:
-                row = normals[material]
-                uv = "uv2" if row >= 0 and textures["uv_set"][row] else "uv"
                 geometries[mesh] = add_tangents(geometries[mesh], uv, splits=mesh not in simulated)
+            if mesh in turned:
+                geometries[mesh] = add_stretch(geometries[mesh], uv)
         return [geometry.with_attributes(geometry.attributes & attributes) for geometry in geometries]
+
+
+def _turns_tangents(rows: NDArray[Any], textures: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which of the textures `rows` (k,), or -1, rotate texture coordinates."""
+    transforms = np.concatenate([textures["transform"], np.eye(2, 3, dtype=np.float32)[None]])[rows]
+    rotates: NDArray[np.bool_] = (transforms[:, 0, 1] != 0.0) | (transforms[:, 1, 0] != 0.0)
+    return rotates
 
 
 def _check_boxes(bounds: tuple[ArrayLike, ArrayLike], count: int) -> tuple[Floats, Floats]:

@@ -19,6 +19,7 @@ that is perpendicular to its normal.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,37 +29,101 @@ from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class TangentGroups:
+    """What the tangents of a mesh depend on besides its positions and normals, for meshes that change.
+
+    Attributes:
+        corners: (c,) the vertex of each corner of a triangle.
+        uv: (t, 3, 2) the texture coordinates of triangles.
+        sign: (t,) of their bitangents.
+        group: (c,) the group of each corner; its tangents are added.
+        vertex: (c,) the same number for corners of equal position, normal and texture coordinates.
+    """
+
+    corners: Indices
+    uv: Floats
+    sign: NDArray[np.int64]
+    group: Indices
+    vertex: Indices
+
+    @classmethod
+    def make(cls, geometry: MeshGeometry, uv: str, *, splits: bool = True) -> TangentGroups:
+        """Find the groups of a mesh; with `splits` False, each vertex is one."""
+        corners = geometry.indices.astype(np.int64)
+        vertices = geometry.vertices
+        has_uv = uv in (vertices.dtype.names or ())
+        coordinates = (vertices[uv] if has_uv else np.zeros((len(vertices), 2)))[corners]
+        coordinates = coordinates.astype(np.float64).reshape(-1, 3, 2)
+        points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
+        _, sign = _triangle_tangents(points, coordinates)
+        vertex = _weld(geometry, uv)[corners]
+        links = _link_corners(vertex)
+        sign = _orient_flat(links, sign)
+        group = _group_corners(links, sign) if splits else corners
+        return cls(corners, coordinates, sign, group, vertex if splits else corners)
+
+    def compute(self, positions: NDArray[Any], normals: NDArray[Any]) -> Floats:
+        """Return the tangents of corners (c, 4) where vertices (v, 3) are at these positions."""
+        points = positions.astype(np.float64)[self.corners].reshape(-1, 3, 3)
+        along, _ = _triangle_tangents(points, self.uv)
+        corner_normals = normals.astype(np.float64)[self.corners]
+        tangents = _sum_tangents(points, along, corner_normals, self.group)
+        tangents = _fill_missing(tangents, corner_normals, self.vertex)
+        return np.concatenate([tangents, np.repeat(self.sign, 3)[:, None]], axis=1)
+
+
 def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True) -> MeshGeometry:
     """Return the mesh with tangents along one set of texture coordinates, `uv` or `uv2`.
 
     A vertex becomes several where its triangles' tangents are of different groups. If it must not, because
     something relies on the number of vertices, `splits` is False, and it gets their sum.
     """
-    corners = geometry.indices.astype(np.int64)
-    vertices = geometry.vertices
-    points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
-    coordinates = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[
-        corners
-    ]
-    along, sign = _triangle_tangents(points, coordinates.astype(np.float64).reshape(-1, 3, 2))
-    vertex = _weld(geometry, uv)[corners]
-    links = _link_corners(vertex)
-    sign = _orient_flat(links, sign)
-    group = _group_corners(links, sign) if splits else corners
-    normals = vertices["normal"].astype(np.float64)[corners]
-    tangents = _sum_tangents(points, along, normals, group)
-    tangents = _fill_missing(tangents, normals, vertex if splits else corners)
+    if splits:
+        return split_by_tangents(geometry, uv)[0]
+    groups = TangentGroups.make(geometry, uv, splits=False)
+    vertices = geometry.with_attributes(geometry.attributes | {"tangent"}).vertices.copy()
+    vertices["tangent"][groups.corners] = groups.compute(vertices["position"], vertices["normal"])
+    return MeshGeometry(vertices, geometry.indices)
 
-    signed = np.concatenate([tangents, np.repeat(sign, 3)[:, None]], axis=1)
-    split = geometry.with_attributes(geometry.attributes | {"tangent"}).vertices
-    if not splits:
-        split = split.copy()
-        split["tangent"][corners] = signed
-        return MeshGeometry(split, geometry.indices)
+
+def split_by_tangents(geometry: MeshGeometry, uv: str = "uv") -> tuple[MeshGeometry, Indices, TangentGroups]:
+    """Return the mesh with tangents, of which vertex (v,) each of its vertices was made, and the groups, for
+    tangents of the new vertices where these are elsewhere."""
+    groups = TangentGroups.make(geometry, uv)
+    corners, group = groups.corners, groups.group
+    signed = groups.compute(geometry.vertices["position"], geometry.vertices["normal"])
+    vertices = geometry.with_attributes(geometry.attributes | {"tangent"}).vertices
     _, first, index = np.unique(corners * len(group) + group, return_index=True, return_inverse=True)
-    split = split[corners[first]]
+    index = index.reshape(-1)
+    split = vertices[corners[first]]
     split["tangent"] = signed[first]
-    return MeshGeometry(split, index.reshape(-1).astype(np.uint32))
+    mesh = MeshGeometry(split, index.astype(np.uint32))
+    return mesh, corners[first], replace(groups, corners=index.astype(np.int64))
+
+
+def add_stretch(geometry: MeshGeometry, uv: str = "uv") -> MeshGeometry:
+    """Return a mesh with tangents whose w also says how much longer a step along v is than one along u, as
+    the mean of the triangles around a vertex: a normal map with rotated coordinates needs it."""
+    if uv not in (geometry.vertices.dtype.names or ()):
+        return geometry
+    corners = geometry.indices.astype(np.int64)
+    vertices = geometry.vertices.copy()
+    points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
+    u, v = _triangle_gradients(points, vertices[uv].astype(np.float64)[corners].reshape(-1, 3, 2))
+    lengths = np.repeat(np.linalg.norm([u, v], axis=2), 3, axis=1)
+    along, across = (np.bincount(corners, each, len(vertices)) for each in lengths)
+    ratio = np.divide(across, along, out=np.ones_like(along), where=(along > 0.0) & (across > 0.0))
+    vertices["tangent"][:, 3] = np.where(vertices["tangent"][:, 3] < 0.0, -ratio, ratio)
+    return MeshGeometry(vertices, geometry.indices)
+
+
+def _triangle_gradients(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
+    """Return the steps (t, 3), (t, 3) of triangles along u and along v, both times the same area."""
+    a, b = (points[:, 1:] - points[:, :1]).transpose(1, 0, 2)
+    u, v = (uv[:, 1:] - uv[:, :1]).transpose(2, 0, 1)
+    side = np.sign(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])[:, None]
+    return (a * v[:, 1, None] - b * v[:, 0, None]) * side, (b * u[:, 0, None] - a * u[:, 1, None]) * side
 
 
 def _triangle_tangents(points: Floats, uv: Floats) -> tuple[Floats, NDArray[np.int64]]:
@@ -67,11 +132,9 @@ def _triangle_tangents(points: Floats, uv: Floats) -> tuple[Floats, NDArray[np.i
 
     An image's rows count down, so a triangle whose texture isn't mirrored has a negative area in (u, v).
     """
-    a, b = (points[:, 1:] - points[:, :1]).transpose(1, 0, 2)
     u, v = (uv[:, 1:] - uv[:, :1]).transpose(2, 0, 1)
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    along = (a * v[:, 1, None] - b * v[:, 0, None]) * np.sign(area)[:, None]
-    across = (b * u[:, 0, None] - a * u[:, 1, None]) * np.sign(area)[:, None]
+    along, across = _triangle_gradients(points, uv)
     length = np.linalg.norm(along, axis=1)
     is_flat = (area == 0.0) | (length == 0.0) | (np.linalg.norm(across, axis=1) == 0.0)
     unit = along / np.where(length > 0.0, length, 1.0)[:, None]

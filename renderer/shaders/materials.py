@@ -89,6 +89,8 @@ class MaterialShader(sl.Shader):
     """The side of what a pixel covers of a texture, in that of what it shows."""
     has_transformed_uvs = False
     """Whether the texture coordinates of the input have been transformed already."""
+    has_texture_transforms = False
+    """Whether a table may rotate or mirror texture coordinates, and so the tangents of normal maps."""
     is_own = False
     """Whether this is a material's own shader rather than the renderer's."""
     has_color = True
@@ -165,6 +167,23 @@ class MaterialShader(sl.Shader):
         if sl.dot(bent, bent) < _NO_NORMAL:
             return at.normal
         return safe_normalize(bent)
+
+    def turn_tangent(self, material: int, normal: sl.vec3, tangent: sl.vec4) -> sl.vec4:
+        """Return the tangent along which the coordinates of the material's normal map grow, of any length,
+        where those of the mesh grow along `tangent`: a table may have rotated or mirrored them."""
+        texture = self.materials[material].normal_texture
+        if texture < 0:
+            return tangent
+        use = self.textures[texture]
+        area = use.u.x * use.v.y - use.u.y * use.v.x
+        if area == 0.0:
+            return tangent
+        side = -1.0 if area < 0.0 else 1.0
+        # The point moves along u' by the inverse of the transform. The v of images counts down, so the
+        # bitangent is where it falls; where u and v are stretched unlike, w is their ratio.
+        along = safe_normalize(tangent.xyz)
+        up = sl.cross(normal, along) * tangent.w
+        return sl.vec4((along * use.v.y + up * use.v.x) * side, tangent.w * side)
 
     def sample_metallic_roughness(self, at: SurfaceInput) -> sl.vec2:
         """Return the surface's metalness and roughness."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import rhi.shading as sl
 from renderer.light_kinds.generation import define, for_each_kind
-from renderer.light_kinds.incidence import safe_normalize
+from renderer.light_kinds.incidence import MIN_SQUARED_DISTANCE, safe_normalize
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.shaders.structs import TABLE_WIDTH, SurfacePoint
 
@@ -102,10 +102,11 @@ class SphereLightReader(SourceRadiusReader):
         radii = self.source_radii.load(
             sl.ivec2(light_index % TABLE_WIDTH, light_index // TABLE_WIDTH)
         ).{"xyz"[:_COUNT]}
-        return radii * radii / sl.max(sl.dot(to_center, to_center), 1e-4)  # where attenuation is bounded
+        return radii * radii / sl.max(sl.dot(to_center, to_center), MIN_SQUARED_DISTANCE)
 ''',
         "SphereLightReader",
         __name__,
+        MIN_SQUARED_DISTANCE=MIN_SQUARED_DISTANCE,
         SourceRadiusReader=SourceRadiusReader,
         TABLE_WIDTH=TABLE_WIDTH,
         sl=sl,

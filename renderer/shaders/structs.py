@@ -191,8 +191,8 @@ class SurfaceInput(Struct):
         uv_gradients: the changes of `uv` to the next pixel on the right (x, y), and to that below (z, w);
             those of a material's own shader, and where textures are read by a table.
         uv2_gradients: the same of `uv2`.
-        tangent: the direction of u in the world, of any length, where meshes have tangents; w is negative if
-            that of v is `cross(tangent, normal)` instead of `cross(normal, tangent)`.
+        tangent: the direction of the normal map's u in the world, of any length, where meshes have tangents;
+            w is negative if that of v is `cross(tangent, normal)` instead of `cross(normal, tangent)`.
         color: that of vertices, white if they have none.
         material: the row of the material.
     """

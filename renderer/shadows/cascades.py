@@ -6,12 +6,15 @@
 - The middle of a map is moved to **whole texels**, and its depth to whole steps, in float64 and in the world.
   So texels are at fixed places of the world, and edges of shadows don't crawl while the eye moves.
 - Several views of a frame, such as two eyes, share their cascades: spheres enclose the slices of all views.
+- A map's **depth range** is bounded: rounding of depth stays a small part of a texel. What reaches above the
+  range is drawn at its near plane ("pancaking", Lauritzen, Salvi and Lefohn 2011): nothing that is looked up
+  is above it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +26,16 @@ _BORDER = 4
 """The border in texels at each side of a map, where no point is looked up: filters read it, and the middle is
 moved by up to one texel."""
 
+_MAX_ROUNDING = 0.02
+"""The greatest error of depths in a map, in texels. It bounds the depth range of the map."""
+
+_DEPTH_ERROR = 2.0**-22
+"""The greatest error of a depth in float32, in depth ranges: a few roundings of numbers up to 1."""
+
+_SLICE_STEPS = 3
+"""The depth range that always holds a slice, in radii: two, and one more since its lower end is at a whole
+radius."""
+
 _STEPS = 64.0
 """A radius is rounded up to this part of a power of two, so that rounding doesn't change it from frame to
 frame."""
@@ -33,16 +46,35 @@ class Cascade:
     """A map of a directional light.
 
     Attributes:
-        camera: what the map is drawn with: parallel rays, from above all casters to below the slice.
+        camera: what the map is drawn with: parallel rays, from above the slice to below it.
         texel: the width of a texel in metres.
         length: the depth of the map in metres.
         inner: how far from the middle, in metres to each side, points may be that are looked up.
+        shelf: a coordinate along the axis towards the light, in metres from the world's origin: above the
+            slice, and far below the near plane.
     """
 
     camera: Camera
     texel: float
     length: float
     inner: float
+    shelf: float
+
+    @property
+    def top(self) -> float:
+        """The coordinate of the near plane along the axis towards the light, in metres from the world's
+        origin."""
+        return float(self.camera.rotation[2] @ self.camera.position)
+
+    def upper_camera(self, top: float) -> Camera:
+        """Return the camera for casters that reach above the map, up to `top`. What it sees is drawn at the
+        near plane. It sees down to the shelf: its range may be long, and the lower end of that is coarse."""
+        position = self.camera.rotation @ self.camera.position
+        position[2] = top + (top - self.shelf) / 1024.0
+        square = self.camera.projection
+        assert isinstance(square, Orthographic)
+        projection = replace(square, far=float(position[2] - self.shelf))
+        return Camera(position @ self.camera.rotation, self.camera.rotation, projection)
 
 
 def split_distances(near: float, far: float, count: int, split: float) -> Floats:
@@ -139,9 +171,11 @@ def _fit_cascade(centre: Floats, axes: Floats, radius: float, size: int, top: fl
     position = axes @ centre
     position[:2] = np.floor(position[:2] / texel) * texel
     bottom = np.floor((position[2] - radius) / radius) * radius
+    steps = max(_SLICE_STEPS + 1, np.floor(_MAX_ROUNDING * texel / (_DEPTH_ERROR * radius)))
     above = max(np.ceil(top / radius + 1e-6) * radius, bottom + radius)
-    position[2] = above
+    position[2] = above = min(above, bottom + steps * radius)
     length = float(above - bottom)
     projection = Orthographic(height=size * texel, aspect=1.0, near=0.0, far=length)
     inner = 0.5 * size * texel - max(border - 1, 0) * texel
-    return Cascade(Camera(position @ axes, axes, projection), texel, length, inner)
+    shelf = float(bottom + max(_SLICE_STEPS, steps // 2) * radius)
+    return Cascade(Camera(position @ axes, axes, projection), texel, length, inner, shelf)

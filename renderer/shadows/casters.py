@@ -7,7 +7,7 @@ of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,18 +17,32 @@ from renderer.lights.object_lists import list_lights
 from renderer.scene import AlphaMode, Camera, Scene
 from renderer.scene.arrays import Floats, Indices, list_ranges
 from renderer.shadows.cascades import Cascade
+from renderer.shadows.huge_casters import can_be_cut, is_huge, largest_extent
 from renderer.shadows.local_light_maps import pair_by_light, shadow_boxes
 from renderer.visibility.boxes.volumes import Containment, classify
 
+_OCTAVES = 2  # of heights above a map whose casters share a camera
 _MARGIN = 1e-9  # by which boxes are too large, relative to their coordinates
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Casters:
-    """The casters of a map: rows of objects that can't move, and of those that may."""
+    """The casters of a map.
+
+    Attributes:
+        static: the rows of objects that can't move.
+        dynamic: the rows of those that may.
+        upper: of those that reach above the map's depth range, the rows and the camera that sees their upper
+            part.
+        beyond: the rows of those that are wholly above the range.
+        huge: the rows of those that have to be cut to the map.
+    """
 
     static: Indices
     dynamic: Indices
+    upper: tuple[tuple[Camera, Indices], ...] = ()
+    beyond: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+    huge: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.static) + len(self.dynamic)
@@ -39,6 +53,7 @@ class SceneCasters:
     cut.
 
     Attributes:
+        scene: the scene.
         static, dynamic: the rows of objects that cast shadows: those that can't move, and those that may.
         is_masked: (n,) bool, whether an object's material is a mask.
         coverage: bytes that change when what materials cover does (`coverage_key`).
@@ -57,11 +72,10 @@ class SceneCasters:
         casts[scene.list_transparent()] = False
         self.static: Indices = np.flatnonzero(casts & ~may_move)
         self.dynamic: Indices = np.flatnonzero(casts & may_move)
-        self._scene = scene
+        self.scene = scene
         self._casters_by_kind: dict[str, tuple[bytes, list[Indices]]] = {}
-        self._turned: dict[
-            int, tuple[bytes, tuple[Floats, Floats]]
-        ] = {}  # boxes of what can't move, by the light
+        self._turned: dict[int, tuple[bytes, tuple[Floats, Floats], float, float]] = {}
+        """By light, its axes, and the boxes of what can't move with their top and extent."""
 
     def casters_in_range(self, kind: str, lights: NDArray[Any]) -> tuple[list[Indices], list[Indices]]:
         """Return the rows of the casters in the range of each light of a kind: lists of those that can't
@@ -73,7 +87,7 @@ class SceneCasters:
         return self._casters_by_kind[kind][1], self._pair(self.dynamic, positions, ranges)
 
     def _pair(self, rows: Indices, positions: Floats, ranges: Floats) -> list[Indices]:
-        lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
+        lower, upper = self.scene.objects.lower[rows], self.scene.objects.upper[rows]
         return [
             rows[box_indices]
             for box_indices in pair_by_light(*list_lights(lower, upper, positions, ranges), len(positions))
@@ -84,8 +98,12 @@ class SceneCasters:
         move are computed again only if the light has changed."""
         key = axes.tobytes()
         if row not in self._turned or self._turned[row][0] != key:
-            self._turned[row] = key, rotate_boxes(self._scene, self.static, axes)
-        return LightBoxes(self, self._turned[row][1], rotate_boxes(self._scene, self.dynamic, axes))
+            static = rotate_boxes(self.scene, self.static, axes)
+            self._turned[row] = key, static, *_top_and_extent(static)
+        _, static, static_top, static_extent = self._turned[row]
+        dynamic = rotate_boxes(self.scene, self.dynamic, axes)
+        top, extent = _top_and_extent(dynamic)
+        return LightBoxes(self, static, dynamic, max(top, static_top), max(extent, static_extent))
 
 
 def appearance_key(scene: Scene) -> bytes:
@@ -106,17 +124,21 @@ def coverage_key(scene: Scene) -> bytes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LightBoxes:
-    """The boxes of all casters along the axes of a directional light: lower and upper corners (k, 3) each."""
+    """The boxes of all casters along the axes of a directional light.
+
+    Attributes:
+        casters: those of the scene.
+        static: the lower and the upper corners (k, 3) of casters that can't move.
+        dynamic: those of casters that may.
+        top: the largest coordinate along the axis towards the light, in metres from the world's origin.
+        extent: the largest extent of a box along any of the axes, in metres.
+    """
 
     casters: SceneCasters
     static: tuple[Floats, Floats]
     dynamic: tuple[Floats, Floats]
-
-    @property
-    def top(self) -> float:
-        """The largest coordinate of all casters along the axis towards the light, in metres from the world's
-        origin."""
-        return float(max(np.max(upper[:, 2], initial=-np.inf) for _, upper in (self.static, self.dynamic)))
+    top: float
+    extent: float
 
     def select_casters(self, cascade: Cascade, receivers: tuple[Floats, Floats]) -> Casters | None:
         """Return the casters whose shadows may fall on receivers in a cascade; None without receivers.
@@ -133,10 +155,37 @@ class LightBoxes:
         border = 1.0 / cascade.camera.projection.matrix[0, 0] - cascade.inner  # read by filters
         low = np.maximum(low, lower[inside].min(0)) - (border, border, 0.0)
         high = np.minimum(high, upper[inside].max(0)) + border
-        return Casters(
-            self.casters.static[_boxes_above(self.static, low, high)],
-            self.casters.dynamic[_boxes_above(self.dynamic, low, high)],
+        static, dynamic = _boxes_above(self.static, low, high), _boxes_above(self.dynamic, low, high)
+        selected = Casters(self.casters.static[static], self.casters.dynamic[dynamic])
+        if self.top <= cascade.top and self.extent <= largest_extent(cascade):
+            return selected
+        lower, upper = (
+            np.concatenate([self.static[corner][static], self.dynamic[corner][dynamic]]) for corner in (0, 1)
         )
+        return self._add_far_and_huge(selected, cascade, lower, upper)
+
+    def _add_far_and_huge(self, selected: Casters, cascade: Cascade, lower: Floats, upper: Floats) -> Casters:
+        """Return casters of a map, with boxes (k, 3) along the light's axes, and which of them reach above
+        its depth range or are huge."""
+        tops, huge = upper[:, 2], is_huge(lower, upper, cascade)
+        rows = np.concatenate([selected.static, selected.dynamic])
+        huge &= can_be_cut(self.casters.scene, rows) & ~self.casters.is_masked[rows]
+        beyond = ~huge & (lower[:, 2] > cascade.top)
+        # Cameras are near what they draw: float32 rounds a distance from them as it does a depth.
+        above = ~huge & (tops > cascade.top)
+        heights = np.maximum(tops - cascade.shelf, cascade.length)
+        bands = np.where(above, np.floor(np.log2(heights) / _OCTAVES), -1.0)
+        cameras = [
+            (cascade.upper_camera(float(tops[bands == band].max())), rows[bands == band])
+            for band in np.unique(bands[above])
+        ]
+        return replace(selected, upper=tuple(cameras), beyond=rows[beyond], huge=rows[huge])
+
+
+def _top_and_extent(boxes: tuple[Floats, Floats]) -> tuple[float, float]:
+    """Return the largest coordinate of boxes (k, 3) along the third axis, and their largest extent."""
+    lower, upper = boxes
+    return float(upper[:, 2].max(initial=-np.inf)), float((upper - lower).max(initial=0.0))
 
 
 def _boxes_above(boxes: tuple[Floats, Floats], low: Floats, high: Floats) -> Indices:

@@ -51,6 +51,7 @@ class RequiredMap:
         pose: the position, axes and projection of its camera, to compare.
         static: the pose and the rows of the casters that can't move: the map is drawn again if it changes.
         is_quiet: whether no caster that may move shades anything visible.
+        cascade: of a directional light's map, the cascade.
     """
 
     key: MapKey
@@ -60,12 +61,16 @@ class RequiredMap:
     pose: tuple[object, ...]
     static: tuple[object, ...]
     is_quiet: bool = False
+    cascade: Cascade | None = None
 
     @classmethod
-    def make(cls, key: MapKey, camera: Camera, size: int, casters: Casters) -> RequiredMap:
+    def make(
+        cls, key: MapKey, camera: Camera, size: int, casters: Casters, cascade: Cascade | None = None
+    ) -> RequiredMap:
         """Return a map whose casters may all shade something visible."""
         pose = camera.position.tobytes(), camera.rotation.tobytes(), camera.projection
-        return cls(key, camera, size, casters, pose, (pose, casters.static.tobytes()))
+        static = pose, casters.static.tobytes()
+        return cls(key, camera, size, casters, pose, static, cascade=cascade)
 
 
 @dataclass(eq=False, slots=True)
@@ -138,10 +143,11 @@ class MapPlanner:
         if Effect.DIRECTIONAL_SHADOWS not in effects.enabled:
             return required
         depth = _find_depth(scene, cameras[0])
-        rows = np.flatnonzero(scene.lights.directional["casts_shadow"])[:MAX_CASCADES].tolist()
+        lights = resources.lights.directional
+        rows = np.flatnonzero(lights["casts_shadow"])[:MAX_CASCADES].tolist()
         settings = replace(self._settings, cascades=min(self._settings.cascades, MAX_CASCADES // len(rows)))
         for light_index in rows:
-            direction = scene.lights.directional["direction"][light_index].astype(np.float64)
+            direction = lights["direction"][light_index].astype(np.float64)
             axes = Camera.look_at((0, 0, 0), direction).rotation
             boxes = self.casters.rotate_casters(light_index, axes)
             receivers = rotate_boxes(scene, visible, axes)
@@ -152,9 +158,8 @@ class MapPlanner:
                     self.skipped.append((key, reason))
                     self.cascades.append((light_index, cascade, None))
                 else:
-                    required.append(
-                        RequiredMap.make(key, cascade.camera, self._settings.cascade_size, casters)
-                    )
+                    size = self._settings.cascade_size
+                    required.append(RequiredMap.make(key, cascade.camera, size, casters, cascade))
                     self.cascades.append((light_index, cascade, key))
         return required
 

@@ -37,13 +37,15 @@ from renderer.frame import (
     draw_group_states,
 )
 from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
-from renderer.frame.resources import DRAW_GROUPS
+from renderer.frame.resources import DRAW_GROUPS, SceneResources
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Indices
+from renderer.scene.lights import Lights
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
 from renderer.shadows.casters import SceneCasters, appearance_key, coverage_key
+from renderer.shadows.huge_casters import CutCaster, cut_to_map
 from renderer.shadows.local_light_maps import quaternion_from_axes
 from renderer.shadows.map_planner import DIRECTIONAL, MapKey, MapPlanner, RequiredMap
 from renderer.shadows.receiver import (
@@ -129,6 +131,8 @@ class ShadowMap:
         dynamic: the state of the other casters in it.
         copied: what the second texture holds of its tile.
         frame: the number of the frame in which it was drawn last.
+        required: the map as it was drawn last.
+        upper_views: the constants of its casters' upper cameras.
     """
 
     tile: Tile
@@ -137,6 +141,38 @@ class ShadowMap:
     dynamic: bytes = b""
     copied: tuple[object, ...] | None = None
     frame: int = 0
+    required: RequiredMap | None = None
+    upper_views: list[MirroredValue[ViewConstants]] = field(default_factory=list)
+
+    def require(self, device: Device, required: RequiredMap) -> None:
+        """Prepare to draw the map with these casters."""
+        self.required = required
+        upper = required.casters.upper
+        while len(self.upper_views) < len(upper):
+            self.upper_views.append(MirroredValue(device, _NO_VIEW))
+        for view, (camera, _) in zip(self.upper_views, upper, strict=False):
+            view.write(_view_constants(camera))
+
+    def parts(self, rows: Indices) -> list[tuple[UniformBuffer[ViewConstants], Viewport, Indices]]:
+        """Return how casters `rows` are drawn: the view, the viewport, and those of them that are drawn so.
+        What reaches above the map is drawn at its near plane, also if the rest of the object is drawn in its
+        depth range. Huge casters are left out."""
+        assert self.required is not None
+        x, y, size = self.tile
+        casters = self.required.casters
+        within = rows
+        if len(casters.beyond) or len(casters.huge):
+            within = rows[~np.isin(rows, np.concatenate([casters.beyond, casters.huge]))]
+        parts = [(self.view.buffer, Viewport(x, y, size, size), within)]
+        for view, (_, upper) in zip(self.upper_views, casters.upper, strict=False):
+            parts.append((view.buffer, Viewport(x, y, size, size, 1.0, 1.0), rows[np.isin(rows, upper)]))
+        return parts
+
+    def destroy(self) -> None:
+        """Destroy the constants of the map's cameras."""
+        for view in (self.view, *self.upper_views):
+            view.destroy()
+        self.upper_views.clear()
 
 
 @dataclass(eq=False, slots=True)
@@ -252,11 +288,11 @@ class ShadowMaps:
         self._warn_without_room(len(self._needed.without_room))
         self._allocate_tiles(
             {required_map.key: required_map.size for required_map in required},
-            shrinks=self._forget_lights(scene),
+            shrinks=self._forget_lights(resources.lights),
         )
         self._draw(frame, self._decide(scene, required), bind_programs)
         self.aim(frame.camera)
-        self._write_local_lights(scene, frame.effects)
+        self._write_local_lights(resources.lights, frame.effects)
 
     def _warn_without_room(self, count: int) -> None:
         """Count the local lights that are dark, and warn if more are than in the last frame."""
@@ -296,7 +332,7 @@ class ShadowMaps:
             self._sun_tables.append(MirroredValue(self._device, _make_table([], 0.0)))
         self._sun_tables[eye].write(_make_table(maps, self.settings.bias))
 
-    def _write_local_lights(self, scene: Scene, effects: FrameEffects) -> None:
+    def _write_local_lights(self, lights: Lights, effects: FrameEffects) -> None:
         """Write the table, slots and tiles of the local lights' maps, if they have changed."""
         if not any(len(effects.in_view[row.shadows]) for row in LOCAL_LIGHTS.values()):
             if not any(effects.counts[row.shadows] for row in LOCAL_LIGHTS.values()):
@@ -305,7 +341,7 @@ class ShadowMaps:
         assert self._needed is not None
         local_lights, ends = self._needed.local_lights, [0]
         for kind in LOCAL_LIGHT_KINDS:
-            ends.append(ends[-1] + len(scene.lights.of_kind(kind)))
+            ends.append(ends[-1] + len(lights.of_kind(kind)))
         written = (local_lights, self._needed.without_room, self._placements, ends)
         if written == self._written:
             return
@@ -327,9 +363,9 @@ class ShadowMaps:
         self._local_light_textures["shadow_slots"].write(slots)
         self._local_light_textures["local_shadow_maps"].write(_describe_maps(maps))
 
-    def _forget_lights(self, scene: Scene) -> bool:
+    def _forget_lights(self, lights: Lights) -> bool:
         """Forget the maps of lights that cast no shadows any more; return whether there were any."""
-        casting = {kind.name: scene.lights.of_kind(kind)["casts_shadow"].astype(bool) for kind in LIGHT_KINDS}
+        casting = {kind.name: lights.of_kind(kind)["casts_shadow"].astype(bool) for kind in LIGHT_KINDS}
         state = tuple(casts.tobytes() for casts in casting.values())
         if state == self._casting:
             return False
@@ -405,6 +441,7 @@ class ShadowMaps:
     def _add_work(self, work: MapUpdates, required: RequiredMap, dynamic: bytes) -> None:
         """Add a map that has changed to the frame's updates."""
         shadow_map, casters, static = self._maps[required.key], required.casters, required.static
+        shadow_map.require(self._device, required)
         if shadow_map.static != static:
             reason = (
                 "it is new"
@@ -475,22 +512,40 @@ class ShadowMaps:
         ):
             for shadow_map, rows in maps:
                 x, y, size = shadow_map.tile
-                with device.states(Viewport(x, y, size, size), Scissor(x, y, size, size)):
-                    if clears:
-                        with device.states(DepthFunction.ALWAYS, CullMode.NONE):
-                            device.draw(device.program(FarDepth), self._triangle)
-                    for masked, programs in kinds:
-                        drawn = rows if len(kinds) == 1 else rows[is_masked[rows] == masked]
-                        groups = resources.group[drawn] % (
-                            len(DRAW_GROUPS) * len(programs)
-                        )  # with one, by states
-                        for group in np.unique(groups).tolist():
-                            program, bindings = choose_program(programs, group)
-                            view = {"view": shadow_map.view.buffer}
-                            with device.states(*draw_group_states(group)):
-                                resources.draw_objects(
-                                    device, program, bindings | view, drawn[groups == group]
-                                )
+                for number, (view, viewport, casters) in enumerate(shadow_map.parts(rows)):
+                    with device.states(viewport, Scissor(x, y, size, size)):
+                        if number == 0:
+                            if clears:
+                                with device.states(DepthFunction.ALWAYS, CullMode.NONE):
+                                    device.draw(device.program(FarDepth), self._triangle)
+                            self._draw_huge(resources, shadow_map, rows)
+                        for masked, programs in kinds:
+                            drawn = casters if len(kinds) == 1 else casters[is_masked[casters] == masked]
+                            # With one program, groups differ by their states alone.
+                            groups = resources.group[drawn] % (len(DRAW_GROUPS) * len(programs))
+                            for group in np.unique(groups).tolist():
+                                program, bindings = choose_program(programs, group)
+                                bindings = bindings | {"view": view}
+                                with device.states(*draw_group_states(group)):
+                                    resources.draw_objects(device, program, bindings, drawn[groups == group])
+
+    def _draw_huge(self, resources: SceneResources, shadow_map: ShadowMap, rows: Indices) -> None:
+        """Draw those of the casters `rows` that are huge beside a map, cut to it."""
+        required = shadow_map.required
+        if required is None or required.cascade is None or not len(required.casters.huge):
+            return
+        huge = rows[np.isin(rows, required.casters.huge)]
+        groups = resources.group[huge] % len(DRAW_GROUPS)
+        for group in np.unique(groups).tolist():
+            triangles = cut_to_map(resources.scene, huge[groups == group], required.cascade)
+            if not len(triangles):
+                continue
+            vertices = np.zeros(3 * len(triangles), [("position", "<f4", 3)])
+            vertices["position"] = triangles.reshape(-1, 3)
+            mesh = self._device.mesh(vertices, label="huge casters")
+            with self._device.states(*draw_group_states(group)):
+                self._device.draw(self._device.program(CutCaster), mesh, view=shadow_map.view.buffer)
+            mesh.destroy()
 
     def _report(self, key: MapKey, state: str, reason: str, required: RequiredMap | None = None) -> None:
         self._reported.append((key, state, reason, required))
@@ -519,7 +574,7 @@ class ShadowMaps:
     def _forget(self, key: MapKey) -> None:
         shadow_map = self._maps.pop(key)
         self._tree.free(shadow_map.tile)
-        shadow_map.view.destroy()
+        shadow_map.destroy()
 
     def _forget_all(self) -> None:
         for key in list(self._maps):

@@ -256,7 +256,7 @@ class ShadowMapReader(ShadowFilterShader):
             if deep == 0.0 and self.cascade_table.maps[i].light == light_index:
                 there = self.cascade_table.maps[i].axes @ position - self.cascade_table.maps[i].middle
                 aside = sl.max(sl.abs(there.x), sl.abs(there.y)) / self.cascade_table.maps[i].inner
-                if aside < 1.0 and -there.z < self.cascade_table.maps[i].length:
+                if aside < 1.0 and there.z <= 0.0 and -there.z < self.cascade_table.maps[i].length:
                     point = there
                     facing = self.cascade_table.maps[i].axes @ geometric_normal
                     tile = sl.vec4(

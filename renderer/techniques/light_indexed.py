@@ -26,10 +26,10 @@ import rhi.shading as sl
 from renderer.frame import LOCAL_LIGHTS, Frame, FrameEffects, FramePass, Target, Targets
 from renderer.light_kinds.bounds import LightBounds
 from renderer.light_kinds.generation import define
+from renderer.light_kinds.incidence import safe_normalize, versine
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.lights.rectangles import bound_spheres
 from renderer.scene.arrays import Indices
-from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, depth_to_nearness, nearness_to_distance, pixel_position
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.parts.depth import DEPTH_SHADERS
@@ -74,14 +74,14 @@ _CORNERS: Final = 6  # of the two triangles of a rectangle
 
 class IndexedVolume(sl.Struct):
     """The volume of a light: its rectangle in the image, its position relative to the eye, and the value
-    that is packed for it. The cosine of a light without a cone is -2, which contains all directions."""
+    that is packed for it. The versine of a light without a cone is 3, which contains all directions."""
 
     rectangle: sl.vec4
     packed: sl.vec4
     position: sl.vec3
     range: float
     direction: sl.vec3
-    cos_outer: float
+    outer_versine: float
 
 
 class IndexVarying(sl.Struct):
@@ -115,7 +115,7 @@ class PackIndices(sl.Shader):
         away = pixel_position(self.rays, pixel, nearness_to_distance(self.rays, nearness)) - light.position
         if sl.dot(away, away) >= light.range * light.range:
             sl.discard()
-        if sl.dot(safe_normalize(away), light.direction) <= light.cos_outer:
+        if versine(safe_normalize(away), light.direction) >= light.outer_versine:
             sl.discard()
         return light.packed
 
@@ -248,7 +248,7 @@ def list_volumes(frame: Frame) -> NDArray[Any]:
         kind, lights = row.kind, frame.resources.lights.of_kind(row.kind)[effects.in_view[effect]]
         part: Any = np.zeros(len(lights), IndexedVolume.dtype)
         part["position"], part["range"] = lights["position"] - eye, lights["range"]
-        part["cos_outer"] = kind.cone_cosine(lights)
+        part["outer_versine"] = kind.cone_versine(lights)
         if kind.has_direction:
             part["direction"] = lights["direction"]
         parts.append(part)

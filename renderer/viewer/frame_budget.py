@@ -45,7 +45,7 @@ class BudgetStep:
 
 def save_steps(path: Path, steps: Sequence[BudgetStep]) -> None:
     """Write a Pareto front as JSON."""
-    path.write_text(json.dumps([to_json(step) for step in steps], indent=2) + "\n")
+    path.write_text(json.dumps([to_json(step) for step in steps], indent=2) + "\n", encoding="utf-8")
 
 
 def load_steps(path: Path) -> list[BudgetStep]:

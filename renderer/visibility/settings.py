@@ -56,7 +56,9 @@ class VisibilitySettings:
     def save(self, path: Path, **metadata: Any) -> None:
         """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores
         it."""
-        path.write_text(json.dumps({"visibility": asdict(self), **metadata}, indent=2) + "\n")
+        path.write_text(
+            json.dumps({"visibility": asdict(self), **metadata}, indent=2) + "\n", encoding="utf-8"
+        )
 
     @classmethod
     def load(cls, path: Path) -> Self:

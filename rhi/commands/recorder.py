@@ -22,9 +22,10 @@ from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
 from rhi.errors.call_sites import MARK, MARKED, mark_library
+from rhi.errors.device_objects import DeviceObject
 
 
-class CommandMethods:
+class CommandMethods(DeviceObject):
     """The command methods of a `Backend`, all generated from one text.
 
     A subclass defines `METHOD`, the body of a method, in which `{op}` stands for the number of its `Op`,

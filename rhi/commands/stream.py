@@ -23,6 +23,7 @@ from rhi.commands.text import describe_call
 from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
 from rhi.errors import RhiError, refuse
 from rhi.errors.call_sites import CallSite, make_call_site
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
 
 __all__ = ["Command", "CommandStream", "Commands", "Failure", "Op", "Refusal", "StreamContext"]
@@ -76,13 +77,14 @@ def call_site_at(code: CodeType | None, offset: int) -> CallSite | None:
     return make_call_site(code, line or code.co_firstlineno)
 
 
-class Command:
+class Command(DeviceObject):
     """A recorded call with its arguments: `command.op`, `command["count"]`, `command.site`.
 
     Labels, states, program, bindings, resources and render pass are derived from the commands before it. They
     are available until the stream is cleared; afterwards they raise `command-cleared`.
     """
 
+    _copy_tip = "rhi.trace.save(stream, path) writes a stream to a file, and rhi.trace.load reads it"
     __slots__ = ("_code", "_generation", "_stream", "failure", "index", "offset", "op", "values")
 
     def __init__(self, stream: CommandStream, index: int) -> None:
@@ -174,10 +176,11 @@ def _check_argument(op: Op, name: str) -> None:
         refuse(COMMAND_ARGUMENT, f"{op.method}: {name!r}", name, ", ".join(op.parameters) or "no arguments")
 
 
-class Commands(Sequence[Command]):
+class Commands(DeviceObject, Sequence[Command]):
     """A fixed selection of commands of a stream, in order. It doesn't change while the stream grows."""
 
     __slots__ = ("_indices", "_stream")
+    _copy_tip = "rhi.trace.save(stream, path) writes it to a file, and rhi.trace.load reads it"
 
     def __init__(self, stream: CommandStream, indices: Sequence[int]) -> None:
         self._stream = stream

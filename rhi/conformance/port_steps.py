@@ -58,7 +58,7 @@ STEPS: Final = (
             "begin_pass",
             "end_pass",
         ),
-        ("operation · textures",),
+        ("operation · textures", "operation · mip levels", "operation · clear values"),
     ),
     Step(
         "time and labels",
@@ -76,7 +76,7 @@ STEPS: Final = (
             "dispatch",
             "dispatch_indirect",
         ),
-        ("operation · compute", "operation · language", "operation · outside"),
+        ("operation · compute", "operation · language", "operation · operators", "operation · outside"),
     ),
     Step(
         "draws",
@@ -93,6 +93,8 @@ STEPS: Final = (
             "operation · dropped",
             "operation · draw times",
             "operation · draw bounds",
+            "operation · byte order",
+            "operation · rectangles",
         ),
     ),
     Step(
@@ -117,6 +119,7 @@ STEPS: Final = (
             "operation · samples",
             "operation · compressed textures",
             "operation · fragments",
+            "operation · unreachable",
         ),
     ),
     Step(
@@ -135,6 +138,7 @@ STEPS: Final = (
             "validation · threads",
             "validation · scopes",
             "validation · platform states",
+            "validation · portable uses",
         ),
     ),
 )

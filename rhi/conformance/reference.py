@@ -209,17 +209,25 @@ def rounding(format: Format, expected: Float) -> tuple[Float, str]:
 
 
 def halve(format: Format, stored: Array) -> Float:
-    """Return the next mip level of (height, width, channels) texels, not yet rounded: a 2×2 box in linear
-    light.
+    """Return the next mip level of ([depth,] height, width, channels) texels, not yet rounded: a box in
+    linear light.
 
-    Height and width must be even.
+    A texel is the mean of all that it covers, weighted by area: of 2 texels along an even axis, of 3 along an
+    odd one. An axis of 1 remains.
     """
-    values = stored.astype(np.float64)
-    if format.kind is ChannelKind.SRGB:
-        values = decode(format, values)
-    height, width, channels = values.shape
-    box = values.reshape(height // 2, 2, width // 2, 2, channels).mean(axis=(1, 3))
-    return encode(format, box) if format.kind is ChannelKind.SRGB else np.asarray(box)
+    values = decode(format, stored) if format.kind is ChannelKind.SRGB else stored.astype(np.float64)
+    for axis in range(stored.ndim - 1):
+        values = np.moveaxis(np.tensordot(_box(stored.shape[axis]), values, (1, axis)), 0, axis)
+    return encode(format, values) if format.kind is ChannelKind.SRGB else values
+
+
+def _box(size: int) -> Float:
+    """Return the weights (target texels, size) of an axis that is halved."""
+    targets = max(1, size // 2)
+    edges = np.arange(targets + 1) * size / targets
+    texels = np.arange(size)
+    covered = np.minimum(edges[1:, None], texels + 1) - np.maximum(edges[:-1, None], texels)
+    return np.asarray(np.maximum(covered, 0) * targets / size)
 
 
 # -- coverage --------------------------------------------------------------------------------------------

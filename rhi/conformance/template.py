@@ -144,10 +144,12 @@ def write_package(name: str, folder: Path) -> Path:
     root = folder / f"rhi-{name}"
     package = root / f"rhi_{name}"
     package.mkdir(parents=True)
-    (root / "pyproject.toml").write_text(_PROJECT.format(**names))
-    (root / "README.md").write_text(_README.format(**names))
-    (package / "__init__.py").write_text(_INIT.format(**names))
-    (package / "backend.py").write_text(_BACKEND.format(**names) + "\n".join(_methods()) + "\n")
+    (root / "pyproject.toml").write_text(_PROJECT.format(**names), encoding="utf-8")
+    (root / "README.md").write_text(_README.format(**names), encoding="utf-8")
+    (package / "__init__.py").write_text(_INIT.format(**names), encoding="utf-8")
+    (package / "backend.py").write_text(
+        _BACKEND.format(**names) + "\n".join(_methods()) + "\n", encoding="utf-8"
+    )
     return root
 
 

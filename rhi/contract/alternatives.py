@@ -12,9 +12,13 @@ from typing import Final
 _ANOTHER_FORMAT: Final = "choose a format that device.capabilities doesn't list there"
 
 ALTERNATIVES: Final[Mapping[str, str]] = {
+    "max_texture_size": "draw to tiles, each with a projection of its own",
     "max_texture_layers": "spread the layers over several textures, or over an atlas",
     "max_color_targets": "draw to the other targets in a second pass",
     "max_target_bytes": "use narrower formats, or draw to some targets in a second pass",
+    "max_varyings": "put several numbers into one vec4",
+    "max_vertex_stride": "put fields that this program doesn't read into another mesh",
+    "vertex_alignment": "add fields that fill it up, or align the dtype: np.dtype(…, align=True)",
     "max_vertex_attributes": "read attributes from a Storage binding by vertex_index()",
     "max_uniform_slots": "put several structs into one, or into a Storage array",
     "max_storage_slots": "put several arrays into one, each at an offset of its own",
@@ -41,6 +45,8 @@ ALTERNATIVES: Final[Mapping[str, str]] = {
     "wireframe": "draw the edges with Primitive.LINES and indices of their ends",
     "draw_index": "give each draw a base_instance, and read the index from an instance attribute",
     "early_depth": "draw depth first, and return where fragment_coordinate().z lies behind the depth texture",
+    "aliased_writes": "copy what is read first: buffer.copy_to(…), texture.copy_to(…)",
+    "resolve_feedback": "resolve to another texture, or read it after the pass",
     "vertex_writes": "write the memory in a compute stage before the draw",
     "border_colors": "use Wrap.CLAMP, and select the border's color where a coordinate is below 0 or above 1",
     "texture_buffer_copies": "copy in a compute stage that loads texels and stores them in the buffer",

@@ -66,6 +66,8 @@ class Capabilities:
 
     max_texture_size: int = 16384
     max_texture_layers: int = 2048
+    max_volume_size: int = 2048
+    """The largest width, height and depth of a 3D texture."""
     max_color_targets: int = 8
     max_target_bytes: int = 128
     """Largest sum of bytes per sample of a pass's color targets, as counted by
@@ -73,6 +75,11 @@ class Capabilities:
     sample_counts: tuple[int, ...] = (1, 2, 4)
     """Numbers of samples that textures can have, in ascending order: 1 and some of 2, 4 and 8."""
     max_vertex_attributes: int = 16
+    max_vertex_stride: int = 2048
+    """The largest number of bytes from one vertex, or element of the data per instance, to the next."""
+    max_varyings: int = 15
+    """The largest number of vectors that a vertex stage gives to a fragment stage, besides the position. A
+    matrix counts one for each of its columns."""
     max_uniform_bytes: int = 16384
     max_storage_bytes: int = 1 << 27
     max_uniform_slots: int = 12
@@ -141,10 +148,16 @@ class Capabilities:
     """Whether vertex stages can read the index of the draw: `draw_index()`."""
     early_depth: bool = True
     """Whether shaders can have `early_depth`."""
+    aliased_writes: bool = True
+    """Whether a draw or dispatch may use memory that it writes a second time: by another binding, as vertices
+    or as indices. Two bindings that only write may have different parts of one buffer in any case."""
+    resolve_feedback: bool = True
+    """Whether a pass may sample the textures that it resolves to."""
     vertex_writes: bool = True
     """Whether vertex stages can write memory."""
     list_restart: bool = True
-    """Whether the largest index restarts lists and fans, too, and not only strips."""
+    """Whether the largest index restarts lists of points, lines and triangles, too. Strips, fans and quads
+    always restart."""
     precise_lines: bool = True
     """Whether a line one texel wide covers the texels that OpenGL's diamond rule gives it, within the rule's
     tolerance."""
@@ -170,7 +183,7 @@ class Capabilities:
     unblendable_formats: frozenset[Format] = frozenset()
     """Formats of color targets, besides integers, that draws can't blend with."""
     single_sampled_formats: frozenset[Format] = frozenset()
-    """Formats of targets that can't be multi-sampled."""
+    """Formats that can't be multi-sampled."""
     unresolvable_formats: frozenset[Format] = frozenset()
     """Multi-sampled formats that can't be resolved."""
     unloadable_formats: frozenset[Format] = frozenset()
@@ -461,14 +474,15 @@ class Backend(Protocol):
         size."""
 
     def generate_mipmaps(self, texture: TextureId) -> None:
-        """Fill all levels from 1 on by filtering level 0 with a 2×2 box filter; sRGB is filtered in linear
-        light."""
+        """Fill all levels from 1 on, each from the one above. A texel is the mean of all that it covers, in
+        linear light: of 2 texels along an even axis, of 3 along an odd one."""
 
     # -- passes, state, binding --------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         """Begin a render pass and clear its targets. Clears ignore scissor and write masks. `Viewport.TARGET`
-        and `Scissor.OFF` stand for the size of this pass."""
+        and `Scissor.OFF` stand for the size of this pass. Clear values are numbers that the formats hold.
+        Draws leave a color target without an output as it is, and outputs without a target are dropped."""
 
     def end_pass(self) -> None:
         """End the render pass and resolve the attachments that have a resolve target."""
@@ -506,8 +520,9 @@ class Backend(Protocol):
         base_instance: int,
     ) -> None:
         """Draw. `first` and `count` are in indices if the vertex array has an index buffer, else in vertices.
-        QUADS draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. The largest value
-        of the index format restarts a strip."""
+        QUADS draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. Incomplete
+        primitives are dropped. The largest value of the index format restarts strips, fans and quads; with
+        `capabilities.list_restart` lists, too."""
 
     def draw_indirect(
         self,

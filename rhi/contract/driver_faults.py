@@ -39,6 +39,15 @@ def is_fourth_uniform_faulty(device: str) -> bool:
     return "llvmpipe" in device
 
 
+def is_indirect_unbounded(device: str) -> bool:
+    """Whether a driver may end the process if an indirect draw names elements that its buffers don't have.
+
+    Mesa 22.3's llvmpipe looks up indices some 5 million behind the end of their buffer before it compares.
+    With vertices alone it counts to the end of 32 bits, for minutes.
+    """
+    return "llvmpipe" in device
+
+
 def list_block_faults(device: str) -> tuple[str, ...]:
     """Yield the reasons why a device's compressed textures can't be used."""
     return (_ZEROS,) if "SwiftShader" in device else ()

@@ -35,6 +35,20 @@ class ChannelKind(enum.Enum):
     DEPTH_STENCIL = "depth_stencil"
 
 
+def _bounds(kind: ChannelKind, bits: int) -> tuple[float, float]:
+    """Return the smallest and the largest finite number of a channel."""
+    if kind is ChannelKind.FLOAT:
+        if bits < 16:  # 5 bits of exponent, no sign
+            return 0.0, 2.0**16 - 2.0 ** (20 - bits)
+        largest = float(np.finfo(f"f{bits // 8}").max)
+        return -largest, largest
+    if kind is ChannelKind.INT:
+        return -(1 << bits - 1), (1 << bits - 1) - 1
+    if kind is ChannelKind.UINT:
+        return 0, (1 << bits) - 1
+    return (-1.0 if kind is ChannelKind.SNORM else 0.0), 1.0
+
+
 class Format(Choice):
     """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
@@ -46,6 +60,8 @@ class Format(Choice):
         depth_steps: the integer that represents depth 1 in a fixed-point depth format; 0 for other formats.
         components: numbers of `dtype` per texel in arrays: the channels, or 1 in a packed format.
         channel_bits: bits of each channel, in the order of the channels.
+        channel_bounds: the smallest and the largest finite number of each channel. Normalised channels hold 0
+            to 1 or −1 to 1.
     """
 
     R8 = (1, ChannelKind.UNORM, "u1", 1)
@@ -91,6 +107,7 @@ class Format(Choice):
     texel_bytes: int
     components: int
     channel_bits: tuple[int, ...]
+    channel_bounds: tuple[tuple[float, float], ...]
     depth_steps: int
 
     def __init__(
@@ -109,6 +126,7 @@ class Format(Choice):
         self.texel_bytes = texel_bytes
         self.components = 1 if packed else channels
         self.channel_bits = packed or (8 * self.dtype.itemsize,) * channels
+        self.channel_bounds = tuple(_bounds(kind, bits) for bits in self.channel_bits)
         self.depth_steps = (1 << depth_bits) - 1 if depth_bits else 0
 
     def __new__(cls, *parts: object) -> Format:

@@ -9,7 +9,8 @@ device's limits before it is replayed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from math import prod
+from functools import lru_cache
+from math import isfinite, prod
 from typing import Any, Final, NamedTuple
 
 from rhi.contract import states
@@ -32,11 +33,12 @@ from rhi.contract.descriptors import (
     Stage,
     TextureDescriptor,
     TextureKind,
+    Vec4,
     VertexArrayDescriptor,
     VertexStream,
     Wrap,
 )
-from rhi.contract.formats import Format
+from rhi.contract.formats import ChannelKind, Format
 from rhi.errors import Rule, rules
 
 
@@ -65,6 +67,7 @@ def lack(given: str, capability: str, allowed: str = "", rule: Rule = rules.DEVI
 
 
 _MANY: Final = 1 << 16
+_CHANNELS: Final = ("red", "green", "blue", "alpha")
 MAX_ROW_BYTES: Final = (1 << 31) - 1
 """Largest row pitch of a copy in bytes: drivers take 32 bits. A copy of one row may have any pitch, whatever
 the buffer's size."""
@@ -75,8 +78,11 @@ ANY_DEVICE: Final = Capabilities(
     "",
     max_texture_size=_MANY,
     max_texture_layers=_MANY,
+    max_volume_size=_MANY,
     sample_counts=(1, 2, 4, 8, 16, 32),
     max_vertex_attributes=_MANY,
+    max_vertex_stride=1 << 14,
+    max_varyings=_MANY,
     max_uniform_bytes=1 << 40,
     max_storage_bytes=1 << 40,
     max_uniform_slots=1 << 10,
@@ -124,6 +130,9 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
     samples = descriptor.samples
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
         yield Fault(rules.TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
+    if kind is TextureKind.D3 and max(width, height, layers) > limits.max_volume_size:
+        allowed = f"up to capabilities.max_volume_size, {limits.max_volume_size}, each way"
+        yield Fault(rules.TEXTURE_SIZE, f"a 3D texture of {width}×{height}×{layers}", allowed)
     if descriptor.format in limits.unsupported_formats:
         yield lack(descriptor.format.name, "unsupported_formats")
     minimum, maximum = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
@@ -465,6 +474,9 @@ def draw_faults(
 
 def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, size: int) -> Faults:
     """Yield what is wrong with the offset and stride of indirect draws in a buffer of `size` bytes."""
+    if stride > MAX_ELEMENTS or not 0 <= count_offset <= MAX_ELEMENTS:
+        given = f"stride {stride}, count_offset {count_offset}"
+        yield Fault(rules.INDIRECT_RANGE, given, f"numbers up to {MAX_ELEMENTS}")
     if draws < 1 or offset < 0 or offset + (draws - 1) * stride + DRAW.itemsize > size:
         given = f"{draws} draws from byte {offset}, {stride} apart"
         yield Fault(rules.INDIRECT_RANGE, given, f"1 draw or more within {size} bytes")
@@ -546,6 +558,10 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     for binding in descriptor.bindings:
         if binding.kind is BindingKind.IMAGE:
             yield from _image_faults(binding, limits)
+    vectors = sum(_count_vectors(varying.words) for varying in descriptor.varyings)
+    if vectors > limits.max_varyings:
+        allowed = f"up to capabilities.max_varyings, {limits.max_varyings}"
+        yield lack(f"{vectors} vectors from the vertex stage", "max_varyings", allowed)
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         given = f"{len(descriptor.attributes)} attributes"
         yield lack(given, "max_vertex_attributes", f"at most {limits.max_vertex_attributes}")
@@ -563,6 +579,11 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
             yield lack(f"{descriptor.shared_bytes} bytes of shared memory", "max_shared_bytes", allowed)
 
 
+def _count_vectors(words: int) -> int:
+    """Return how many vectors a varying takes: a matrix of 9 or 16 words has 3 or 4 columns."""
+    return {9: 3, 16: 4}.get(words, 1)
+
+
 def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
     """Yield what a device lacks for an image of a program."""
     format = getattr(binding.type, "format", None)  # descriptors that are made by hand may have no types
@@ -577,13 +598,13 @@ def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faul
     """Yield why vertices can't be read as they lie in memory."""
     step = limits.vertex_alignment
     for stream in streams:
+        if stream.stride > limits.max_vertex_stride:
+            allowed = f"up to capabilities.max_vertex_stride, {limits.max_vertex_stride}"
+            yield lack(f"vertices of {stream.stride} bytes", "max_vertex_stride", allowed)
         offsets = [stream.stride, stream.offset, *(attribute.offset for attribute in stream.attributes)]
         if any(offset % step for offset in offsets):
             given = f"vertices of {stream.stride} bytes, with fields at {', '.join(map(str, offsets[2:]))}"
-            tip = "add fields that fill it up, or align the dtype: np.dtype(…, align=True)"
-            yield Fault(
-                rules.DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip
-            )
+            yield lack(given, "vertex_alignment", f"multiples of capabilities.vertex_alignment, {step}")
 
 
 def _differs(state: Any) -> bool:
@@ -620,9 +641,20 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
     needs = _REQUIRED_CAPABILITIES.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
         yield lack(repr(state), needs[0], rule=rules.STATE_CAPABILITY)
+    if isinstance(state, states.Viewport):
+        yield from _viewport_faults(state, limits)
     if isinstance(state, states.LineWidth) and state.width > limits.max_line_width:
         maximum = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
         yield lack(repr(state), "max_line_width", maximum, rules.STATE_CAPABILITY)
+
+
+def _viewport_faults(view: states.Viewport, limits: Capabilities) -> Faults:
+    """Yield why a viewport is too large. Source: WebGPU, `setViewport`, which also refuses those far from the
+    target; backends draw nothing in these."""
+    size = limits.max_texture_size
+    if max(view.width, view.height) > size:
+        allowed = f"width and height up to {size} (capabilities.max_texture_size)"
+        yield lack(repr(view), "max_texture_size", allowed, rules.STATE_CAPABILITY)
 
 
 def target_bytes(formats: Iterable[Format]) -> int:
@@ -656,6 +688,9 @@ def pass_faults(
             yield lack(f"texels of {taken} bytes in {len(colors)} color targets", "max_target_bytes", allowed)
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
         yield Fault(rules.PASS_TARGET, "the same texture twice", "each level and layer once")
+    ends = [color.resolve for color in colors if color.resolve]
+    if len(set(ends)) < len(ends):
+        yield Fault(rules.PASS_TARGET, "two targets resolved to the same texture", "a texture for each")
     for texture in used[: len(colors)]:
         form, compressed = texture.format, texture.compressed
         if form.is_depth or form in limits.unrenderable_formats or compressed is not None:
@@ -687,8 +722,30 @@ def pass_faults(
         if not fits or source.format.is_integer:  # integers have no average
             allowed = "from several samples to 1, equal size and format, no integers"
             yield Fault(rules.PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)
+    for color, texture in zip(colors, used, strict=False):
+        if color.clear is not None:
+            fault = _color_clear_fault(texture.format, color.clear, len(colors) > 1)
+            if fault is not None:
+                yield fault
     if depth is not None:
         yield from _clear_faults(depth, used[-1])
+
+
+@lru_cache(1024)
+def _color_clear_fault(format: Format, clear: Vec4, has_others: bool) -> Fault | None:
+    """Return why a format can't hold a clear value. Normalised formats clamp, and channels that a format
+    lacks are ignored. `has_others` tells that the pass has several color targets."""
+    if not all(map(isfinite, clear)):
+        return Fault(rules.PASS_CLEAR, f"clear={clear}", "4 finite numbers: red, green, blue, alpha")
+    if not (format.is_integer or format.kind is ChannelKind.FLOAT):
+        return None
+    numbers = "whole numbers" if format.is_integer else "numbers"
+    tip = "give each target a value of its own: clear=[…, …]" if has_others else ""
+    for name, value, (low, high) in zip(_CHANNELS, clear, format.channel_bounds, strict=False):
+        if not low <= value <= high or (format.is_integer and value % 1):
+            allowed = f"{numbers} from {low:.10g} to {high:.10g}, which {format.name} holds"
+            return Fault(rules.PASS_CLEAR, f"clear={clear}, {name} is {value}", allowed, tip)
+    return None
 
 
 def _clear_faults(depth: DepthAttachment, texture: TextureDescriptor) -> Faults:

@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Self, TypeAlias
 from weakref import WeakValueDictionary
@@ -428,6 +429,23 @@ class Scissor(_Value):
         fields = FieldChecker(self, STATE_VALUE)
         fields.integers("x", "y", minimum=-(1 << 30), maximum=1 << 30)
         fields.integers("width", "height", minimum=0, maximum=1 << 30)
+
+    def clamp(self, width: int, height: int) -> tuple[int, int, int, int]:
+        """Return x, y, width and height of the part inside a target of this size.
+
+        Drivers store edges in as few as 16 bits, so backends pass only this part on. Outside the target, the
+        part is empty.
+        """
+        return clamp_rectangle((self.x, self.y, self.width, self.height), width, height)
+
+
+def clamp_rectangle(rectangle: Sequence[int], width: int, height: int) -> tuple[int, int, int, int]:
+    """Return the part of a rectangle (x, y, width, height) inside a target of this size, which may be
+    empty."""
+    x, y, rectangle_width, rectangle_height = rectangle
+    left, top = min(max(x, 0), width), min(max(y, 0), height)
+    right, bottom = min(max(x + rectangle_width, left), width), min(max(y + rectangle_height, top), height)
+    return left, top, right - left, bottom - top
 
 
 Scissor.OFF = Scissor()

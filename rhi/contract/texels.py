@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from struct import Struct
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -18,6 +20,8 @@ from numpy.typing import NDArray
 from rhi.contract.formats import ChannelKind, Format
 
 _Taps: TypeAlias = tuple[NDArray[np.intp], NDArray[np.float64]]
+_CLAMPING: Final = frozenset({ChannelKind.UNORM, ChannelKind.SNORM, ChannelKind.SRGB})
+_PACK: Final = {count: Struct(f"{count}d").pack for count in (1, 2, 3, 4)}
 _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the float64 copies
 
 
@@ -61,6 +65,32 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
     if kind is ChannelKind.SRGB:
         values[..., :3] = _LINEAR[texels[..., :3]]
     return values
+
+
+def nearest(format: Format, values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the values that a format holds nearest to these, so that a device has nothing to round.
+
+    `values` has one number for each channel. More are returned as they are, and so are all if the format
+    can't hold them: a number out of range, or a fraction among integers.
+    """
+    return _nearest(format, _PACK[len(values)](*values)) or values
+
+
+@lru_cache(1024)
+def _nearest(format: Format, bits: bytes) -> tuple[float, ...] | None:
+    """Return `nearest`, or None where the values remain; cached by the values' bits, since -0.0 equals
+    0.0."""
+    values = np.frombuffer(bits)
+    count = format.channels
+    used = values[:count]
+    if format.kind not in _CLAMPING:
+        low, high = np.transpose(format.channel_bounds)
+        if not ((low <= used) & (used <= high)).all() or (format.is_integer and (used % 1).any()):
+            return None
+    stored: list[float] = decode(format, encode(format, used)).tolist()
+    if format.is_integer:
+        stored = [int(number) for number in stored]
+    return (*stored, *values[count:].tolist())
 
 
 def unpack(format: Format, texels: NDArray[np.generic]) -> NDArray[np.generic]:

@@ -35,10 +35,10 @@ from rhi.commands.ops import END_OPS, WIDTHS, Op
 from rhi.commands.recorder import CommandWriter, Recorder
 from rhi.commands.stream import CommandStream, call_site_at
 from rhi.contract.descriptors import BufferDescriptor, Id, Region
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.arena import Arena
 from rhi.device.core.core import Core
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.state_cache import StateVector
 from rhi.device.encoder import Encoder, check_mesh
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryScope

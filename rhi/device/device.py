@@ -60,7 +60,7 @@ from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors import rules
-from rhi.errors.arguments import ArgumentChecker, to_integer
+from rhi.errors.arguments import ArgumentChecker, little_endian, to_integer
 from rhi.shading import Precision, Shader, Struct
 from rhi.shading.language.shader import list_bindings
 
@@ -275,7 +275,11 @@ class Device(Encoder):
         usage: BufferUsage = BufferUsage.STATIC,
         label: str = "",
     ) -> Buffer:
-        """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
+        """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array.
+
+        Numbers are little-endian on every device: an array of the other byte order is converted, and the
+        buffer's dtype says so.
+        """
         check = ArgumentChecker("device.buffer", self._core.refuse)
         if usage is BufferUsage.READBACK:
             check.fail("usage", usage, "STATIC or STREAM", "use read_async")
@@ -283,7 +287,7 @@ class Device(Encoder):
         if dtype is not None:
             try:  # NumPy takes the dtype of any object that has one
                 kinds: Any = (np.dtype, type, str, list, tuple, dict)
-                requested = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
+                requested = little_endian(np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype")))
             except (TypeError, ValueError) as error:
                 self._core.refuse(
                     rules.BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})"
@@ -381,6 +385,8 @@ class Device(Encoder):
         check = ArgumentChecker("device.texture", self._core.refuse)
         if not isinstance(source, (tuple, list, np.ndarray)) and hasattr(source, "__array_interface__"):
             source = as_texels(source)
+        if isinstance(source, np.ndarray):
+            source = check.array("source", source)
         if format is None and isinstance(source, np.ndarray):
             format = infer_format(source)
             if format is None:
@@ -486,7 +492,8 @@ class Device(Encoder):
         Args:
             vertices: a structured array, a dict of arrays by attribute name, a buffer with a structured
                 dtype, or a number of vertices without attributes.
-            indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
+            indices: integers into `vertices`; the largest uint16 or uint32 restarts a
+                strip, a fan or quads.
             instances: as for `vertices`, with one element per instance.
 
         Raises:

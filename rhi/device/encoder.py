@@ -31,6 +31,7 @@ from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors import rules
 from rhi.errors.arguments import ArgumentChecker, FieldChecker, to_integer
+from rhi.errors.device_objects import DeviceObject
 
 P = ParamSpec("P")
 _ONES: Final = (1, 1, 1)
@@ -60,7 +61,7 @@ class IndirectDraws:
         fields.integers("draws", "offset", "stride", "count_offset")
 
 
-class Encoder:
+class Encoder(DeviceObject):
     """Common base of `Device` and `CommandBuffer`: the commands that both accept."""
 
     NAME = "device"

@@ -16,6 +16,7 @@ from rhi.device.resources.meshes import Drawable, DrawableData, as_structured, c
 from rhi.device.resources.programs import Program
 from rhi.device.transient import TransientMemory, VertexArrays, pack_vertices, vertex_dtype
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import IMMEDIATE_VERTEX, SCOPE_ORDER
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound="Struct")
 
 
-class Immediate(Generic[S]):
+class Immediate(DeviceObject, Generic[S]):
     """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block; `quads.vertex(position=…)`
     fills it."""
 

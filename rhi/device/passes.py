@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, Vec4
 from rhi.contract.limits import pass_faults
+from rhi.contract.texels import nearest
 from rhi.device.core.core import NO_TARGETS, Core, describe_object, make_lost_pass_error
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.programs import shader_kind
@@ -33,7 +34,16 @@ _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 class RenderPass(Scope):
     """A `with device.render_pass(...)` block."""
 
-    __slots__ = ("_core", "_descriptor", "_kinds", "_lost", "_resolves", "_textures")
+    __slots__ = (
+        "_channels",
+        "_core",
+        "_descriptor",
+        "_kinds",
+        "_lost",
+        "_resolves",
+        "_textures",
+        "_unblendable",
+    )
 
     def __init__(
         self,
@@ -82,12 +92,25 @@ class RenderPass(Scope):
                     core.refuse(
                         rules.PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target"
                     )
-        self._kinds = tuple(shader_kind(t.texture.format) for t in colors)
+        if clear_depth and clear_depth != 1.0 and depth_target is not None:  # every format holds 0 and 1
+            form = depth_target.texture.format
+            clear_depth = nearest(form, (clear_depth,))[0] if form.is_depth else clear_depth
+        formats = [target.texture.format for target in colors]
+        self._kinds = tuple(shader_kind(format) for format in formats)
+        self._channels = tuple(format.channels for format in formats)
+        unblendable = core.capabilities.unblendable_formats
+        self._unblendable = tuple(i for i, f in enumerate(formats) if f in unblendable) if unblendable else ()
         self._descriptor = PassDescriptor(
             first.size,
             tuple(
-                Attachment(t.texture.id, t.level, t.layer, c, r.id if r is not None else 0)
-                for t, c, r in zip(colors, clears, resolves, strict=True)
+                Attachment(
+                    t.texture.id,
+                    t.level,
+                    t.layer,
+                    None if value is None else cast("Vec4", nearest(t.texture.format, value)),
+                    r.id if r is not None else 0,
+                )
+                for t, value, r in zip(colors, clears, resolves, strict=True)
             ),
             None
             if depth_target is None
@@ -111,6 +134,8 @@ class RenderPass(Scope):
         core.program = None
         core.targets = frozenset(texture.id for texture in self._textures)
         core.target_kinds = self._kinds
+        core.target_channels = self._channels
+        core.unblendable_targets = self._unblendable
         core.render_pass = self._descriptor
         try:
             core.scopes.push(self)
@@ -158,7 +183,7 @@ class RenderPass(Scope):
         scopes._index = index
         core.render_pass = None
         core.targets = NO_TARGETS
-        core.target_kinds = ()
+        core.target_kinds = core.target_channels = core.unblendable_targets = ()
         core.program = None
         core.backend.end_pass()
         if self._lost and not failed:

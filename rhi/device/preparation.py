@@ -24,6 +24,7 @@ from rhi.device.resources.meshes import Mesh
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import DEVICE_ARGUMENT, TEXTURE_SIZE
 
 _CALL = "device.prepare"
@@ -46,7 +47,7 @@ class DrawPlan:
     states: Sequence[State] = ()
 
 
-class Preparation(Future[None]):
+class Preparation(DeviceObject, Future[None]):
     """The future of a `device.prepare`. `result()` waits; it can't be cancelled.
 
     A preparation never fails: code that can't be built ahead is built, or refused, by the draw that needs it.

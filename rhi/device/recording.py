@@ -145,7 +145,11 @@ class RecordedProgram(Program[...]):
         self.prepared_draws: dict[Drawable, Callable[[int], object]] = {}
         if origin.recorded_code is None:
             origin.recorded_code = compile_draw_code(
-                origin.name, origin.descriptor.bindings, recorded=True, takes_more=bool(origin._left_out)
+                origin.name,
+                origin.descriptor.bindings,
+                recorded=True,
+                takes_more=bool(origin._left_out),
+                checks_aliases=origin.must_check_aliases,
             )
         self._install_code(origin.recorded_code)
 

@@ -1,9 +1,11 @@
 """The registry of backends, and the creation of devices.
 
-- A backend is an entry point of the group `rhi.backends`: a name and a function `create(*, validation: bool,
-  …) -> Backend`. A port registers itself by an entry point of its own package; nothing here depends on it.
-  Further keyword parameters of the function are options that only this backend has; `create_device` passes
-  them on.
+- The package's own backends are named here, so they exist wherever its modules do: in an archive, in a frozen
+  program, in a folder that was copied. Those of ports are found by the metadata of their packages.
+- A port's backend is an entry point of the group `rhi.backends`: a name and a function `create(*, validation:
+  bool, …) -> Backend`. A port registers itself by an entry point of its own package; nothing here depends on
+  it. Further keyword parameters of the function are options that only this backend has; `create_device`
+  passes them on.
 - A backend without an entry point is named by its function, `package.module:function`.
 - This is the only module that may treat backends differently: it decides the order in which they are tried,
   that the null device records, and that only its devices may be created in a process that was forked after
@@ -38,6 +40,9 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 GROUP: Final = "rhi.backends"
+BUILT_IN: Final = {name: f"rhi.backends.{name}:create_backend" for name in ("gl", "cl", "wgpu", "null")}
+"""The functions of this package's own backends, by name. Tools that package programs don't see such names as
+imports: `rhi/shading/tools/pyinstaller` has a hook, and docs/errors.md says what others need."""
 PREFERENCE: Final = ("gl",)
 """Backends that are tried first, in this order, if no name is given. A backend that doesn't render must be
 named."""
@@ -53,11 +58,11 @@ _forked: Final[set[str]] = set()  # backends whose drivers its parent had loaded
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    from importlib.metadata import (
-        entry_points,
-    )  # a lazy import: it takes a seventh of the package's import time
+    # A lazy import: it takes a seventh of the package's import time.
+    from importlib.metadata import EntryPoint, entry_points
 
-    return {point.name: point for point in entry_points(group=GROUP)}
+    points = {name: EntryPoint(name, function, GROUP) for name, function in BUILT_IN.items()}
+    return points | {point.name: point for point in entry_points(group=GROUP)}
 
 
 def backend_names() -> list[str]:
@@ -233,6 +238,9 @@ def load_backend_factory(name: str) -> Callable[..., Backend]:
     try:
         create: Callable[..., Backend] = point.load()
     except (ImportError, AttributeError) as error:
+        if point.value == BUILT_IN.get(name):
+            tip = f"this program was packaged without it: include the modules of rhi.backends.{name}"
+            raise DeviceError(DEVICE_DRIVER, call, f"{name!r}: {error}", "", tip) from error
         raise DeviceError(DEVICE_UNKNOWN, call, f"{name!r}: {error}", "", tip) from error
     try:
         inspect.signature(create).bind(validation=False)

@@ -33,14 +33,22 @@ from types import ModuleType, TracebackType
 from typing import Any, Final, Self
 
 from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.persistence import PersistentDict
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
-from rhi.shading.compile import compile_shader, depends_on_module, forget_compiled, is_same, restore_compiled
+from rhi.shading.compile import (
+    compile_shader,
+    depends_on_module,
+    forget_compiled,
+    is_compiled,
+    is_same,
+    restore_compiled,
+)
 from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
+from rhi.shading.language.shader import Shader
 
 LOGGER: Final = logging.getLogger("rhi.reload")
 _SETTLE: Final = 20
@@ -246,9 +254,13 @@ class Reloader:
         edits: list[Edit] = []
         replacements: dict[Any, Any] = {}
         built: list[tuple[ProgramTable, object, Program[...], Id, ProgramDescriptor]] = []
+
+        def is_used(shader: type[Shader]) -> bool:
+            return is_compiled(shader) or shader in replacements
+
         try:
             for module in sorted(texts, key=lambda each: numbers.get(each.__name__, 0)):
-                edits.append(Edit(module, texts[module]))
+                edits.append(Edit(module, texts[module], is_used))
                 replacements |= forget_compiled(edits[-1])
             with ExitStack() as creations:
                 for device in self.devices:

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rhi.contract.descriptors import Attribute, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.device.core.arena import Arena
 from rhi.device.core.core import Core
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.ring import Ring
 from rhi.device.core.uniform_ring import TransientOwner, UniformRing
 from rhi.device.resources.buffers import as_constants, as_storage, storage_dtype
@@ -36,6 +36,7 @@ from rhi.device.resources.meshes import (
 from rhi.device.resources.programs import Program, check_program
 from rhi.errors import RhiError
 from rhi.errors.arguments import ArgumentChecker, to_integer
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE
 from rhi.shading import Struct
 from rhi.shading.language.bindings import StorageRange, UniformRange
@@ -50,7 +51,7 @@ VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike]
 _VertexArrayKey: TypeAlias = tuple[Id, tuple[StreamSource, ...], Id, IndexFormat]
 
 
-class TransientMemory:
+class TransientMemory(DeviceObject):
     """Memory for data that is used in only one frame, or only one command buffer.
 
     Attributes:
@@ -156,7 +157,8 @@ class TransientMemory:
         Args:
             vertices: a structured array, a dict of arrays by attribute name, or a number of vertices without
                 any.
-            indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
+            indices: integers into `vertices`; the largest uint16 or uint32 restarts a
+                strip, a fan or quads.
             instances: as for `vertices`, with one element per instance.
 
         Raises:

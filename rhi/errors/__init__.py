@@ -162,4 +162,13 @@ def refuse(rule: Rule, call: str, given: object = "", allowed: object = "", tip:
 
 
 def _as_text(value: object) -> str:
-    return value if isinstance(value, str) else repr(value)
+    return value if isinstance(value, str) else describe_value(value)
+
+
+def describe_value(value: object) -> str:
+    """Return the `repr` of a value for a message; its type's name if it has none, as integers of 5,000
+    digits."""
+    try:
+        return repr(value)
+    except Exception:
+        return f"a value of type {type(value).__name__}"

@@ -7,6 +7,8 @@
   neither, and a number is not a flag.
 - Checked values are returned as Python's own types, so that backends, recorded commands and traces meet no
   others.
+- Byte order belongs to an array, not to a device's memory, which is little-endian. Every array that comes in
+  passes `ArgumentChecker.array` or `to_little_endian`, which convert the other order. So no call meets it.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from numbers import Real
 from operator import index
 from typing import Any, Final, NoReturn, TypeVar, cast
@@ -21,7 +24,8 @@ from typing import Any, Final, NoReturn, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.errors import Rule, refuse
+from rhi.errors import Rule, describe_value, refuse
+from rhi.errors.array_likes import is_masked, to_array
 from rhi.errors.rules import DEVICE_ARGUMENT
 
 E = TypeVar("E", bound=enum.Enum)
@@ -92,9 +96,9 @@ class ArgumentChecker:
 
     def color(self, name: str, value: Any) -> tuple[float, float, float, float]:
         """Return four finite numbers as a tuple. Whole numbers stay ints, for targets of integers."""
-        parts = (
-            tuple(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else ()
-        )
+        is_ordered = isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (str, bytes))
+        is_ordered = is_ordered and not is_masked(value)
+        parts = tuple(value) if is_ordered else ()
         numbers = tuple(map(_as_number, parts))
         if len(numbers) != 4 or not all(n is not None and -_LARGEST <= n <= _LARGEST for n in numbers):
             self.fail(name, value, "4 finite numbers: red, green, blue, alpha")
@@ -107,9 +111,11 @@ class ArgumentChecker:
         self.fail(name, value, "True or False")
 
     def text(self, name: str, value: Any) -> str:
-        """Return a str."""
+        """Return a str that drivers can be given: lone surrogates have no encoding."""
         if not isinstance(value, str):
             self.fail(name, value, "a str")
+        if not value.isascii() and any("\ud800" <= character <= "\udfff" for character in value):
+            self.fail(name, value, "a str without lone surrogates")
         return value
 
     def choice(self, name: str, value: Any, kind: type[E]) -> E:
@@ -133,10 +139,10 @@ class ArgumentChecker:
         return value
 
     def array(self, name: str, value: Any) -> NDArray[Any]:
-        """Return an array-like as an array. The caller checks its dtype and shape."""
+        """Return an array-like as a little-endian array. The caller checks its dtype and shape."""
         try:
-            return np.asarray(value)
-        except (TypeError, ValueError, OverflowError) as error:
+            return to_little_endian(to_array(value))
+        except (TypeError, ValueError) as error:
             self.fail(name, value, f"an array ({error})")
 
 
@@ -197,12 +203,38 @@ def to_integer(value: Any) -> int | None:
     """Return a whole number as an int, None for anything else; a bool is none."""
     if value.__class__ is int:
         return value
-    if isinstance(value, bool):
+    if isinstance(value, bool) or is_masked(value):
         return None
     try:
         return index(value)
     except TypeError:
         return None
+
+
+def to_little_endian(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array whose numbers are little-endian: itself, or a converted copy.
+
+    Fields keep their offsets; bytes between fields become 0.
+    """
+    dtype = _reordered(array.dtype)
+    if dtype is None:
+        return array
+    converted = np.zeros(array.shape, dtype)
+    converted[...] = array
+    return converted
+
+
+def little_endian(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Return a dtype with little-endian numbers, also in its fields and subarrays."""
+    ordered = _reordered(dtype)
+    return dtype if ordered is None else ordered
+
+
+@lru_cache(maxsize=1024)
+def _reordered(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
+    """Return a dtype as little-endian, or None if it is already."""
+    ordered = dtype.newbyteorder("<")
+    return None if ordered == dtype else ordered
 
 
 def describe_choices(kind: type[enum.Enum]) -> str:
@@ -224,7 +256,7 @@ def _as_float(value: Any) -> float | None:
         return None
     try:
         return float(value)
-    except OverflowError:
+    except (OverflowError, TypeError):  # too large; a time span, which NumPy counts among the integers
         return None
 
 
@@ -242,5 +274,5 @@ def _bounds(minimum: float | None, maximum: float | None) -> str:
 
 def _show(value: object) -> str:
     """Return a value's text for a message, cut where it is long."""
-    text = repr(value)
+    text = describe_value(value)
     return text if len(text) <= 120 else f"{text[:100]}… ({type(value).__name__})"

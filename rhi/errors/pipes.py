@@ -1,4 +1,5 @@
-"""Closed pipes: a command whose reader goes away, as in `python -m rhi trace show F.zip | head`.
+"""Streams of a command: closed from the start (`>&-`), without a reader any more (`… | head`), or in an
+encoding that lacks characters.
 
 Python reports a closed pipe at a write, or when the interpreter flushes its buffers at exit, too late to be
 caught. So buffers are flushed here, and their remaining bytes are dropped.
@@ -10,10 +11,39 @@ import os
 import select
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, TextIO
 
 BROKEN_PIPE_STATUS: Final = 141
 """The exit status of a program whose reader has gone away: 128 + SIGPIPE, as shells report it."""
+
+
+def open_standard_streams() -> None:
+    """Make all three standard streams usable. One that the process was started without reads or writes
+    nothing, and characters that the locale's encoding lacks are written as escapes.
+
+    Python sets the stream of a closed descriptor to None, and the next file that is opened gets that
+    descriptor: what a driver's library prints would be written into it.
+    """
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        stream = getattr(sys, name)
+        if stream is None:
+            with suppress(OSError):
+                _occupy(number)
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+        elif mode == "w" and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _occupy(number: int) -> None:
+    """Let a descriptor that is closed lead nowhere."""
+    try:
+        os.fstat(number)
+    except OSError:
+        opened = os.open(os.devnull, os.O_RDWR)
+        if opened != number:
+            os.dup2(opened, number)
+            os.close(opened)
 
 
 def run_until_pipe_closes(main: Callable[[], int]) -> int:
@@ -22,6 +52,7 @@ def run_until_pipe_closes(main: Callable[[], int]) -> int:
 
     `main` must let a `BrokenPipeError` through.
     """
+    open_standard_streams()
     try:
         try:
             return main()
@@ -31,7 +62,7 @@ def run_until_pipe_closes(main: Callable[[], int]) -> int:
     except BrokenPipeError as error:
         gone = [stream for stream in (sys.stdout, sys.stderr) if _is_broken_pipe(stream)]
         for stream in gone:
-            with open(os.devnull, "w") as nowhere:
+            with open(os.devnull, "w", encoding="utf-8") as nowhere:
                 os.dup2(nowhere.fileno(), stream.fileno())  # the interpreter flushes what is left
         if gone:
             return BROKEN_PIPE_STATUS

@@ -52,6 +52,11 @@ DEVICE_ANSWER: Final = Rule(
     "repeat the query, or create a new device",
 )
 DEVICE_CLOSED: Final = Rule("device-closed", "the device was closed", "use it inside its `with` block only")
+DEVICE_COPY: Final = Rule(
+    "device-copy",
+    "what belongs to a device can't be copied or pickled",
+    "read its contents, and create another one of them; another process opens a device of its own",
+)
 RELOAD_WATCH: Final = Rule("reload-watch", "this can't be watched for changes")
 DEVICE_DEBUG: Final = Rule(
     "device-debug", "the driver reported an error", "such errors are reported with validation=True only"
@@ -219,6 +224,9 @@ COMMAND_CLEARED: Final = Rule(
     "command-cleared",
     "the state at a command is lost once its stream was cleared",
     "read it before clear()",
+)
+ASSERTION_ARGUMENT: Final = Rule(
+    "assertion-argument", "with this argument an assertion says nothing about the commands"
 )
 NULL_SAMPLES: Final = Rule(
     "null-samples",

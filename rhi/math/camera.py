@@ -15,7 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rhi.math.projections import Depth, Perspective, Projection, check_camera
+from rhi.errors.rules import CAMERA_VALUE
+from rhi.math.arguments import check_camera, check_real, read_floats
+from rhi.math.projections import Depth, Perspective, Projection
 from rhi.math.transforms import Floats, freeze
 
 
@@ -53,7 +55,7 @@ class Frustum:
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, depth: Depth = Depth.REVERSED) -> Frustum:
         """Extract the planes of a clip matrix (4, 4) from its rows (Gribb and Hartmann, 2001)."""
-        rows = _FACES[depth] @ np.asarray(matrix, np.float64)
+        rows = _FACES[depth] @ read_floats("Frustum.from_matrix(matrix=...)", matrix, 4, 4)
         length = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
         if not length.all():  # an infinite far plane has no normal
             rows, length = rows[length > 0.0], length[length > 0.0]
@@ -83,7 +85,10 @@ class Camera:
         projection: Projection | None = None,
     ) -> Camera:
         """Create a camera at `position` that looks at `target`; looking along `up` is allowed."""
-        eye, aim, above = (np.array(v, np.float64) for v in (position, target, up))
+        eye, aim, above = (
+            np.array(read_floats(f"look_at({name}=...)", value, rule=CAMERA_VALUE))
+            for name, value in (("position", position), ("target", target), ("up", up))
+        )
         for name, value in (("position", eye), ("target", aim), ("up", above)):
             fine = value.shape == (3,) and bool(np.isfinite(value).all())
             check_camera(f"look_at({name}=...)", value, fine, "three finite numbers")
@@ -173,9 +178,11 @@ def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0
     Raises:
         ValidationError: `camera-bad-value` for a distance that isn't above 0.
     """
+    check_real("orbit", distance=distance, yaw=yaw, pitch=pitch)
+    middle = read_floats("orbit(target=...)", target, 3, rule=CAMERA_VALUE)
     check_camera("orbit(distance=...)", distance, 0.0 < distance < np.inf, "above 0, finite")
     turned = yaw_pitch_rotation(yaw, -pitch)
-    return Camera(np.asarray(target, np.float64) + distance * turned[2], turned, Perspective()).view.copy()
+    return Camera(middle + distance * turned[2], turned, Perspective()).view.copy()
 
 
 def yaw_pitch_rotation(yaw: float, pitch: float) -> Floats:

@@ -15,8 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rhi.errors import refuse
-from rhi.errors.rules import CAMERA_VALUE
+from rhi.math.arguments import check_camera, check_real
 from rhi.math.transforms import Floats, freeze
 
 
@@ -60,6 +59,7 @@ class Perspective:
     depth: Depth = Depth.REVERSED
 
     def __post_init__(self) -> None:
+        check_real("Perspective", fov=self.fov, aspect=self.aspect, near=self.near, far=self.far)
         tip = "angles are in radians: np.radians(60)" if np.pi <= self.fov < 180.0 else ""
         check_camera("Perspective(fov=...)", self.fov, 0.0 < self.fov < np.pi, "between 0 and pi", tip)
         check_camera("Perspective(aspect=...)", self.aspect, 0.0 < self.aspect < np.inf, "above 0, finite")
@@ -103,6 +103,7 @@ class Orthographic:
     depth: Depth = Depth.REVERSED
 
     def __post_init__(self) -> None:
+        check_real("Orthographic", height=self.height, aspect=self.aspect, near=self.near, far=self.far)
         check_camera("Orthographic(height=...)", self.height, 0.0 < self.height < np.inf, "above 0, finite")
         check_camera("Orthographic(aspect=...)", self.aspect, 0.0 < self.aspect < np.inf, "above 0, finite")
         check_camera("Orthographic(near=...)", self.near, bool(np.isfinite(self.near)), "finite")
@@ -162,6 +163,7 @@ def orthographic(
     Raises:
         ValidationError: `camera-bad-value` for values that aren't finite, and for two equal edges or planes.
     """
+    check_real("orthographic", left=left, right=right, bottom=bottom, top=top, near=near, far=far)
     for name, low, high in (("right", left, right), ("top", bottom, top), ("far", near, far)):
         fine = bool(np.isfinite([low, high]).all()) and low != high
         check_camera(f"orthographic({name}=...)", high, fine, f"finite, and another number than {low}")
@@ -194,9 +196,3 @@ def distance_at_depth(matrix: Floats, depth: float) -> float:
     infinite."""
     below = float(matrix[2, 2] - matrix[3, 2] * depth)
     return float(matrix[2, 3] - matrix[3, 3] * depth) / below if below else np.inf
-
-
-def check_camera(call: str, value: object, is_valid: bool, allowed: str, tip: str = "") -> None:
-    """Refuse an invalid value of a camera or projection."""
-    if not is_valid:
-        refuse(CAMERA_VALUE, call, value, allowed, tip)

@@ -11,6 +11,10 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rhi.errors import refuse
+from rhi.errors.rules import DEVICE_ARGUMENT
+from rhi.math.arguments import read_floats
+
 Floats: TypeAlias = NDArray[np.float64]
 """Coordinates, sizes and matrices in float64."""
 A = TypeVar("A", bound=NDArray[Any])
@@ -24,7 +28,7 @@ def freeze(array: A) -> A:
 
 def translation(offset: ArrayLike) -> Floats:
     """Return matrices (..., 4, 4) that translate by `offset` (..., 3)."""
-    moved = np.asarray(offset, np.float64)
+    moved = read_floats("translation(offset=...)", offset, 3)
     matrix = _identity(moved.shape[:-1])
     matrix[..., :3, 3] = moved
     return matrix
@@ -32,7 +36,7 @@ def translation(offset: ArrayLike) -> Floats:
 
 def scaling(factors: ArrayLike) -> Floats:
     """Return matrices (..., 4, 4) that scale the axes by `factors` (..., 3)."""
-    scaled = np.asarray(factors, np.float64)
+    scaled = read_floats("scaling(factors=...)", factors, 3)
     matrix = _identity(scaled.shape[:-1])
     for axis in range(3):
         matrix[..., axis, axis] = scaled[..., axis]
@@ -42,8 +46,11 @@ def scaling(factors: ArrayLike) -> Floats:
 def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
     """Return matrices (..., 4, 4) that rotate by `angle` (...) radians about the unit `axis` (3,),
     right-handed."""
-    x, y, z = np.asarray(axis, np.float64)
-    turned = np.asarray(angle, np.float64)
+    about = read_floats("rotation(axis=...)", axis, 3)
+    if about.ndim != 1:
+        refuse(DEVICE_ARGUMENT, "rotation(axis=...)", f"shape {about.shape}", "shape (3,)")
+    x, y, z = about
+    turned = read_floats("rotation(angle=...)", angle)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, cosine = np.sin(turned)[..., None, None], np.cos(turned)[..., None, None]
     matrix = _identity(turned.shape)
@@ -53,7 +60,7 @@ def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
 
 def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
     """Return `left @ right` for stacks of affine matrices, with a last row of exactly 0 0 0 1."""
-    a, b = np.asarray(left, np.float64), np.asarray(right, np.float64)
+    a, b = read_floats("multiply(left=...)", left, 4, 4), read_floats("multiply(right=...)", right, 4, 4)
     product = a @ b
     product[..., 3, :] = (0.0, 0.0, 0.0, 1.0)
     return product
@@ -88,7 +95,7 @@ def normal_matrices(matrices: NDArray[Any]) -> Floats:
     The cofactor matrix is the inverse transpose times the determinant, whose sign is removed so that
     mirrored objects keep outward normals. Results are not normalised.
     """
-    linear = np.asarray(matrices, np.float64)[..., :3, :3]
+    linear = read_floats("normal_matrices(matrices=...)", matrices)[..., :3, :3]
     x, y, z = linear[..., :, 0], linear[..., :, 1], linear[..., :, 2]
     cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
     determinant = (x * cofactors[..., :, 0]).sum(-1)
@@ -101,8 +108,8 @@ def relative_to(matrices: Floats, eye: ArrayLike) -> NDArray[np.float32]:
     The subtraction is done in float64, before rounding: near the eye, float32 is then as fine
     at 1e6 m from the origin as at the origin.
     """
-    moved = np.array(matrices, np.float64)
-    moved[..., :3, 3] -= np.asarray(eye, np.float64)
+    moved = np.array(read_floats("relative_to(matrices=...)", matrices, 4, 4))
+    moved[..., :3, 3] -= read_floats("relative_to(eye=...)", eye, 3)
     return moved.astype(np.float32)
 
 

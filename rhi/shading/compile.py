@@ -29,6 +29,7 @@ from rhi.shading.language.edits import Edit, file_of
 from rhi.shading.language.shader import Declaration, Shader, StorageClass, work_group_size
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import VOID, ImageType, StorageType
+from rhi.shading.parser.foreign_stages import refuse_foreign_stages
 from rhi.shading.parser.group_rules import may_break_group_rules
 from rhi.shading.parser.interface import (
     attributes_read,
@@ -113,6 +114,11 @@ def forget_compiled(edit: Edit) -> CompiledShaders:
     for shader in concerned:
         del _compiled[shader]
     return concerned
+
+
+def is_compiled(shader: type[Shader]) -> bool:
+    """Return whether programs may be made of a shader: it was compiled."""
+    return shader in _compiled
 
 
 def restore_compiled(compiled: CompiledShaders) -> None:
@@ -260,6 +266,7 @@ def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
 
 
 def _entries(shader: type[Shader]) -> dict[Stage, Callee]:
+    refuse_foreign_stages(shader)
     methods = {stage: find_method(shader, stage.value) for stage in Stage}
     entries = {stage: callee for stage, callee in methods.items() if callee is not None}
     allowed = "`vertex`, `vertex` and `fragment`, or `compute`"

@@ -189,14 +189,14 @@ def make_depth_error(name: str) -> ShaderError:
 
 def _write_glsl(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as GLSL 4.30 for OpenGL."""
-    return write_stage(code.stages[stage], code.interface)
+    return write_stage(code.stages[stage], code.interface, code.precision is Precision.EXACT)
 
 
 def _write_vulkan(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as GLSL 4.50 for Vulkan."""
     from rhi.shading.glsl.vulkan import write_vulkan_stage
 
-    return write_vulkan_stage(code.stages[stage], code.interface)
+    return write_vulkan_stage(code.stages[stage], code.interface, code.precision is Precision.EXACT)
 
 
 def _write_spirv(code: ShaderCode, stage: Stage) -> StageText:

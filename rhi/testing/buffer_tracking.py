@@ -20,8 +20,9 @@ from rhi.commands.stream import Command, CommandStream
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
 from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Struct, value_type_of
+from rhi.testing.arguments import checker, read_command
 
-_RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
+RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
 
 
 class UnknownDataError(Exception):
@@ -101,9 +102,9 @@ class BufferTracker:
         """Return the contents of a binding at a command, see `binding_data`."""
         self.advance(command.index)
         bindings = bindings_of(command)
-        binding = next((each for each in bindings if each.name == name and each.kind in _RANGES), None)
+        binding = next((each for each in bindings if each.name == name and each.kind in RANGES), None)
         if binding is None:
-            names = ", ".join(each.name for each in bindings if each.kind in _RANGES) or "none"
+            names = ", ".join(each.name for each in bindings if each.kind in RANGES) or "none"
             raise UnknownDataError(f"the program has no uniform or storage {name!r} (it has: {names})")
         if name not in command.bindings:
             raise UnknownDataError(f"nothing is bound as {name!r}")
@@ -131,7 +132,8 @@ def binding_data(command: Command, name: str) -> Any:
     Raises:
         UnknownDataError: there is no such binding, or its contents can't be derived from the stream.
     """
-    return BufferTracker(command.stream).read(command, name)
+    checker("binding_data").text("name", name)
+    return BufferTracker(read_command("binding_data", command).stream).read(command, name)
 
 
 def describe_differences(values: Any, expected: Mapping[str, object], tolerance: float) -> str:
@@ -148,6 +150,8 @@ def describe_differences(values: Any, expected: Mapping[str, object], tolerance:
             wrong.append(f"there is no {path!r}")
             continue
         expected_array = np.asarray(value, np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # a float is compared as the shader reads it
+            expected_array = expected_array.astype(actual.dtype if actual.dtype.kind == "f" else np.float64)
         actual = actual[tuple(slice(0, n) for n in expected_array.shape)]  # without padding
         fits = actual.shape == expected_array.shape and bool(
             (np.abs(actual - expected_array) <= tolerance).all()

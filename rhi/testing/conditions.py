@@ -7,16 +7,32 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
+
+import numpy as np
 
 from rhi.commands.ops import DRAWS, Op
 from rhi.commands.stream import Command
 from rhi.commands.text import describe
-from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.contract.descriptors import BindingKind, Id, ProgramDescriptor
+from rhi.contract.layout import FLOAT, ArrayType, HostType, MatrixType, StructType, VectorType, shape_of
 from rhi.contract.states import MAX_TARGETS, PER_TARGET, PlatformState
-from rhi.testing.buffer_tracking import BufferTracker, UnknownDataError, bindings_of, describe_differences
+from rhi.errors import refuse
+from rhi.errors.rules import ASSERTION_ARGUMENT
+from rhi.shading import value_type_of
+from rhi.testing.arguments import refuse_name
+from rhi.testing.buffer_tracking import (
+    RANGES,
+    BufferTracker,
+    UnknownDataError,
+    bindings_of,
+    describe_differences,
+)
+
+_ANY_LENGTH: Final = 1 << 31
+"""Of a storage buffer, whose length its type doesn't say."""
 
 
 class Condition(Protocol):
@@ -151,6 +167,13 @@ class HasBindings:
                 wrong.append(f"{name} is {describe_resource(command, bound[name][0])}{list(bound[name][1:])}")
         return ", ".join(wrong)
 
+    def check_names(self, programs: Sequence[ProgramDescriptor]) -> None:
+        """Refuse a name that no program's binding has."""
+        names = {binding.name for program in programs for binding in program.bindings}
+        for name in self.expected if programs else ():
+            if name not in names:
+                refuse_name("with_bindings", "binding", name, names)
+
     @staticmethod
     def _fits(command: Command, bound: tuple[int, ...], expected: Any) -> bool:
         """Whether a binding refers to the wanted resource.
@@ -185,6 +208,38 @@ class HasData:
     tolerance: float
     trackers: list[BufferTracker] = dataclasses.field(default_factory=list, compare=False, repr=False)
     """The tracker of the latest command's stream, if any; kept so that each command is applied once."""
+
+    def check_names(self, programs: Sequence[ProgramDescriptor]) -> None:
+        """Refuse a binding that no program has, and a field that its type hasn't."""
+        ranges = [binding for program in programs for binding in program.bindings if binding.kind in RANGES]
+        types = self._list_types(programs)
+        if programs and self.binding not in {binding.name for binding in ranges}:
+            refuse_name("with_data", "binding", self.binding, {binding.name for binding in ranges})
+        for path in self.expected if types else ():
+            if all(part_type(each, path) is None for each in types):
+                fields = {field.name for each in types for field in getattr(each, "fields", ())}
+                refuse_name("with_data", f"field of {self.binding}", path, fields)
+
+    def check_shapes(self, programs: Sequence[ProgramDescriptor]) -> None:
+        """Refuse numbers of another shape than the field's: a part of them would be compared."""
+        types = self._list_types(programs)
+        for path, value in self.expected.items():
+            parts = [part for each in types if (part := part_type(each, path)) is not None]
+            shapes = {shape_of(part) for part in parts if not isinstance(part, StructType)}
+            numbers: Any = value
+            if parts and np.shape(numbers) not in shapes:
+                allowed = " or ".join(map(str, sorted(shapes)))
+                refuse(ASSERTION_ARGUMENT, "with_data", f"{path}={value!r}", f"numbers of shape {allowed}")
+
+    def _list_types(self, programs: Sequence[ProgramDescriptor]) -> list[HostType]:
+        """The types that the binding has in these programs; a loaded trace has none."""
+        bindings = [each for program in programs for each in program.bindings if each.name == self.binding]
+        types: list[HostType] = []
+        for each in bindings:
+            if each.kind in RANGES and not isinstance(each.type, str):
+                type = value_type_of(each.type)
+                types.append(ArrayType(type, _ANY_LENGTH) if each.kind is BindingKind.STORAGE else type)
+        return types
 
     def miss(self, command: Command) -> str:
         if not self.trackers or self.trackers[0].stream is not command.stream:
@@ -236,6 +291,27 @@ def is_near(actual: object, expected: object, tolerance: float) -> bool:
         elif a != b:
             return False
     return True
+
+
+def part_type(type: HostType, path: str) -> HostType | None:
+    """Return the type of a part of a value, which a path of fields and indices names; None if it hasn't
+    any."""
+    part: HostType | None = type
+    for step in path.split("."):
+        index = int(step) if step.isdigit() else -1
+        match part:
+            case ArrayType(element=element, length=length):
+                part = element if 0 <= index < length else None
+            case StructType():
+                field = part.field(step)
+                part = field.type if field is not None else None
+            case VectorType(scalar=scalar, size=size):
+                part = scalar if 0 <= index < size else None
+            case MatrixType(size=size):
+                part = VectorType(FLOAT, size) if 0 <= index < size else None
+            case _:
+                part = None
+    return part
 
 
 def name_program(command: Command, program: Id) -> str:

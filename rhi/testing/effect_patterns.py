@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 from weakref import WeakKeyDictionary
 
 from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, Op
@@ -25,7 +25,10 @@ from rhi.commands.stream import Command, Commands
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.states import State
 from rhi.device.device import Device
+from rhi.errors import refuse
+from rhi.errors.rules import ASSERTION_ARGUMENT
 from rhi.shading import Shader
+from rhi.testing.arguments import checker, read_commands
 from rhi.testing.conditions import HasStates
 from rhi.testing.messages import MAX_SHOWN, fail, show_commands
 from rhi.testing.work import BINDS, total_costs
@@ -49,6 +52,12 @@ _OTHERS: Final = "others"
 _ENDS: Final = frozenset({Op.POP_LABEL, Op.END_PASS})
 """The commands that end something which a message has shown already."""
 
+
+_PARTS: Final = {
+    "programs": "shaders, or their names",
+    "states": "states, such as CullMode.NONE",
+    "ops": "kinds of commands, such as Op.DRAW",
+}
 
 Part: TypeAlias = tuple[str, str]
 """A declared use of an effect pattern: its kind, such as "binding", and its name."""
@@ -80,6 +89,24 @@ class EffectPattern:
     states: tuple[State, ...] = ()
     ops: tuple[Op, ...] = ()
     where: Mapping[str, Callable[[Command], bool]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check = checker("EffectPattern")
+        check.text("effect", self.effect)
+        kinds: dict[str, Any] = {"programs": (str, type), "states": (State,), "ops": (Op,)}
+        for name in ("programs", "words", "bindings", "resources", "events", "states", "ops"):
+            values = getattr(self, name)
+            if not isinstance(values, tuple):
+                check.fail(name, values, "a tuple")
+            for value in values:
+                is_shader = not isinstance(value, type) or issubclass(value, Shader)
+                if not isinstance(value, kinds.get(name, (str,))) or not is_shader or value == "":
+                    check.fail(name, value, _PARTS.get(name, "names"))
+        check.instance("where", self.where, Mapping, "functions of a command by name")
+        for name, predicate in self.where.items():
+            check.text("where", name)
+            if not callable(predicate) or isinstance(predicate, type):
+                check.fail(name, predicate, "a function of a command")
 
     def __str__(self) -> str:
         return f"of {self.effect}"
@@ -180,16 +207,18 @@ def assert_free(
             that of anything is found.
     """
     __tracebackhide__ = True
+    checker("assert_free").instance("effect", effect, EffectPattern, "an EffectPattern")
     if not effect.parts:
         fail(f"the pattern of {effect.effect} declares nothing, so it is in no stream")
-    selected = _select(commands)
+    selected = read_commands("assert_free", "commands", commands)
     if not len(selected):
         fail(f"there are no commands, so this shows nothing about {effect.effect}")
     reasons = {command.index: why for command in selected if (why := effect.explain(command))}
     if reasons:
         _fail_with_cost(effect, selected, reasons)
     if control is not None:
-        matched = {part for command in _select(control) for part, _ in effect.match_parts(command)}
+        examined = read_commands("assert_free", "control", control)
+        matched = {part for command in examined for part, _ in effect.match_parts(command)}
         missing = [f"  {kind} {name!r}" for kind, name in effect.parts if (kind, name) not in matched]
         if missing:
             fail(f"the pattern of {effect.effect} declares what its control hasn't:", *missing)
@@ -206,9 +235,20 @@ def assert_same(
         description: what is compared, for messages.
     """
     __tracebackhide__ = True
-    selected, selected_expected = _select(commands), _select(expected)
+    checker("assert_same").text("description", description)
+    selected = read_commands("assert_same", "commands", commands)
+    selected_expected = read_commands("assert_same", "expected", expected)
     if not len(selected) and not len(selected_expected):
         fail(f"there are no commands on either side, so this shows nothing about {description}")
+    if selected.stream is selected_expected.stream and list(selected.indices()) == list(
+        selected_expected.indices()
+    ):
+        refuse(
+            ASSERTION_ARGUMENT,
+            "assert_same",
+            "the same commands on both sides",
+            "two streams, or parts of them",
+        )
     differences = diff(selected, selected_expected)
     if differences:
         more = len(differences) - MAX_SHOWN
@@ -242,10 +282,6 @@ def _fail_with_cost(
 
 def _group_of(op: Op) -> str:
     return next((name for name, ops in _GROUPS.items() if op in ops), _OTHERS)
-
-
-def _select(commands: Commands | Device) -> Commands:
-    return commands.stream if isinstance(commands, Device) else commands
 
 
 def _name(program: str | type[Shader]) -> str:

@@ -15,9 +15,23 @@ from collections.abc import Collection, Mapping
 
 from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Commands
+from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.states import State
 from rhi.device.device import Device
+from rhi.errors import refuse
+from rhi.errors.rules import ASSERTION_ARGUMENT
 from rhi.shading import Struct
+from rhi.testing.arguments import (
+    check_arguments,
+    check_data,
+    check_labels,
+    check_program,
+    check_resources,
+    check_states,
+    checker,
+    read_commands,
+    read_tolerance,
+)
 from rhi.testing.buffer_tracking import as_fields
 from rhi.testing.conditions import (
     Condition,
@@ -38,13 +52,13 @@ from rhi.testing.work import Costs, cost_of, total_costs
 def expect(commands: Commands | Device) -> Expectation:
     """Begin an expectation on a stream, a part of it such as `frames(stream)[i]`, or the stream of a
     device."""
-    return Expectation(commands.stream if isinstance(commands, Device) else commands, ())
+    return Expectation(read_commands("expect", "commands", commands), ())
 
 
 def frames(commands: Commands | Device) -> list[Commands]:
     """Split commands into frames, each ending with its `present`; commands after the last `present` are left
     out."""
-    whole = commands.stream if isinstance(commands, Device) else commands
+    whole = read_commands("frames", "commands", commands)
     result, start = [], 0
     for end, command in enumerate(whole, 1):
         if command.op is Op.PRESENT:
@@ -84,17 +98,22 @@ class Expectation:
 
     def commands(self, *ops: Op, **arguments: object) -> Expectation:
         """Select commands of these kinds (default: all kinds) with these arguments."""
+        for op in ops:
+            checker("commands").instance("op", op, Op, "kinds of commands, such as Op.DRAW")
+        check_arguments("commands", ops or self._kinds(), arguments)
         narrowed = self._and(IsOp(frozenset(ops))) if ops else self
         return narrowed._and(HasArguments(arguments)) if arguments else narrowed
 
     def within(self, *labels: str) -> Expectation:
         """Select commands inside these labels, nested in this order; other labels may lie between and around
         them."""
+        check_labels("within", labels)
         return self._and(Within(labels))
 
     def with_states(self, *states: State, tolerance: float = 0.0) -> Expectation:
         """Select commands issued while these states are set, their numbers within `tolerance`."""
-        return self._and(HasStates(states, tolerance))
+        check_states("with_states", states)
+        return self._and(HasStates(states, read_tolerance("with_states", tolerance)))
 
     def with_bindings(self, **resources: object) -> Expectation:
         """Select commands while these resources are bound.
@@ -103,6 +122,7 @@ class Expectation:
             resources: by the names of the program's bindings an object as passed to `device.draw`, a buffer
                 or texture any part of which matches, a label, or an id.
         """
+        check_resources("with_bindings", resources)
         return self._and(HasBindings(resources))
 
     def with_data(
@@ -117,21 +137,60 @@ class Expectation:
 
         Unknown contents (written on the device, or before the stream) don't match; the message says so.
         """
-        return self._and(HasData(binding, as_fields(expected), tolerance))
+        checker("with_data").instance(
+            "expected", expected, (Mapping, Struct), "a struct's value, or numbers by name"
+        )
+        fields = as_fields(expected)
+        check_data("with_data", binding, fields)
+        return self._and(HasData(binding, fields, read_tolerance("with_data", tolerance)))
 
     def of(self, effect: EffectPattern) -> Expectation:
         """Select commands that belong to an effect."""
+        checker("of").instance("effect", effect, EffectPattern, "an EffectPattern")
+        if not effect.parts:
+            refuse(
+                ASSERTION_ARGUMENT,
+                "of",
+                f"the pattern of {effect.effect}",
+                "a pattern that declares something",
+            )
         return self._and(effect)
 
     def where(self, name: str, predicate: object) -> Expectation:
         """Select commands for which `predicate(command)` is true; `name` stands for it in messages."""
-        assert callable(predicate)
+        checker("where").text("name", name)
+        if not callable(predicate) or isinstance(predicate, type):
+            checker("where").fail("predicate", predicate, "a function of a command")
         return self._and(Where(name, predicate))
 
     def _work(self, ops: Collection[Op], program: object, arguments: dict[str, object]) -> Expectation:
         narrowed = self.commands(*ops, **arguments)
+        if program is not None:
+            check_program("draws" if DRAWS & set(ops) else "dispatches", program)
         expected = program.__name__ if isinstance(program, type) else program
         return narrowed if program is None else narrowed._and(UsesProgram(expected))
+
+    def _kinds(self) -> Collection[Op]:
+        """The kinds of commands that the conditions so far leave."""
+        kinds = frozenset(Op)
+        for condition in self._conditions:
+            if isinstance(condition, IsOp):
+                kinds &= condition.ops
+        return kinds
+
+    def _list_programs(self) -> list[ProgramDescriptor]:
+        """The programs that the matching commands may use: all of the stream's, or those that a condition
+        names."""
+        stream = self._commands.stream
+        descriptors = list(stream.context(len(stream)).resources.values())
+        descriptors += [each["descriptor"] for each in stream.filter(Op.CREATE_PROGRAM)]
+        programs = [each for each in descriptors if isinstance(each, ProgramDescriptor)]
+        for condition in self._conditions:
+            if isinstance(condition, UsesProgram) and isinstance(condition.program, str):
+                name = condition.program
+                named = [each for each in programs if name in (each.name, each.name.rpartition(".")[2])]
+                programs = named or programs
+        return programs
 
     def _and(self, condition: Condition) -> Expectation:
         return Expectation(self._commands, (*self._conditions, condition))
@@ -139,7 +198,29 @@ class Expectation:
     # -- assertions ----------------------------------------------------------------------------------------
 
     def matches(self) -> Commands:
-        """Return the commands that meet all conditions."""
+        """Return the commands that meet all conditions.
+
+        Raises:
+            ValidationError: `assertion-argument` if there are none because a condition names a binding or
+                field that no program has, or numbers of another shape.
+        """
+        commands = self._select()
+        if not len(commands):
+            self._check_names()
+        return commands
+
+    def _check_names(self) -> None:
+        """Refuse names that nothing has, with which no command can match."""
+        programs = self._list_programs()
+        for condition in self._conditions:
+            if isinstance(condition, (HasBindings, HasData)):
+                condition.check_names(programs)
+
+    def _select(self) -> Commands:
+        data = [condition for condition in self._conditions if isinstance(condition, HasData)]
+        programs = self._list_programs() if data else []
+        for each in data:
+            each.check_shapes(programs)
         commands = self._commands
         for condition in self._conditions:
             commands = (
@@ -153,21 +234,27 @@ class Expectation:
 
     def exactly(self, number: int) -> Commands:
         """Assert that exactly `number` commands match, and return them."""
+        number = checker("exactly").integer("number", number, 0)
         return self._assert_number(f"exactly {number}", number, number)
 
     def at_least(self, number: int) -> Commands:
         """Assert that `number` or more commands match, and return them."""
+        number = checker("at_least").integer("number", number, 0)
         return self._assert_number(f"at least {number}", number, None)
 
     def at_most(self, number: int) -> Commands:
         """Assert that `number` or fewer commands match, and return them."""
+        number = checker("at_most").integer("number", number, 0)
         return self._assert_number(f"at most {number}", 0, number)
 
     def before(self, other: Expectation) -> None:
         """Assert that all matching commands precede all of `other`, and that both match some."""
+        checker("before").instance("other", other, Expectation, "another expectation")
+        if other._commands.stream is not self._commands.stream:
+            refuse(ASSERTION_ARGUMENT, "before", "an expectation on another stream", "two of the same stream")
         first, second = self.at_least(1), other.at_least(1)
         last, next_one = first[-1], second[0]
-        if last.index > next_one.index:
+        if last.index >= next_one.index:
             fail(
                 f"expected all {self}\nbefore all  {other}, but",
                 show_commands("this one", [last]),
@@ -195,6 +282,8 @@ class Expectation:
             "upload_bytes": max_upload_bytes,
             "creations": max_creations,
         }
+        for name, most in budget.items():
+            checker("costs").integer_or_none(f"max_{name}", most, 0)
         commands = self.matches()
         counts = total_costs(commands)
         exceeded = []
@@ -209,13 +298,15 @@ class Expectation:
         return counts
 
     def _assert_number(self, expected: str, minimum: int, maximum: int | None) -> Commands:
-        commands = self.matches()
+        commands = self._select()
         if len(commands) < minimum or (maximum is not None and len(commands) > maximum):
             fail(
                 f"expected {expected}: {self}\nfound {len(commands)} among {len(self._commands)} commands",
                 show_commands("matching", commands),
                 self._show_nearest(commands),
             )
+        if not len(commands):
+            self._check_names()
         return commands
 
     def _show_nearest(self, matches: Commands) -> str:

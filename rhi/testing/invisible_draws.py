@@ -39,8 +39,10 @@ from rhi.contract.states import (
     StencilTest,
     Viewport,
 )
+from rhi.testing.arguments import read_command
 from rhi.testing.buffer_tracking import bindings_of
 from rhi.testing.conditions import describe_resource
+from rhi.testing.messages import fail
 
 _MIN_VERTICES: Final = {
     Primitive.POINTS: 1,
@@ -78,9 +80,11 @@ def explain_invisible_draw(draw: Command) -> list[Cause]:
 
     Raises:
         AssertionError: the command isn't a draw.
-        ValidationError: `command-cleared` if the stream has been cleared since the draw.
+        ValidationError: `assertion-argument` for what is no command, `command-cleared` if the stream has been
+            cleared since the draw.
     """
-    assert draw.op in DRAWS, f"a {draw.op.method} is not a draw"
+    if read_command("explain_invisible_draw", draw).op not in DRAWS:
+        fail(f"a {draw.op.method} is not a draw")
     causes = [
         *_call(draw),
         *_coverage(draw),

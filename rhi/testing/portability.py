@@ -19,7 +19,9 @@ from rhi.backends.null.null_capabilities import PROFILES, get_profile
 from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Capabilities
 from rhi.device.device import Device
-from rhi.errors import RhiError
+from rhi.errors import RhiError, refuse
+from rhi.errors.rules import ASSERTION_ARGUMENT
+from rhi.testing.arguments import checker
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,12 @@ def check_portability(
         RhiError: the frame breaks a rule on a device that can do everything, or a profile refuses a call for
             a reason that no single capability removes.
     """
+    check = checker("check_portability")
+    if not callable(frame) or isinstance(frame, type):
+        check.fail("frame", frame, "a function of a device")
+    check.instance("profiles", profiles, Mapping, "capabilities by name")
+    if not profiles:
+        refuse(ASSERTION_ARGUMENT, "check_portability", "no profiles", "capabilities by name")
     everything = get_profile("everything")
     error = _run(frame, reported=everything, enforced=everything)
     if error is not None:

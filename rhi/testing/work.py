@@ -15,6 +15,7 @@ from typing import Final
 from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.device.device import Device
+from rhi.testing.arguments import checker
 from rhi.testing.buffer_tracking import bindings_of
 
 BINDS: Final = frozenset({Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
@@ -88,6 +89,7 @@ def count_work(device: Device) -> Iterator[Work]:
     Raises:
         ValidationError: `device-not-recording` if the device doesn't record.
     """
+    checker("count_work").instance("device", device, Device, "a device")
     stream, start, before = device.stream, len(device.stream), device.statistics
     work = Work(stream[start:])
     yield work

@@ -6,6 +6,7 @@ of that size is allocated: `trace-file`, `trace-member`, `trace-size`, `trace-ar
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 import re
@@ -48,6 +49,8 @@ class ArchiveWriter:
     """Writes the members of a trace. The file gets its name when it is complete."""
 
     def __init__(self, path: Path) -> None:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder; name a file in it", str(path))
         self._path = path
         self._part = path.with_name(path.name + ".part")
         self._zip = zipfile.ZipFile(self._part, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
@@ -65,10 +68,11 @@ class ArchiveWriter:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._zip.close()
-        if kind is None:
-            self._part.replace(self._path)
-        else:
+        try:
+            self._zip.close()
+            if kind is None:
+                self._part.replace(self._path)
+        finally:  # it is gone if it has its name
             self._part.unlink(missing_ok=True)
 
 

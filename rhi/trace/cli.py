@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi.errors import RhiError
+from rhi.errors.output_paths import check_output_file
 from rhi.trace.diff import diff
 from rhi.trace.file import Trace, load, save
 from rhi.trace.reduce import reduce, write_test
@@ -39,6 +40,9 @@ def main(arguments: Sequence[str]) -> int:
     """Run a command and return the exit code."""
     options = _make_parser().parse_args(arguments)
     try:
+        for name in ("output", "test"):
+            if getattr(options, name, None) is not None:
+                check_output_file(getattr(options, name), f"--{name}")
         code: int = options.run(options)
     except RhiError as error:
         value = f": {error.given}" if error.given else ""

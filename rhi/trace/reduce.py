@@ -170,7 +170,7 @@ def write_test(trace: Trace, path: str | PathLike[str], predicate: Callable[[Tra
         "    file.write_bytes(base64.b85decode(TRACE))\n"
         f"    assert not {name}(load(file{', trusted=True' if trace.trusted else ''}))",
     ]
-    Path(path).write_text("\n\n\n".join(lines) + "\n")
+    Path(path).write_text("\n\n\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _source_of(predicate: Callable[[Trace], bool]) -> tuple[str, list[str]]:

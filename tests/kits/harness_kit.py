@@ -105,7 +105,10 @@ class DeviceHarness:
                 self.settle()
 
     def can(self, call: Callable[[DeviceHarness], object]) -> bool:
-        return self.device.capabilities.shading or call not in (wait_for_a_query, draw_under_a_condition)
+        capabilities = self.device.capabilities
+        if call is draw_under_a_condition:
+            return capabilities.shading and capabilities.conditional_rendering
+        return capabilities.shading or call is not wait_for_a_query
 
     def draw_image(self) -> NDArray[Any]:
         """Draw with two programs, changing bindings and states, and a query and a condition."""
@@ -119,7 +122,7 @@ class DeviceHarness:
                     device.draw(self.second, self.full, tint=blue)
             with self.query, device.states(rhi.Viewport(0, 0, SIZE / 2, SIZE), rhi.DepthTest.OFF):
                 device.draw(self.flat, self.half, tint=blue)
-            if device.capabilities.shading:
+            if device.capabilities.shading and device.capabilities.conditional_rendering:
                 with device.conditional(self.query):
                     with device.states(rhi.Scissor(0, 12, 16, 4), rhi.DepthTest.OFF):
                         device.draw(self.second, self.full, tint=red)

@@ -18,7 +18,14 @@ EXEMPT = {__file__}
 """Files whose functions aren't interrupted: those of tests."""
 _CALLS = {"CALL", "CALL_FUNCTION_EX"}
 _BACK = {"JUMP_BACKWARD", "JUMP_BACKWARD_NO_INTERRUPT"}
-_DESTRUCTORS = {"DrawSlot.__del__", "IndexList.__del__", "_CounterPage.__del__", "finalize.__call__"}
+_DESTRUCTORS = {
+    "DrawSlot.__del__",
+    "GPUObjectBase.__del__",
+    "IndexList.__del__",
+    "PollToken.__del__",
+    "_CounterPage.__del__",
+    "finalize.__call__",
+}
 _FROM_C = {"__init__", "__new__", "__post_init__", "__call__", "__del__", "__init_subclass__"}
 
 

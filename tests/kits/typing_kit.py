@@ -15,7 +15,7 @@ def check_mistakes(
 ) -> None:
     """Assert, in one run of mypy, that a program passes and that it refuses each mistake in it on its
     line."""
-    source, paths = right.read_text(), []
+    source, paths = right.read_text(encoding="utf-8"), []
     for number, (old, new, _) in enumerate(mistakes):
         assert source.count(old) >= 1, old
         paths.append(folder / f"mistake_{number}.py")

@@ -54,7 +54,7 @@ class Mutant(MetaPathFinder):
         spec = PathFinder.find_spec(fullname, path)
         assert spec is not None
         assert spec.origin is not None
-        text = Path(spec.origin).read_text()
+        text = Path(spec.origin).read_text(encoding="utf-8")
         assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
         broken = self.folder / Path(spec.origin).name
         broken.write_text(text.replace(self.mutation.old, self.mutation.new))

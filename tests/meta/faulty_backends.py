@@ -277,7 +277,11 @@ def list_failures(fault: Callable[[Any], Any], *groups: str) -> list[str]:
     failures = Failures()
     options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "rhi.conformance.plugin", "-c", os.devnull]
     files = [str(KIT / "operation" / f"test_{group}.py") for group in groups]
-    with replace_gl(fault), open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+    with (
+        replace_gl(fault),
+        open(os.devnull, "w", encoding="utf-8") as nowhere,
+        contextlib.redirect_stdout(nowhere),
+    ):
         status = pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *files], [failures])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RuntimeError(f"the kit did not run: {status!r}")

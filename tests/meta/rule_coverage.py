@@ -171,7 +171,7 @@ def main(arguments: list[str]) -> None:
     marks = ["-m", "not slow and not nightly"]
     options = ["-q", "-p", "no:cacheprovider", "-c", os.devnull, *marks, "--rootdir", str(PACKAGE.parent)]
     options += ["--hypothesis-profile", "traced"]
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
         status = pytest.main([*options, *arguments], [coverage])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RuntimeError(f"the tests did not run: {status!r}")

@@ -25,7 +25,10 @@ def test_what_a_mutation_replaces_is_there_once() -> None:
         spec = importlib.util.find_spec(mutation.module)
         assert spec is not None
         assert spec.origin is not None
-        assert Path(spec.origin).read_text().count(mutation.old) == 1, (mutation.module, mutation.old)
+        assert Path(spec.origin).read_text(encoding="utf-8").count(mutation.old) == 1, (
+            mutation.module,
+            mutation.old,
+        )
 
 
 @pytest.mark.nightly

@@ -17,7 +17,7 @@ from renderer.techniques import ClusteredDeferred, Forward, Technique
 from renderer.visibility import make_visibility
 from rhi import ShaderError
 
-TEXT = Path(lighting.__file__).read_text()
+TEXT = Path(lighting.__file__).read_text(encoding="utf-8")
 EDITED = TEXT.replace("(surface.base_color + specular) *", "(surface.base_color.zyx + specular) *")
 
 
@@ -68,7 +68,7 @@ def test_an_edit_of_the_lighting_shows_and_can_be_taken_back(
 
 
 def test_an_edit_of_a_materials_own_shader_shows_and_can_be_taken_back(gl: rhi.Device) -> None:
-    text = Path(material_shaders.__file__).read_text()
+    text = Path(material_shaders.__file__).read_text(encoding="utf-8")
     edited = text.replace("share = 0.5 - 0.5 * mean.x * mean.y", "share = 0.5 - 0.5 * mean.x")
     assert edited != text
     scene = load_scene("yard:columns=0,lights=0")

@@ -106,6 +106,8 @@ class Lit(Shader):
         assert_type(v.position.yx, vec2)
         assert_type(v.color.rgb * 2.0, vec3)
         assert_type(2 * v.color / 3 + 1, vec3)
+        assert_type(min(v.color, v.color.bgr), vec3)
+        assert_type(min(ivec2(1, 2), ivec2(2, 1)), ivec2)
         assert_type(mat4(1.0) @ vec4(v.position, 0.5, 1), vec4)
         assert_type(mat3(1.0) @ mat3(mat4(1.0)), mat3)
         assert_type(ivec2(7, 2) // 2 % 5, ivec2)

@@ -19,6 +19,8 @@ MISTAKES = [
     ),
     (DRAW, DRAW.replace("lights=lights", "lights=counts"), 'incompatible type "StorageRange[uint]"'),
     (DRAW, DRAW.replace("albedo=texture", "albedo=target"), 'expected "TextureBinding"'),
+    ("min(v.color, v.color.bgr), vec3", "v.color < v.color.bgr, bool", "Unsupported operand types for <"),
+    ("min(ivec2(1, 2), ivec2(2, 1))", "min(mat4(1.0), mat4(2.0))", 'No overload variant of "min"'),
     ("self.light.position, vec3", "self.light.positoin, vec3", 'has no attribute "positoin"'),
     (
         "return Varying(clip=vec4(v.position, 0.5, 1.0), color=v.color,",

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from codecs import BOM_UTF8
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
@@ -32,11 +34,21 @@ EXTENSIONS: Final = {
 }
 """The extensions that are read, and the kind of object of the file that uses each."""
 LISTED_WHERE_USED: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")
-"""The beginnings of extensions that the materials and textures which use them leave out, not the file."""
+"""The beginnings of extensions that are omitted only where something uses them, not because the file lists
+them."""
+
+_USERS: Final = {
+    "texture": ("materials", "textures"),
+    "material": ("materials",),
+    "node": ("nodes", "extensions.KHR_lights_punctual", ""),
+    "mesh": ("meshes", ""),
+}
+"""Where the kinds of objects stand in a document; the empty text is the document itself."""
 
 EXPORT_TIP: Final = "export it without compression and other extensions, with textures as PNG or JPEG"
 """The tip for files that need extensions which aren't read."""
 
+_OPAQUE: Final = ("extensions", "extras")  # whose fields aren't glTF's
 MAGIC: Final = b"glTF"
 JSON_CHUNK: Final = 0x4E4F534A
 BINARY_CHUNK: Final = 0x004E4942
@@ -122,7 +134,7 @@ class GltfFile:
                 fields.refuse("uri", f"{error}: {header}", "base64")
         file = self.locate(uri)
         if file is None:
-            fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
+            fields.refuse("uri", uri, "the name of a file here, file:///…, or data:…;base64,…")
         file = self.budget.find(file)
         self.files.append(file)  # also if it is missing: it may be saved later
         if not self.budget.allows(file):
@@ -140,13 +152,15 @@ class GltfFile:
         return content
 
     def locate(self, uri: str) -> Path | None:
-        """Return the file that `uri` names, or None if it isn't a local one."""
+        """Return the file that `uri` names, relative to this one or by `file:`, or None if it isn't a local
+        one."""
         try:
-            if urlsplit(uri).scheme not in ("", "file"):
-                return None
+            parts = urlsplit(uri)
         except ValueError:
             return None
-        return self._folder / unquote(uri)
+        if parts.scheme == "file" and parts.netloc.lower() in ("", "localhost"):
+            return self._folder / unquote(parts.path)
+        return self._folder / unquote(uri) if not parts.scheme else None
 
     def _split(self, content: ByteArray) -> bytes:
         """Split a `.glb` into its chunks; return the JSON and keep the buffer."""
@@ -173,9 +187,14 @@ class GltfFile:
 
     def _check_version(self) -> None:
         asset = self.root.child("asset")
-        version = asset.text("minVersion", asset.text("version", "missing"))
-        if version.partition(".")[0] != "2":
-            asset.refuse("version", version, "2.0")
+        for field in ("version", "minVersion"):
+            version = asset.text(field, None if field == "version" else "2.0")
+            numbers = re.fullmatch(r"([0-9]{1,9})(?:\.([0-9]{1,9}))?", version)
+            major, minor = (int(part or 0) for part in numbers.groups()) if numbers is not None else (0, 0)
+            if field == "version" and major != 2:  # later minor versions only add to 2.0
+                asset.refuse(field, version, "2.0, or another 2.x")
+            if field == "minVersion" and (numbers is None or (major, minor) > (2, 0)):
+                asset.refuse(field, version, "2.0 or less: the version that readers have to know")
         required = [name for name in self.names("extensionsRequired") if name not in EXTENSIONS]
         if required:
             self.root.refuse("extensionsRequired", ", ".join(required), ", ".join(EXTENSIONS), EXPORT_TIP)
@@ -186,6 +205,29 @@ class GltfFile:
         if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
             self.root.refuse(field, listed, "a list of texts")
         return listed
+
+
+def list_unread_extensions(root: JsonObject) -> Iterator[tuple[str, str]]:
+    """Yield the name and the place of each use of an extension that isn't read, anywhere in a document."""
+    waiting: list[tuple[str, Any]] = [("", root.values)]
+    while waiting:
+        where, value = waiting.pop()
+        if isinstance(value, list):
+            objects = [
+                (f"{where}[{at}]", each) for at, each in enumerate(value) if isinstance(each, dict | list)
+            ]
+            waiting += reversed(objects)
+            continue
+        used = value.get("extensions")
+        for name, fields in used.items() if isinstance(used, dict) else ():
+            user = EXTENSIONS.get(name)
+            if user is None or where.partition("[")[0] not in _USERS[user]:
+                yield name, where
+            elif isinstance(fields, dict | list):
+                waiting.append((f"{where}.extensions.{name}".lstrip("."), fields))
+        parts = [(key, each) for key, each in value.items() if isinstance(each, dict | list)]
+        below = [(f"{where}.{key}".lstrip("."), each) for key, each in parts if key not in _OPAQUE]
+        waiting += reversed(below)
 
 
 def _read_bytes(path: str, budget: Budget) -> ByteArray:

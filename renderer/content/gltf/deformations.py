@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -27,10 +27,16 @@ from renderer.content.gltf.tracks import NodeMotion, PropertyTracks, Track
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.catch_up import Recompute
 from renderer.scene.clips import Clips
-from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
+from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry, vertex_format
+from renderer.scene.tangents import TangentGroups, add_stretch, split_by_tangents
 from rhi.math import multiply, transform_bounds
 
+TARGET_ATTRIBUTES: Final = frozenset(("POSITION", "NORMAL", "TANGENT"))
+"""The attributes that morph targets move."""
+
 _FIRST: Final = np.zeros(1, np.int64)
+_SHORTEST: Final = 1e-20  # length of a normal or tangent that has a direction
+_EVEN: Final = 1e-5  # difference of what a joint makes of its axes, up to which it only turns and scales
 _ROUNDING: Final = 2.0**-18  # of the largest coordinate: vertices are computed in float32
 
 
@@ -168,6 +174,9 @@ class DeformedMesh:
         skeleton: the joints' transforms; None without a skin.
         joints, joint_weights: (v, 4), the joints of each vertex and their weights, which add up to 1; None
             without a skin.
+        tangent_offsets: (t, v, 3), likewise, of the tangents that the file has.
+        tangent_groups: those by which tangents are computed after targets have moved vertices; None where
+            the file has tangents, nothing needs any, or there are no targets.
     """
 
     geometry: MeshGeometry
@@ -177,32 +186,55 @@ class DeformedMesh:
     skeleton: Skeleton | None
     joints: Indices | None
     joint_weights: Floats | None
+    tangent_offsets: NDArray[np.float32]
+    tangent_groups: TangentGroups | None
 
     @property
     def is_animated(self) -> bool:
         """Whether it changes with time."""
         return bool(self.weights.list_tracks(0)) or (self.skeleton is not None and self.skeleton.moves)
 
+    @property
+    def has_tangents(self) -> bool:
+        """Whether its vertices have tangents."""
+        return "tangent" in self.geometry.attributes
+
     def vertices(self, seconds: float) -> NDArray[Any]:
-        """Return the vertices (v,) of `VERTEX` at a time."""
-        deformed = np.zeros(len(self.geometry.vertices), VERTEX)
-        for name in VERTEX.names or ():
-            deformed[name] = self.geometry.vertices[name]
+        """Return the vertices (v,) at a time: of `VERTEX`, with tangents if the mesh has some."""
+        source = self.geometry.vertices
+        deformed = np.zeros(len(source), vertex_format({"tangent"} if self.has_tangents else ()))
+        for name in deformed.dtype.names or ():
+            deformed[name] = source[name]
         if len(self.position_offsets):
             weights = self.weights.evaluate(_FIRST, seconds)[0]
             deformed["position"] += np.tensordot(weights, self.position_offsets, 1)
             deformed["normal"] += np.tensordot(weights, self.normal_offsets, 1)
+            if self.tangent_groups is not None:
+                deformed["normal"] = _unit_normals(deformed["normal"])
+                signed = self.tangent_groups.compute(deformed["position"], deformed["normal"])
+                deformed["tangent"][self.tangent_groups.corners, :3] = signed[:, :3]
+            elif self.has_tangents:
+                deformed["tangent"][:, :3] += np.tensordot(weights, self.tangent_offsets, 1)
         if self.skeleton is not None and self.joints is not None and self.joint_weights is not None:
             matrices = self.skeleton.matrices(seconds)[:, :3]
             blend = np.einsum("vk,vkij->vij", self.joint_weights, matrices[self.joints])
             deformed["position"] = (
                 np.einsum("vij,vj->vi", blend[:, :, :3], deformed["position"]) + blend[:, :, 3]
             )
-            deformed["normal"] = np.einsum("vij,vj->vi", blend[:, :, :3], deformed["normal"])
-        length = np.linalg.norm(deformed["normal"], axis=1, keepdims=True)
-        deformed["normal"] = np.where(
-            length > 1e-20, deformed["normal"] / np.maximum(length, 1e-20), (0.0, 1.0, 0.0)
-        )
+            across = _turn_normals(blend[:, :, :3], matrices[:, :, :3])
+            deformed["normal"] = np.einsum("vij,vj->vi", across, deformed["normal"])
+            if self.has_tangents:
+                tangent = deformed["tangent"]
+                tangent[:, :3] = np.einsum("vij,vj->vi", blend[:, :, :3], tangent[:, :3])
+                if (np.linalg.det(matrices[:, :, :3]) < 0.0).any():
+                    tangent[:, 3] *= np.where(np.linalg.det(blend[:, :, :3]) < 0.0, -1.0, 1.0)
+        deformed["normal"] = _unit_normals(deformed["normal"])
+        if self.has_tangents:
+            tangent = deformed["tangent"]
+            length = np.linalg.norm(tangent[:, :3], axis=1, keepdims=True)
+            tangent[:, :3] = np.where(
+                length > _SHORTEST, tangent[:, :3] / np.maximum(length, _SHORTEST), (1.0, 0.0, 0.0)
+            )
         return deformed
 
     def bounds(self) -> MeshBounds:
@@ -230,6 +262,30 @@ class DeformedMesh:
         return lower - slack, upper + slack
 
 
+def _unit_normals(normals: NDArray[Any]) -> NDArray[Any]:
+    """Return normals (v, 3) of length 1; upwards where they have none."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit: NDArray[Any] = np.where(
+        length > _SHORTEST, normals / np.maximum(length, _SHORTEST), (0.0, 1.0, 0.0)
+    )
+    return unit
+
+
+def _turn_normals(blend: Floats, joints: Floats) -> Floats:
+    """Return the matrices (v, 3, 3) that turn normals as `blend` (v, 3, 3) moves points, up to their length.
+
+    They are the same unless one of the `joints` (j, 3, 3) stretches its axes unlike, or mirrors.
+    """
+    squares = joints.transpose(0, 2, 1) @ joints
+    sizes = np.trace(squares, axis1=1, axis2=2)[:, None, None] / 3.0
+    is_even = (np.abs(squares - sizes * np.eye(3)) <= _EVEN * sizes).all()
+    if is_even and (np.linalg.det(joints) > 0.0).all():
+        return blend
+    a, b, c = blend.transpose(2, 0, 1)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    return cofactors * np.where(np.linalg.det(blend) < 0.0, -1.0, 1.0)[:, None, None]
+
+
 class Deformations:
     """The deformed meshes of a file: a simulation for `SceneBuilder.simulate`."""
 
@@ -255,9 +311,13 @@ class Deformations:
         self._seconds[members] = seconds
 
     def vertices(self, members: Indices) -> NDArray[Any]:
-        """Return the present vertices of `members` (j,), one after another, of `VERTEX`."""
+        """Return the present vertices of `members` (j,), one after another: of `VERTEX`, with tangents if
+        any of the meshes has some."""
         parts = [self.meshes[member].vertices(self._seconds[member]) for member in members.tolist()]
-        return np.concatenate([np.zeros(0, VERTEX), *parts])
+        if len({part.dtype for part in parts}) > 1:
+            indices = np.zeros(3, np.uint32)
+            parts = [MeshGeometry(part, indices).with_attributes({"tangent"}).vertices for part in parts]
+        return np.concatenate(parts or [np.zeros(0, VERTEX)])
 
 
 def read_skins(root: JsonObject, accessors: Accessors, tree: NodeTree) -> list[Skeleton | None]:
@@ -292,10 +352,12 @@ def read_deformed(
     tracks: Sequence[Track],
     clips: Clips,
     skeleton: Skeleton | None,
+    normal_map_uv: str = "",
 ) -> DeformedMesh:
     """Return a primitive as it is deformed at a node.
 
     Args:
+        normal_map_uv: the set of texture coordinates of its material's normal map, or "" without one.
         weights: those of the targets (t,), as the node or the mesh has them.
         tracks: those of the weights, of `clips`.
         skeleton: that of the node's skin, or None.
@@ -303,10 +365,16 @@ def read_deformed(
     targets = primitive.children("targets")
     if {len(weights), *(track.values.shape[-1] for track in tracks)} - {len(targets)}:
         primitive.refuse("targets", f"{len(targets)} targets", "as many as weights")
+    groups = None
+    if normal_map_uv and "tangent" not in mesh.geometry.attributes:
+        geometry, sources, groups = split_by_tangents(mesh.geometry, normal_map_uv)
+        mesh = PrimitiveMesh(geometry, mesh.vertex_indices[sources])
+    if normal_map_uv:
+        mesh = replace(mesh, geometry=add_stretch(mesh.geometry, normal_map_uv))
     offsets = np.zeros((len(targets), len(mesh.vertex_indices), 3), np.float32)
-    turns = np.zeros_like(offsets)
+    turns, tangents = np.zeros_like(offsets), np.zeros_like(offsets)
     for number, target in enumerate(targets):
-        for name, changed in (("POSITION", offsets), ("NORMAL", turns)):
+        for name, changed in (("POSITION", offsets), ("NORMAL", turns), ("TANGENT", tangents)):
             index = target.index(name, len(accessors))
             if index >= 0:
                 differences = accessors.floats(index, "VEC3")
@@ -318,7 +386,9 @@ def read_deformed(
                 changed[number] = differences[mesh.vertex_indices]
     moved = PropertyTracks(tracks, np.zeros(len(tracks), np.int64), weights[None], clips)
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
-    return DeformedMesh(mesh.geometry, offsets, turns, moved, skeleton, joints, shares)
+    return DeformedMesh(
+        mesh.geometry, offsets, turns, moved, skeleton, joints, shares, tangents, groups if targets else None
+    )
 
 
 def _read_joints(
@@ -331,9 +401,16 @@ def _read_joints(
     last = int(mesh.vertex_indices.max())
     if len(joints) <= last or len(shares) <= last:
         attributes.refuse("JOINTS_0", f"{min(len(joints), len(shares))} vertices", f"{last + 1} or more")
-    joints, shares = joints[mesh.vertex_indices], np.maximum(np.nan_to_num(shares[mesh.vertex_indices]), 0.0)
+    joints, shares = joints[mesh.vertex_indices], shares[mesh.vertex_indices]
+    finite = np.isfinite(shares).all(axis=1)
+    if not finite.all():
+        worst = int(mesh.vertex_indices[np.argmin(finite)])
+        attributes.refuse(
+            "WEIGHTS_0", f"vertex {worst} is {shares[np.argmin(finite)].tolist()}", "finite numbers"
+        )
     if joints.max() >= len(skeleton.joints):
         attributes.refuse("JOINTS_0", f"joint {joints.max()}", f"0 to {len(skeleton.joints) - 1}")
+    shares = np.maximum(shares, 0.0)
     total = shares.sum(1, keepdims=True)
     shares = np.where(total > 0.0, shares / np.where(total > 0.0, total, 1.0), (1.0, 0.0, 0.0, 0.0))
     return joints, shares

@@ -16,7 +16,9 @@ from renderer import rules
 from renderer.scene.arrays import Floats
 from rhi.errors import refuse
 
-_LARGEST: Final = 1e30  # of a number: products of a few don't overflow
+LARGEST: Final = 1e30
+"""The largest number of a document: products of a few don't overflow."""
+
 _MAX_SHOWN_LENGTH: Final = 60  # characters of a value that a refusal shows
 
 
@@ -42,7 +44,7 @@ class JsonObject:
     def refuse(self, name: str, value: object, allowed: str = "", tip: str = "") -> NoReturn:
         """Refuse the file because of the field `name`; an empty name means the object itself. `tip` takes the
         place of the rule's."""
-        text = value if isinstance(value, str) else repr(value)
+        text = value if isinstance(value, str) else _as_json(value)
         text = text if len(text) <= _MAX_SHOWN_LENGTH else f"{text[:_MAX_SHOWN_LENGTH]}…"
         path_of = self.path_of(name) if name else self.where
         refuse(
@@ -57,12 +59,12 @@ class JsonObject:
         return name in self.values
 
     def real(
-        self, name: str, default: float | None = None, low: float = -np.inf, high: float = np.inf
+        self, name: str, default: float | None = None, low: float = -LARGEST, high: float = LARGEST
     ) -> float:
-        """Return a finite number from `low` to `high`; without a default it must be there."""
+        """Return a number from `low` to `high`, both finite; without a default it must be there."""
         value = self.values.get(name, default)
-        if not _is_number(value) or not low <= value <= high:
-            self.refuse(name, _describe_value(value), _range("a number", low, high))
+        if not is_number(value) or not low <= value <= high:
+            self.refuse(name, self._describe(name, value), f"a number from {low:.12g} to {high:.12g}")
         return float(value)
 
     def whole(self, name: str, default: int | None = None, low: int = 0, high: int = 2**53) -> int:
@@ -71,7 +73,7 @@ class JsonObject:
         if isinstance(value, float) and value.is_integer():
             value = int(value)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            self.refuse(name, _describe_value(value), _range("a whole number", low, high))
+            self.refuse(name, self._describe(name, value), f"a whole number from {low} to {high}")
         return value
 
     def index(self, name: str, count: int, *, required: bool = False) -> int:
@@ -80,9 +82,8 @@ class JsonObject:
             return -1
         value = self.values.get(name)
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
-            self.refuse(
-                name, _describe_value(value), f"0 to {count - 1}" if count else "nothing: the file has none"
-            )
+            allowed = f"0 to {count - 1}" if count else "nothing: the file has none"
+            self.refuse(name, self._describe(name, value), allowed)
         return value
 
     def indices(self, name: str, count: int) -> list[int]:
@@ -93,14 +94,20 @@ class JsonObject:
                 self.refuse(f"{name}[{number}]", index, f"0 to {count - 1}" if count else "nothing")
         return values
 
-    def reals(self, name: str, size: int, default: Iterable[float] | None = None) -> Floats:
-        """Return `size` finite numbers (size,); without a default they must be there."""
-        values = self.values.get(name, default)
-        if values is None:
-            self.refuse(name, "missing", f"{size} numbers")
+    def reals(
+        self,
+        name: str,
+        size: int,
+        default: Iterable[float] | None = None,
+        low: float = -LARGEST,
+        high: float = LARGEST,
+    ) -> Floats:
+        """Return `size` numbers (size,) from `low` to `high`, both finite; without a default they must be
+        there."""
+        values: Any = self.values.get(name, default)
         fits = isinstance(values, list | tuple) and len(values) == size
-        if not fits or not all(_is_number(value) for value in values):
-            self.refuse(name, values, f"{size} numbers")
+        if not fits or not all(is_number(value) and low <= value <= high for value in values):
+            self.refuse(name, self._describe(name, values), f"{size} numbers from {low:.12g} to {high:.12g}")
         return np.array(values, np.float64)
 
     def flag(self, name: str, default: bool = False) -> bool:
@@ -114,7 +121,7 @@ class JsonObject:
         """Return a text; without a default it must be there."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
-            self.refuse(name, _describe_value(value), "a text")
+            self.refuse(name, self._describe(name, value), "a text")
         return value
 
     def choice(self, name: str, allowed: Iterable[str], default: str | None = None) -> str:
@@ -151,6 +158,9 @@ class JsonObject:
         extensions = self.child("extensions")
         return extensions.child(name) if name in extensions.values else None
 
+    def _describe(self, name: str, value: object) -> object:
+        return value if name in self.values else "missing"
+
     def _list(self, name: str) -> list[Any]:
         elements = self.values.get(name, [])
         if not isinstance(elements, list):
@@ -158,15 +168,13 @@ class JsonObject:
         return elements
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value of a document is a number that is finite, with room for products of a few."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def _describe_value(value: object) -> object:
-    return "missing" if value is None else value
-
-
-def _range(kind: str, low: float, high: float) -> str:
-    if np.isinf(high) or high == 2**53:
-        return kind if np.isinf(low) else f"{kind}, {low:g} or more"
-    return f"{kind} from {low:g} to {high:g}"
+def _as_json(value: object) -> str:
+    """Return a value as it stands in a document."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return repr(value)

@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.document import LARGEST, JsonObject
 from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
 from rhi.math import Depth, Orthographic, Perspective, Projection
@@ -105,7 +105,7 @@ def _write_path(name: str, path: CameraPath) -> dict[str, Any]:
 
 def _read_path(fields: JsonObject) -> CameraPath:
     is_parallel = "orthographic" in fields
-    near = fields.real("near", low=-np.inf if is_parallel else 1e-30)
+    near = fields.real("near", low=-LARGEST if is_parallel else 1e-30)
     far = (
         fields.real("far", low=float(np.nextafter(near, np.inf)))
         if is_parallel or "far" in fields

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.assets import decode_images
-from renderer.content.gltf.container import EXTENSIONS, GltfFile
+from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SPECULAR, get_extras
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
@@ -34,7 +34,6 @@ MINIFY: Final = {
 }
 WRAPS: Final = {10497: Wrap.REPEAT, 33071: Wrap.CLAMP, 33648: Wrap.MIRROR}
 
-_READ: Final = {name for name, user in EXTENSIONS.items() if user == "material"}
 _STRONGEST: Final = 1e6  # of emitted light
 _UNLIT: Final = (
     2.0**19
@@ -85,10 +84,14 @@ class Materials:
             self._material_ids[key] = self.builder.add_material(**values, **textures)
         return self._material_ids[key]
 
+    def normal_map_uv(self, number: int) -> str:
+        """Return the set of texture coordinates of a material's normal map, `uv` or `uv2`; "" without one."""
+        texture = self._read_values[number][1].get("normal_texture")
+        return "" if texture is None else ("uv2" if texture.uv_set else "uv")
+
     def _read(self, fields: JsonObject) -> tuple[dict[str, Any], dict[str, tuple[int, dict[str, Any]]]]:
         """Return the arguments of `add_material`, and for each texture the image and how it is read."""
-        for name in fields.child("extensions").values.keys() - _READ:
-            self.omissions.add(name, fields.where)
+        fields.child("extensions")  # what isn't read of them is noted for the whole file
         pbr = fields.child("pbrMetallicRoughness")
         mode = ALPHA_MODES[fields.choice("alphaMode", ALPHA_MODES, "OPAQUE")]
         values: dict[str, Any] = {
@@ -212,10 +215,7 @@ def _restore(
 def _colors(
     fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4
 ) -> NDArray[np.float64]:
-    color = fields.reals(name, size, (default,) * size)
-    if not ((color >= 0.0) & (color <= high)).all():
-        fields.refuse(name, color.tolist(), "0 to 1")
-    return color
+    return fields.reals(name, size, (default,) * size, 0.0, high)
 
 
 def _read_sampler(fields: JsonObject) -> SamplerDescriptor:

@@ -138,9 +138,7 @@ class LightCollector:
     def add(self, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
         """Add a light at a node, along whose -Z it shines."""
         kind = _KINDS[fields.choice("type", self._rows)]
-        color = fields.reals("color", 3, (1.0, 1.0, 1.0))
-        if color.min() < 0.0:
-            fields.refuse("color", color.tolist(), "0 or more")
+        color = fields.reals("color", 3, (1.0, 1.0, 1.0), 0.0)
         extras = get_extras(fields)
         row: dict[str, Any] = {
             "color": color,

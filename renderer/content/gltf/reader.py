@@ -21,7 +21,7 @@ from renderer.content.assets import share_geometry
 from renderer.content.gltf import deformations
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import Tracks, make_motion, read_tracks
-from renderer.content.gltf.container import EXTENSIONS, LISTED_WHERE_USED, GltfFile
+from renderer.content.gltf.container import EXTENSIONS, LISTED_WHERE_USED, GltfFile, list_unread_extensions
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SceneExtras, get_extras, is_holder, primitive_name, read_scene_extras
 from renderer.content.gltf.materials import Materials
@@ -38,7 +38,7 @@ from renderer.content.limits import Budget
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
-from rhi.errors import refuse
+from rhi.errors import ValidationError, refuse
 
 
 def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> SceneExtras | None:
@@ -90,9 +90,14 @@ class _GltfReader:
         self._has_nodes = False
 
     def add_all(self) -> None:
+        used = list(list_unread_extensions(self._root))
         for name in self._file.names("extensionsUsed"):
-            if name not in EXTENSIONS and not name.startswith(LISTED_WHERE_USED):
+            is_listed = name.startswith(LISTED_WHERE_USED) or name in dict(used)
+            if name not in EXTENSIONS and not is_listed:
                 self._omissions.add(name, "extensionsUsed")
+        for name, where in used:
+            if where or name not in {other for other, path in used if path}:  # else the file only lists parts
+                self._omissions.add(name, where or "the file")
         self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)
         self._has_nodes = bool(nodes)
@@ -232,8 +237,12 @@ class _GltfReader:
         shape = self._primitives.read(part.primitive)
         if shape is None or (skeleton is None and not moved and not weights.any()):
             return None
+        for target in part.primitive.children("targets"):
+            for name in sorted(target.values.keys() - deformations.TARGET_ATTRIBUTES):
+                self._omissions.add(f"offsets of {name} in a morph target", target.where)
+        uv = "" if self._primitives.is_unlit(part.primitive) else self._materials.normal_map_uv(part.material)
         return deformations.read_deformed(
-            part.primitive, shape, self._accessors, weights, moved, self._builder.clips, skeleton
+            part.primitive, shape, self._accessors, weights, moved, self._builder.clips, skeleton, uv
         )
 
     def _add_deformed(self, change: deformations.DeformedMesh, name: str) -> int:
@@ -269,7 +278,12 @@ class _GltfReader:
             number = node.fields.index("camera", len(cameras))
             if number < 0:
                 continue
-            camera = read_camera(cameras[number], world)
+            try:
+                camera = read_camera(cameras[number], world)
+            except ValidationError as error:  # the rest of the file can still be seen
+                problem = error.given.removeprefix(f"{self._file.path}: ")
+                self._omissions.add(f"a camera that can't be read ({problem})", cameras[number].where)
+                continue
             if camera is None:
                 self._omissions.add("cameras without a direction", node.fields.where)
                 continue

@@ -55,14 +55,18 @@ _SLOTS: Final = {
 def write_gltf(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     """Write a scene to a file, and return what the file can't hold; see `renderer.content.save_scene`."""
     file = Path(path)
-    if file.suffix.lower() not in FORMATS:
-        refuse(
-            rules.UNKNOWN_FORMAT, f"save_scene({str(path)!r})", file.suffix or file.name, ", ".join(FORMATS)
-        )
+    check_model_name(file)
     writer = _GltfWriter(scene)
     writer.write_all()
     writer.save(file)
     return tuple(writer.omissions)
+
+
+def check_model_name(file: Path) -> None:
+    """Refuse a file whose name names no format that scenes are written in: `scene-unknown-format`."""
+    if file.suffix.lower() not in FORMATS:
+        call = f"save_scene({str(file)!r})"
+        refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
 
 
 class _GltfWriter:
@@ -109,7 +113,7 @@ class _GltfWriter:
             binary = file.with_suffix(".bin")
             buffer["uri"] = binary.name
             binary.write_bytes(data)
-            file.write_text(json.dumps(values, allow_nan=False))
+            file.write_text(json.dumps(values, allow_nan=False), encoding="utf-8")
             return
         text = json.dumps(values, allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
@@ -228,7 +232,11 @@ class _GltfWriter:
         primitive."""
         meshes = self._scene.meshes
         stride = meshes.vertices.dtype.itemsize
-        vertices = self._view(meshes.vertices.tobytes(), byteStride=stride, target=_VERTICES)
+        rows = meshes.vertices
+        if "tangent" in (rows.dtype.names or ()):
+            rows = rows.copy()
+            rows["tangent"][:, 3] = np.where(rows["tangent"][:, 3] < 0.0, -1.0, 1.0)  # without a stretch
+        vertices = self._view(rows.tobytes(), byteStride=stride, target=_VERTICES)
         indices = self._view(meshes.indices.tobytes(), target=_INDICES)
         offsets = {name: description[1] for name, description in (meshes.vertices.dtype.fields or {}).items()}
         fields = {name: (field, types[0]) for name, (field, types) in ATTRIBUTES.items()}

@@ -141,7 +141,7 @@ def load_or_compute_pareto_front(
     parts = [_VERSION, to_json(setup), [asdict(report) for report in reports]]
     path = folder / f"pareto-front-{_hash(parts)}.json"
     try:
-        stored_points = json.loads(path.read_text())
+        stored_points = json.loads(path.read_text(encoding="utf-8"))
         base = make_plain(setup.settings)
         return [
             ParetoPoint(**point | {"settings": combine(base, point["values"])}) for point in stored_points
@@ -160,7 +160,7 @@ def _write_whole(path: Path, text: str) -> None:
     """Write a file completely or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(f".{os.getpid()}.part")
-    beside.write_text(text)
+    beside.write_text(text, encoding="utf-8")
     beside.replace(path)
 
 
@@ -178,7 +178,7 @@ def save_sample(path: Path, sample: sweep.SettingSample) -> None:
 def load_sample(path: Path) -> sweep.SettingSample | None:
     """Read the result of a job; None if there is no file or a damaged one, so that it is measured again."""
     try:
-        stored = json.loads(path.read_text())
+        stored = json.loads(path.read_text(encoding="utf-8"))
         values = {value: _read_sample(value_sample) for value, value_sample in stored["values"].items()}
         return sweep.SettingSample(
             **stored | {"values": values, "reference_ratios": tuple(stored["reference_ratios"])}

@@ -266,9 +266,9 @@ class Canvas:
 
     def _reserve(self, count: int) -> None:
         """Make room for `count` parallelograms."""
+        if self._mesh.count < _CORNERS * count:
+            old, self._mesh = self._mesh, self._device.mesh(_CORNERS * count, label="canvas")
+            old.destroy()
         rows = np.zeros((count, self._rows.shape[1]), np.float32)
         rows[: self._count] = self._rows[: self._count]
         self._rows, self._texels = rows, rows.view(np.uint32)[:, 6:8]
-        if self._mesh.count < _CORNERS * count:
-            self._mesh.destroy()
-            self._mesh = self._device.mesh(_CORNERS * count, label="canvas")

@@ -35,11 +35,11 @@ class BufferSet:
         """Return a buffer with `count` elements; it is created again if it has another number."""
         buffer = self._buffers.get(name)
         if buffer is None or len(buffer) != count:
-            if buffer is not None:
-                buffer.destroy()
-            buffer = self._buffers[name] = self._device.storage(
-                element, count, label=f"{self._label}: {name}"
-            )
+            old = buffer
+            buffer = self._device.storage(element, count, label=f"{self._label}: {name}")
+            self._buffers[name] = buffer
+            if old is not None:
+                old.destroy()
         return buffer
 
     def destroy(self) -> None:

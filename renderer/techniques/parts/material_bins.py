@@ -167,16 +167,22 @@ class PixelBins:
     def _reserve(self, pixels: int, materials: int, shaders: int) -> None:
         """Allocate buffers for as many pixels, materials and shaders."""
         if self.pixels.count < pixels:
-            self.pixels.destroy()
-            self.pixels = self._device.storage(sl.uint, pixels, label="binned pixels")
+            old, self.pixels = self.pixels, self._device.storage(sl.uint, pixels, label="binned pixels")
+            old.destroy()
         if self._counts.count != materials + 1:
-            self._counts.destroy()
-            self._counts = self._device.storage(sl.uint, materials + 1, label="counts of bins")
+            counts = self._device.storage(sl.uint, materials + 1, label="counts of bins")
+            old, self._counts = self._counts, counts
+            old.destroy()
         if self.ranges.count != shaders:
-            for resource in (self.ranges, self.groups):
+            ranges = self._device.storage(PixelRange, shaders, label="ranges of bins")
+            groups = self._device.storage(DispatchGroups, shaders, label="groups of bins")
+            before = (self.ranges, self.groups)
+            self.groups, self.ranges = (
+                groups,
+                ranges,
+            )  # `ranges` last, whose length tells whether both are made
+            for resource in before:
                 resource.destroy()
-            self.ranges = self._device.storage(PixelRange, shaders, label="ranges of bins")
-            self.groups = self._device.storage(DispatchGroups, shaders, label="groups of bins")
 
     def read(self) -> list[NDArray[np.int64]]:
         """Pixels (k, 2), x and y, of each shader, in the order of their materials. Waits for the device."""

@@ -227,11 +227,13 @@ class MaterialRectangles:
         in_a_tile = min(materials, self.tile * self.tile)
         most = tiles[0] * tiles[1] * in_a_tile
         if self._progress.count < tiles[0] * tiles[1]:
-            self._progress.destroy()
-            self._progress = device.storage(int, tiles[0] * tiles[1], label="progress of rectangles")
+            progress = device.storage(int, tiles[0] * tiles[1], label="progress of rectangles")
+            old_progress, self._progress = self._progress, progress
+            old_progress.destroy()
         if self.rectangles.count < most:
-            self.rectangles.destroy()
-            self.rectangles = device.storage(MaterialRectangle, most, label="rectangles")
+            rectangles = device.storage(MaterialRectangle, most, label="rectangles")
+            old_rectangles, self.rectangles = self.rectangles, rectangles
+            old_rectangles.destroy()
         self._layout.write(TileSize(tile=self.tile, materials=materials))
         self.draw.clear()
         self._progress.clear()

@@ -90,7 +90,6 @@ class PackedTextures(SceneShader):
     """Writes the packed geometry buffer of a scene with images."""
 
     is_coverage = True
-    has_texture_transforms = False
 
     def fragment(self, v: SurfaceVarying) -> TexturedWords:
         return TexturedWords(packed=self.pack(v))

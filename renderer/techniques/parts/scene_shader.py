@@ -109,6 +109,9 @@ class SceneShader(ObjectLightReader):
     def transform(self, v: Vertex, uv2: sl.vec2, tangent: sl.vec4, color: sl.vec4) -> SurfaceVarying:
         object_index = self.get_object_index()
         object_data = self.objects[object_index]
+        if self.has_normal_maps and self.has_texture_transforms and self.has_table and not self.is_own:
+            # A material's own shader has no map whose coordinates are turned.
+            tangent = self.turn_tangent(object_data.material, v.normal, tangent)
         position = object_data.linear @ v.position + relative_position(
             self.object_positions[object_index], self.view
         )

@@ -8,7 +8,8 @@ return a · colour and a (*premultiplied*), so that nothing but a sum is left to
 What covers what is decided in one of two ways (`Blending`):
 
 - **Sorted**: objects are drawn back to front, in one pass over `image`. That is exact where objects don't
-  interleave; triangles of one object keep their order.
+  interleave; triangles of one object keep their order. Layers that the image would round away, many and faint
+  ones, are added up in a target of their own, which the pass `blend` puts over the image.
 - **Weighted**: all are drawn in any order to two sums, from which `blend` makes a mean colour: near surfaces
   weigh more (McGuire and Bavoil 2013, equation 9). The share of the background that is seen is exact, the
   order isn't.
@@ -41,6 +42,8 @@ WEIGHTS: Final = "transparent weights"
 
 _HEAVIEST: Final = 1e3
 """The largest weight: 65 of them still fit into a half float."""
+_WEIGHT_FORMATS: Final = {Format.RGBA16F: Format.R16F, Format.RGBA32F: Format.R32F}
+"""The format of weights beside that of colors."""
 _SUMS: Final = BlendFunction(
     BlendFactor.ONE,
     BlendFactor.ONE,
@@ -86,6 +89,18 @@ class WeightedShader(TransparentShader):
         return WeightedTexels(colors=sl.vec4(seen.rgb * weight, seen.a), weights=weight)
 
 
+class LayersShader(BackgroundScreen):
+    """Blends transparent surfaces, which were added up, over the image."""
+
+    colors: sl.Texture2D
+
+    def fragment(self) -> sl.vec4:
+        colors = self.colors.load(sl.ivec2(sl.fragment_coordinate().xy))
+        if colors.a == 0.0:
+            sl.discard()  # nothing covers this pixel
+        return colors
+
+
 class BlendShader(BackgroundScreen):
     """Blends the weighted mean of transparent surfaces over the image."""
 
@@ -101,7 +116,25 @@ class BlendShader(BackgroundScreen):
         return sl.vec4(colors.rgb * ((1.0 - colors.a) / sl.max(weight, 1e-6)), 1.0 - colors.a)
 
 
-TRANSPARENCY_SHADERS: Final[tuple[type[sl.Shader], ...]] = (TransparentShader, WeightedShader, BlendShader)
+class WideBlendShader(BlendShader):
+    """The same for sums of single floats, which hold every sum of weights."""
+
+    def fragment(self) -> sl.vec4:
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
+        colors = self.colors.load(pixel)
+        if colors.a == 1.0:
+            sl.discard()
+        mean = colors.rgb / sl.max(self.weights.load(pixel).x, 1e-12)
+        return sl.vec4(sl.min(mean, MAX_HALF_FLOAT) * (1.0 - colors.a), 1.0 - colors.a)
+
+
+TRANSPARENCY_SHADERS: Final[tuple[type[sl.Shader], ...]] = (
+    TransparentShader,
+    WeightedShader,
+    LayersShader,
+    BlendShader,
+    WideBlendShader,
+)
 """The shaders of transparent surfaces, combined with those of a `Lighting`."""
 
 
@@ -113,14 +146,32 @@ def declare_transparency(
     if Effect.TRANSPARENCY not in effects.enabled:
         return ()
     if effects.blending is Blending.SORTED:
-        return (sorted_pass(effects, lighting, image=image),)
+        if effects.layers_format is None:
+            return (sorted_pass(effects, lighting, image=image),)
+        return (
+            FramePass(
+                "transparency",
+                partial(_add_sorted, lighting=lighting),
+                effects.explain(Effect.TRANSPARENCY),
+                reads=("depth", *lighting.reads),
+                writes=(Target(COLORS, effects.layers_format),),
+            ),
+            FramePass(
+                "blend",
+                partial(_blend_layers, image=image),
+                "puts layers that the image would round away over what is behind them",
+                reads=(COLORS,),
+                changes={image: f"{image} with transparency"},
+            ),
+        )
+    colors = effects.layers_format or Format.RGBA16F
     return (
         FramePass(
             "transparency",
             partial(_add_weighted, lighting=lighting),
             effects.explain(Effect.TRANSPARENCY),
             reads=("depth", *lighting.reads),
-            writes=(Target(COLORS, Format.RGBA16F), Target(WEIGHTS, Format.R16F)),
+            writes=(Target(COLORS, colors), Target(WEIGHTS, _WEIGHT_FORMATS[colors])),
         ),
         FramePass(
             "blend",
@@ -151,6 +202,20 @@ def sorted_pass(
 
 def _draw_sorted(frame: Frame, *, lighting: Lighting, image: str, depth: str) -> None:
     _draw(frame, lighting, TransparentShader, [image], depth, BlendFunction.PREMULTIPLIED)
+
+
+def _add_sorted(frame: Frame, *, lighting: Lighting) -> None:
+    """Add transparent surfaces up in a target of their own, back to front."""
+    clear = (0.0, 0.0, 0.0, 0.0)
+    _draw(frame, lighting, TransparentShader, [COLORS], "depth", BlendFunction.PREMULTIPLIED, clear=clear)
+
+
+def _blend_layers(frame: Frame, *, image: str) -> None:
+    targets = frame.targets
+    if len(frame.draw_result.transparent):
+        bindings = {"colors": targets[COLORS]}
+        states = (BlendFunction.PREMULTIPLIED,)
+        draw_full_screen(frame, LayersShader, targets[image], bindings, states=states)
 
 
 def _add_weighted(frame: Frame, *, lighting: Lighting) -> None:
@@ -190,4 +255,5 @@ def _blend(frame: Frame, *, image: str) -> None:
     targets = frame.targets
     bindings = {"colors": targets[COLORS], "weights": targets[WEIGHTS]}
     if len(frame.draw_result.transparent):
-        draw_full_screen(frame, BlendShader, targets[image], bindings, states=(BlendFunction.PREMULTIPLIED,))
+        shader = BlendShader if frame.effects.layers_format is Format.RGBA16F else WideBlendShader
+        draw_full_screen(frame, shader, targets[image], bindings, states=(BlendFunction.PREMULTIPLIED,))

@@ -168,10 +168,12 @@ class DepthPyramidCulling(DeviceCulling):
         """Return the pyramid for an image of `size`; it is made again when the size changes."""
         pyramid = self._pyramid
         if pyramid is None or pyramid.size != size:
-            if pyramid is not None:
-                pyramid.destroy()
-            pyramid = self._pyramid = DepthPyramid(self._device, size)
+            old, pyramid = pyramid, DepthPyramid(self._device, size)
+            self._pyramid = None
+            if old is not None:
+                old.destroy()
             self._levels.write(make_levels(pyramid, self._texels))
+            self._pyramid = pyramid  # the last step, since it tells whether the levels are written
         return pyramid
 
     def destroy(self) -> None:

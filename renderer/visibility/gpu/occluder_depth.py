@@ -121,9 +121,10 @@ class OccluderDepth:
         device."""
         image = self._image
         if image is None or image.pyramid.size != size:
-            if image is not None:
-                image.destroy()
+            old = image
             image = self._image = _DepthResources(self._device, size, self._texels)
+            if old is not None:
+                old.destroy()
         device, scene = self._device, self._scene
         self._depth = direction = camera.projection.depth
         world = scene.nodes.world[scene.objects.node[object_indices]]

@@ -183,10 +183,11 @@ class ReprojectedDepth:
         """Return the resources for images of `size`. A depth kept for another size is discarded."""
         sized = self._resources
         if sized is None or sized.size != size:
-            if sized is not None:
-                sized.destroy()
-            sized = self._resources = _SizedResources(self._device, size)
-            self._camera = None
+            old, sized = sized, _SizedResources(self._device, size)
+            self._camera = None  # what is kept is of another size
+            self._resources = sized
+            if old is not None:
+                old.destroy()
         return sized
 
     def destroy(self) -> None:

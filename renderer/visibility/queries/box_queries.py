@@ -98,9 +98,10 @@ class BoxQueries:
     def set_nodes(self, sizes: Indices, box_indices: Indices) -> None:
         """Give the nodes other boxes; the arguments are those of the constructor."""
         if len(box_indices) > len(self._buffer):
-            self._buffer.destroy()
-            self._axes.destroy()
+            old = self._buffer, self._axes
             self._make_buffers(len(box_indices) + len(box_indices) // 2)
+            for buffer in old:
+                buffer.destroy()
         self._box_indices = box_indices
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
         # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each
@@ -111,8 +112,9 @@ class BoxQueries:
         ) * 2  # those on the device
 
     def _make_buffers(self, room: int) -> None:
-        self._buffer = self.device.storage(QueryBox, room, label="boxes")
+        boxes = self.device.storage(QueryBox, room, label="boxes")
         self._axes = self.device.storage(QueryBoxAxes, room, label="axes of boxes")
+        self._buffer = boxes  # the last one, since its length tells how much room both have
 
     def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
         """Upload the boxes of all nodes, gathered from `boxes`, and reset the counters."""

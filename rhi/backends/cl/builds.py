@@ -33,7 +33,6 @@ from rhi.backends.cl.cl_context import (
     build_again,
     build_cached,
 )
-from rhi.backends.cl.pocl.binaries import LARGE_GRID
 from rhi.backends.cl.pocl.kernel_cache import Request, make_mark
 
 if TYPE_CHECKING:
@@ -149,9 +148,7 @@ class Kernel:
         """Enqueue `items` work-items of a kernel that draws, whose only argument is the address of a batch
         table."""
         self._renew(items)
-        if items >= LARGE_GRID:
-            self.program.complete()
-        kernel = self.program.find(self._name)
+        kernel = self.program.prepare(self._name, items)
         kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
         return self.watch(cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,)), items)
 
@@ -336,9 +333,13 @@ class Builds:
             if cache.takes_code and cache.read_code(request.key) is None:
                 mark = make_mark()
                 compiler.compile(Job(*request.write(mark), (), (), lock))
-                cache.store_code(request.key, mark)
+                with cache.writing(request.key) as is_safe:
+                    if is_safe:
+                        cache.store_code(request.key, mark)
             compiler.compile(Job(*cache.choose(request), *launch, lock))
-            cache.record(request.key)
+            with cache.writing(request.key) as is_safe:
+                if is_safe:
+                    cache.record(request.key)
         if cache.contains(request.key, launch.names):
             code, options = cache.choose(request)
             program = build_again(self._context.context, cache.make_binary(request) or code, options)

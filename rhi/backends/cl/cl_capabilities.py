@@ -16,6 +16,8 @@ _MAX_ANISOTROPY: Final = 16.0
 _MAX_GROUPS: Final = (
     1 << 31
 ) - 1  # PoCL counts the groups of a dispatch, and ends the process if that overflows
+_MAX_VERTEX_STRIDE: Final = 1 << 14
+_MAX_VARYINGS: Final = 1 << 10
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 
@@ -39,6 +41,9 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         storage_alignment=grain,
         max_storage_slots=MAX_STORAGE_SLOTS,
         max_texture_size=_MAX_TEXTURE_SIZE,
+        max_volume_size=_MAX_TEXTURE_SIZE,
+        max_vertex_stride=_MAX_VERTEX_STRIDE,
+        max_varyings=_MAX_VARYINGS,
         sample_counts=SAMPLE_COUNTS,
         max_anisotropy=_MAX_ANISOTROPY,
         draws=draws,

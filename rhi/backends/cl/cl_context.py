@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl.cl_errors import shorten
 from rhi.backends.cl.pocl.driver_loader import DriverLoader
+from rhi.backends.cl.pocl.fault_handlers import keep_fault_handlers
 from rhi.backends.cl.pocl.kernel_cache import CachedProgram, KernelCache, Request, make_mark, settle_folder
 from rhi.backends.cl.pocl.program_residency import EvictableProgram, ProgramResidency
 from rhi.backends.cl.pocl.workers import list_threads, spread_threads
@@ -104,7 +106,10 @@ class ClContext:
         Args:
             types: the types of each kernel's arguments, if they are scalars.
         """
-        return self.programs.add(program, request, self._build, types)
+        self.programs.is_crowded = self.cache.is_crowded
+        return self.programs.add(
+            program, request, self._build, types, partial(self.cache.has_code, request.key)
+        )
 
     def _build(self, request: Request) -> cl.Program:
         np.empty(_COMPILERS, np.uint8)  # without so much, LLVM ends the process; this is a MemoryError
@@ -170,11 +175,12 @@ def _list_platforms() -> list[cl.Platform]:
 def list_devices() -> list[cl.Device]:
     """Return all devices of all platforms, in OpenCL's order."""
     devices: list[cl.Device] = []
-    for platform in _list_platforms():
-        try:
-            devices += platform.get_devices()
-        except cl.Error:  # this platform has no device
-            continue
+    with keep_fault_handlers():
+        for platform in _list_platforms():
+            try:
+                devices += platform.get_devices()
+            except cl.Error:  # this platform has no device
+                continue
     return devices
 
 

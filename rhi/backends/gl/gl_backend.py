@@ -48,6 +48,7 @@ from rhi.backends.gl.gl_samplers import Samplers
 from rhi.backends.gl.gl_states import RenderStates
 from rhi.backends.gl.gl_textures import Textures
 from rhi.backends.gl.llvmpipe import UnfinishedDraws, keep_freed_memory
+from rhi.backends.gl.mip_levels import MipLevels
 from rhi.commands.recorder import CommandMethods
 from rhi.contract.backend import PreparedQueries
 from rhi.contract.descriptors import (
@@ -64,6 +65,7 @@ from rhi.contract.descriptors import (
     TextureKind,
     VertexArrayDescriptor,
 )
+from rhi.contract.driver_faults import is_indirect_unbounded
 from rhi.contract.formats import ChannelKind
 from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateChange
 from rhi.errors import DeviceError, refuse
@@ -137,11 +139,14 @@ class GlBackend:
         self._textures = Textures(gl)
         self._samplers = Samplers(gl)
         self._framebuffers = Framebuffers(gl, self._textures)
+        self._mip_levels = MipLevels(context, gl)
         self._arrays = VertexArrays(context, gl, self._buffers, self.check_context)
         self._programs = Programs(context, gl, self._arrays, self._unfinished.finish if is_llvmpipe else None)
         self._queries = Queries(gl)
         self._fence = Fence(gl)
-        self._draws = Draws(context, gl, self._arrays, self._buffers)
+        self._draws = Draws(
+            context, gl, self._arrays, self._buffers, is_indirect_unbounded(self.capabilities.device)
+        )
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
         self._shared = shared
         self._host_framebuffer = HostFramebuffer(gl)
@@ -151,6 +156,7 @@ class GlBackend:
         self._bound_program: LinkedProgram = None  # type: ignore[assignment]  # nothing draws before bind_program
         self._tests_alpha = False
         self._pass = PassDescriptor((0, 0))
+        self._targets = 0  # the color targets of the open pass, as bits
         self._framebuffer = 0
         self._condition: tuple[Id, bool] | None = None
         self._labels = 0
@@ -177,6 +183,7 @@ class GlBackend:
             for resource in list(self._destroyers):
                 self.destroy(resource)
             self._draws.release()
+            self._mip_levels.release()
             self._fence.release()
         self.release_current()  # a current context would survive its release
         if self._shared is not None and self._get_current() == self._shared.host.context:
@@ -392,7 +399,7 @@ class GlBackend:
 
     def _destroy_vertex_array(self, vertex_array: Id) -> None:
         self._programs.forget_vertex_array(vertex_array)
-        del self._arrays.descriptors[vertex_array]
+        self._arrays.destroy(vertex_array)
 
     # -- memory ------------------------------------------------------------------------------------------
 
@@ -463,9 +470,9 @@ class GlBackend:
         self._unfinished.add()
 
     def generate_mipmaps(self, texture: Id) -> None:
+        self._unfinished.finish()
         with self._unmasked(False, False, False):
-            self.gl.GenerateTextureMipmap(self._textures[texture].name)
-        self._unfinished.add()
+            self._mip_levels.generate(self._textures[texture])
 
     # -- passes, state, binding --------------------------------------------------------------------------
 
@@ -473,11 +480,12 @@ class GlBackend:
         self._framebuffer = self._framebuffers.get_or_create(descriptor)
         self.gl.BindFramebuffer(enums.FRAMEBUFFER, self._framebuffer)
         self._pass = descriptor
+        self._targets = (1 << len(descriptor.colors)) - 1
         self._states.set_target_size(descriptor.size)
         self._clear(descriptor)
 
     def end_pass(self) -> None:
-        self._framebuffer = 0  # a framebuffer lives no longer than its textures
+        self._framebuffer = self._targets = 0  # a framebuffer lives no longer than its textures
         self._unfinished.add()
         for color in self._pass.colors:
             if color.resolve:
@@ -536,6 +544,9 @@ class GlBackend:
             self._change_alpha_test()
         else:
             self._bound_program = self._programs[program]
+        unwritten = self._targets & ~self._bound_program.outputs
+        if unwritten != self._states.unwritten:
+            self._states.leave_unwritten(unwritten)
 
     def _change_alpha_test(self) -> None:
         values = self._states.values

@@ -208,6 +208,11 @@ class Buffers:
         self._gl.GetNamedBufferSubData(self.objects[buffer].glo, offset, size, data)
         return data.raw
 
+    def peek(self, buffer: Id, offset: int, size: int) -> bytes:
+        """Return bytes as `read` does, on drivers whose mapped memory is the CPU's own."""
+        mapping = self._mappings.get(buffer)
+        return self.read(buffer, offset, size) if mapping is None else bytes(mapping[offset : offset + size])
+
     def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         self.note_change(target)
         self._gl.CopyNamedBufferSubData(

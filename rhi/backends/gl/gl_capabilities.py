@@ -49,9 +49,12 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         driver=driver,
         max_texture_size=gl.get_integer(enums.MAX_TEXTURE_SIZE),
         max_texture_layers=smallest(enums.MAX_ARRAY_TEXTURE_LAYERS, enums.MAX_3D_TEXTURE_SIZE),
+        max_volume_size=gl.get_integer(enums.MAX_3D_TEXTURE_SIZE),
         max_color_targets=min(smallest(enums.MAX_DRAW_BUFFERS, enums.MAX_COLOR_ATTACHMENTS), MAX_TARGETS),
         sample_counts=tuple(count for count in SAMPLE_COUNTS if count == 1 or count in samples),
         max_vertex_attributes=gl.get_integer(enums.MAX_VERTEX_ATTRIBS),
+        max_vertex_stride=gl.get_integer(enums.MAX_VERTEX_ATTRIB_STRIDE),
+        max_varyings=gl.get_integer(enums.MAX_VARYING_VECTORS) - 1,
         max_uniform_bytes=gl.get_integer(enums.MAX_UNIFORM_BLOCK_SIZE),
         max_storage_bytes=gl.get_integer(enums.MAX_SHADER_STORAGE_BLOCK_SIZE),
         max_uniform_slots=smallest(

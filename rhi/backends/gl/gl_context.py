@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
+from rhi.contract.interrupts import DeferredSignals
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
@@ -34,13 +35,28 @@ def open_context() -> moderngl.Context:
         DeviceError: `device-driver`, with a tip that says what to install.
     """
     try:
-        import moderngl
+        import moderngl  # noqa: F401
     except ImportError as error:
         raise DeviceError(DEVICE_DRIVER, _CALL, str(error), tip=_INSTALL_MODERNGL) from error
     # EGL finds GL's functions itself, so libGL and its X libraries aren't needed. The names are given
     # explicitly because glcontext would search for the libraries by running ldconfig and a compiler.
     settings: Any = {"backend": "egl", "libgl": _EGL, "libegl": _EGL}
-    obstacles = []
+    obstacles: list[str] = []
+    with (
+        DeferredSignals()
+    ):  # see `Programs._link`; around the `except`, which would swallow what handlers raise
+        context = _create_context(settings, obstacles)
+    if context is not None:
+        return context
+    given = f"no OpenGL {_VERSION / 100:.1f} context: {obstacles[0]}"
+    raise DeviceError(DEVICE_DRIVER, _CALL, given, "EGL and a driver for OpenGL 4.5", _INSTALL_DRIVER)
+
+
+def _create_context(settings: dict[str, Any], obstacles: list[str]) -> moderngl.Context | None:
+    """Return a context on the first device of EGL that has one; add the errors of the others to
+    `obstacles`."""
+    import moderngl
+
     for device in range(_MAX_EGL_DEVICES):
         try:
             settings["device_index"] = device
@@ -49,8 +65,7 @@ def open_context() -> moderngl.Context:
             obstacles.append(str(error))
             if _NO_SUCH_DEVICE in str(error):
                 break
-    given = f"no OpenGL {_VERSION / 100:.1f} context: {obstacles[0]}"
-    raise DeviceError(DEVICE_DRIVER, _CALL, given, "EGL and a driver for OpenGL 4.5", _INSTALL_DRIVER)
+    return None
 
 
 def make_current_context_query(context: moderngl.Context, function: str) -> Callable[[], int | None]:

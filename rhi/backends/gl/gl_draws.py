@@ -4,7 +4,9 @@ draws."""
 from __future__ import annotations
 
 import ctypes
+import struct
 from collections.abc import Callable, Iterable
+from functools import partial
 from itertools import repeat
 from typing import Any, Final, TypeAlias
 
@@ -18,9 +20,12 @@ from rhi.backends.gl.gl_buffers import Buffers
 from rhi.backends.gl.gl_formats import INDEX_TYPES, map_enums
 from rhi.backends.gl.gl_programs import LinkedProgram, VertexArrays
 from rhi.backends.gl.quads import QuadIndices
-from rhi.contract.descriptors import DRAW, Id, Primitive, VertexArrayDescriptor
+from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
+from rhi.contract.limits import MAX_ELEMENTS
 
+_RECORD: Final = struct.Struct("<5I")  # a draw's arguments; a base vertex isn't looked at
+_add = partial(np.add, dtype=np.int64)
 MODES: Final = map_enums(Primitive, QUADS="TRIANGLES")
 
 DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
@@ -31,9 +36,18 @@ class Draws:
     """Issues the draws of one context. Each method takes the bound program."""
 
     def __init__(
-        self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
+        self,
+        context: moderngl.Context,
+        gl: EntryPoints,
+        arrays: VertexArrays,
+        buffers: Buffers,
+        bounds_arguments: bool,
     ) -> None:
+        """`bounds_arguments`: whether the driver may end the process if arguments in a buffer lie beyond the
+        mesh (`rhi.contract.driver_faults.is_indirect_unbounded`)."""
+        self._context = context
         self._gl = gl
+        self._bounds_arguments = bounds_arguments
         self._arrays = arrays
         self._buffers = buffers
         self._quads = QuadIndices(context, buffers, arrays.check_context)
@@ -77,19 +91,21 @@ class Draws:
         base_instance: int,
     ) -> None:
         """Draw quads as triangles."""
-        gl, quads = self._gl, count // 4
-        if not quads:  # then there are no indices to read
+        gl, corners = self._gl, count // 4 * 6
+        if not corners:  # then there are no indices to read
             return
         if array.index_buffer:
             form = array.index_format
-            indices, offset = self._quads.expand(array.index_buffer, form, first, quads)
+            indices, offset, corners = self._quads.expand(array.index_buffer, form, first, count)
+            if not corners:
+                return
         else:
             form, base_vertex = IndexFormat.UINT32, first
-            indices, offset = self._quads.reserve(quads), 0
+            indices, offset = self._quads.reserve(count // 4), 0
         gl.VertexArrayElementBuffer(name, indices)
         gl.DrawElementsInstancedBaseVertexBaseInstance(
             enums.TRIANGLES,
-            6 * quads,
+            corners,
             INDEX_TYPES[form],
             ctypes.c_void_p(offset),
             instances,
@@ -114,8 +130,12 @@ class Draws:
         gl, mode = self._gl, MODES[primitive]
         array = self._arrays.descriptors[vertex_array]
         stride = stride or DRAW.itemsize
+        bounded = self._bound(vertex_array, buffer, offset, draws, stride) if self._bounds_arguments else None
         linked.use(vertex_array)
-        gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, self._buffers.objects[buffer].glo)
+        source = self._buffers.objects[buffer]
+        if bounded is not None:
+            source, offset, stride = self._context.buffer(bounded), 0, bounded.itemsize
+        gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, source.glo)
         if count_buffer:
             gl.BindBuffer(enums.PARAMETER_BUFFER, self._buffers.objects[count_buffer].glo)
             if array.index_buffer:
@@ -129,8 +149,45 @@ class Draws:
             gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
         else:
             gl.MultiDrawArraysIndirect(mode, offset, draws, stride)
+        if bounded is not None:
+            source.release()
         if linked.writes_memory:
             linked.memory_barrier()
+
+    def _bound(
+        self, vertex_array: Id, buffer: Id, offset: int, draws: int, stride: int
+    ) -> NDArray[np.void] | None:
+        """Return the arguments of draws without what lies beyond the mesh; None if nothing does.
+
+        Only llvmpipe needs this. It reads arguments when a draw is called, so reading them here waits for
+        nothing more.
+        """
+        elements = self._arrays.count_elements(vertex_array)
+        indexed = bool(self._arrays.descriptors[vertex_array].index_buffer)
+        record, maximum = (DRAW, elements.indices) if indexed else (DRAW_UNINDEXED, elements.vertices)
+        data = self._buffers.peek(buffer, offset, (draws - 1) * stride + record.itemsize)
+        reads_instances = elements.instances < MAX_ELEMENTS
+        if draws == 1:  # NumPy takes ten times as long for one
+            count, instances, first, *bases = _RECORD.unpack(data)
+            if first + count <= maximum and not (
+                reads_instances and bases[indexed] + instances > elements.instances
+            ):
+                return None
+        arguments = np.ndarray((draws,), record, data, strides=(stride,))
+        last = _add(arguments["first"], arguments["count"]).max()
+        if last <= maximum and not (
+            reads_instances
+            and _add(arguments["base_instance"], arguments["instances"]).max() > elements.instances
+        ):
+            return None
+        room = maximum - arguments["first"].astype(np.int64)
+        instance_room = elements.instances - arguments["base_instance"].astype(np.int64)
+        bounded = arguments.copy()
+        bounded["count"] = np.minimum(arguments["count"], np.maximum(room, 0))
+        bounded["first"][bounded["count"] == 0] = 0
+        if reads_instances:
+            bounded["instances"] = np.minimum(arguments["instances"], np.maximum(instance_room, 0))
+        return bounded
 
     def prepare_calls(
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]

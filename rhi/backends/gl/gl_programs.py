@@ -28,6 +28,8 @@ from rhi.backends.gl.gl_buffers import Buffers
 from rhi.backends.gl.gl_driver_log import make_shader_error
 from rhi.backends.gl.gl_formats import VERTEX_TYPES
 from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, StageText, VertexArrayDescriptor
+from rhi.contract.interrupts import DeferredSignals
+from rhi.contract.limits import ElementCounts, count_elements
 from rhi.contract.states import AlphaFunction
 
 GlProgram: TypeAlias = moderngl.Program | moderngl.ComputeShader
@@ -70,6 +72,21 @@ class VertexArrays:
         self._gl = gl
         self._buffers = buffers
         self.descriptors: dict[Id, VertexArrayDescriptor] = {}
+        self._elements: dict[Id, ElementCounts] = {}
+
+    def count_elements(self, vertex_array: Id) -> ElementCounts:
+        """Return how many elements the buffers of a vertex array hold."""
+        elements = self._elements.get(vertex_array)
+        if elements is None:
+            elements = self._elements[vertex_array] = count_elements(
+                self.descriptors[vertex_array], lambda buffer: self._buffers.objects[buffer].size
+            )
+        return elements
+
+    def destroy(self, vertex_array: Id) -> None:
+        """Forget a vertex array."""
+        del self.descriptors[vertex_array]
+        self._elements.pop(vertex_array, None)
 
     def create(self, vertex_array: Id, program: GlProgram) -> moderngl.VertexArray:
         """Create moderngl's vertex array for one of moderngl's programs."""
@@ -103,6 +120,7 @@ class LinkedProgram(dict[Id, Render]):
     Attributes:
         program: moderngl's program or compute shader.
         writes_memory: whether the program writes memory, so that a memory barrier follows each draw.
+        outputs: the color targets, as bits, that the fragment stage has an output for.
     """
 
     def __init__(
@@ -110,7 +128,7 @@ class LinkedProgram(dict[Id, Render]):
         gl: EntryPoints,
         arrays: VertexArrays,
         program: GlProgram,
-        writes_memory: bool,
+        descriptor: ProgramDescriptor,
         finish: Callable[[], None] | None,
     ) -> None:
         """`finish` is called before each draw."""
@@ -119,7 +137,8 @@ class LinkedProgram(dict[Id, Render]):
         self._arrays = arrays
         self._vertex_arrays: dict[Id, moderngl.VertexArray] = {}
         self.program = program
-        self.writes_memory = writes_memory
+        self.writes_memory = descriptor.writes_memory
+        self.outputs = sum(1 << output.location for output in descriptor.outputs)
         self._finish = finish
 
     def __missing__(self, vertex_array: Id) -> Render:
@@ -271,12 +290,15 @@ class Programs:
         encoded = {stage: source.text.encode() for stage, source in sources.items()}
         program: GlProgram
         try:
-            if Stage.COMPUTE in encoded:
-                program = self._context.compute_shader(encoded[Stage.COMPUTE])
-            else:
-                program = self._context.program(
-                    vertex_shader=encoded[Stage.VERTEX], fragment_shader=encoded.get(Stage.FRAGMENT)
-                )
+            with (
+                DeferredSignals()
+            ):  # moderngl calls Python from C: what a handler raised would end the process
+                if Stage.COMPUTE in encoded:
+                    program = self._context.compute_shader(encoded[Stage.COMPUTE])
+                else:
+                    program = self._context.program(
+                        vertex_shader=encoded[Stage.VERTEX], fragment_shader=encoded.get(Stage.FRAGMENT)
+                    )
         except moderngl.Error as error:
             title, log = _split_message(str(error))
             stage = _TITLES.get(title)
@@ -286,7 +308,7 @@ class Programs:
             self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
         vertex = sources.get(Stage.VERTEX)
         finish = self._finish if vertex is not None and _READS_TEXELS.search(vertex.text) else None
-        return LinkedProgram(self._gl, self._arrays, program, descriptor.writes_memory, finish)
+        return LinkedProgram(self._gl, self._arrays, program, descriptor, finish)
 
 
 def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> StageText | None:

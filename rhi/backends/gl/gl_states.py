@@ -44,7 +44,7 @@ _EQUATIONS: Final = {
 _STENCIL_OPERATIONS: Final = map_enums(states.StencilOperation, INCREMENT="INCR", DECREMENT="DECR")
 _PROGRAMMED: Final = (states.AlphaTest, states.AlphaFunction, states.AlphaReference)
 """The states that programs implement, since GL lacks them."""
-_SCISSOR_LIMIT: Final = 1 << 16  # larger than any target, and x + width can't overflow
+_SCISSOR_LIMIT: Final = 1 << 15  # no target is larger, and Mesa stores each edge in 16 bits
 
 _ALL_COLORS: Final = (states.ColorWrite.ON,) * states.MAX_TARGETS
 _ALL_STENCIL: Final = states.StencilWriteMask()
@@ -60,6 +60,8 @@ class RenderStates:
 
     Attributes:
         values: the latest value of each state type.
+        unwritten: the color targets, as bits, that the bound program has no output for. They keep their
+            contents, where GL would write anything.
     """
 
     def __init__(self, gl: EntryPoints, has_offset_clamp: bool, alpha_changed: Callable[[], None]) -> None:
@@ -69,6 +71,7 @@ class RenderStates:
         self._has_offset_clamp = has_offset_clamp
         self._size = (0, 0)
         self._depth_range: tuple[float, float] | None = None
+        self.unwritten = 0
         self.values: dict[type, Any] = dict(zip(states.STATE_TYPES, states.default_values(), strict=True))
         self._apply: dict[type, Callable[[Any], None]] = {
             states.CullMode: self._cull,
@@ -133,7 +136,7 @@ class RenderStates:
         gl, values = self._gl, self.values
         if values[states.Scissor] != _NO_SCISSOR:
             gl.Disable(enums.SCISSOR_TEST)
-        if color and values[states.ColorWrite] != _ALL_COLORS:
+        if color and (self.unwritten or values[states.ColorWrite] != _ALL_COLORS):
             gl.ColorMask(1, 1, 1, 1)
         if depth and values[states.DepthWrite] is not _WRITES_DEPTH:
             gl.DepthMask(1)
@@ -145,7 +148,7 @@ class RenderStates:
         gl, values = self._gl, self.values
         if values[states.Scissor] != _NO_SCISSOR:
             gl.Enable(enums.SCISSOR_TEST)
-        if color and values[states.ColorWrite] != _ALL_COLORS:
+        if color and (self.unwritten or values[states.ColorWrite] != _ALL_COLORS):
             self._color_write(values[states.ColorWrite])
         if depth and values[states.DepthWrite] is not _WRITES_DEPTH:
             gl.DepthMask(0)
@@ -182,7 +185,16 @@ class RenderStates:
         if self.values[states.DepthTest] is not _TESTS_DEPTH:
             self._depth_test(None)
 
+    def leave_unwritten(self, targets: int) -> None:
+        """Let the next draws leave these color targets as they are; `targets` has their bits."""
+        self.unwritten = targets
+        self._color_write(self.values[states.ColorWrite])
+
     def _color_write(self, targets: tuple[states.ColorWrite, ...]) -> None:
+        unwritten = self.unwritten
+        if unwritten:
+            off = states.ColorWrite.OFF
+            targets = tuple(off if unwritten >> index & 1 else write for index, write in enumerate(targets))
         first = targets[0]
         if targets.count(first) == states.MAX_TARGETS:
             self._gl.ColorMask(first.red, first.green, first.blue, first.alpha)
@@ -244,10 +256,7 @@ class RenderStates:
         if value == _NO_SCISSOR:
             self._gl.Disable(enums.SCISSOR_TEST)
             return
-        x, y = int(value.x), int(value.y)
-        left, top = max(x, 0), max(y, 0)
-        right, bottom = min(x + int(value.width), _SCISSOR_LIMIT), min(y + int(value.height), _SCISSOR_LIMIT)
-        self._gl.Scissor(left, top, max(right - left, 0), max(bottom - top, 0))
+        self._gl.Scissor(*value.clamp(_SCISSOR_LIMIT, _SCISSOR_LIMIT))
         self._gl.Enable(enums.SCISSOR_TEST)
 
     def call_in_scissors(

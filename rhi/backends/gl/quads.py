@@ -1,8 +1,9 @@
 """Quads, which GL's core profile lacks. They are drawn as indexed triangles 0 1 2, 0 2 3 of each quad.
 
 Quads without indices share one index buffer. The indices of others are read back, which waits for the GPU,
-and expanded once: the result is kept until a command changes them. Changes of mapped memory, and of buffers
-that shaders may write, can't be observed; draws from such a buffer expand their indices each time.
+and expanded once: the result is cached until a command changes them. Changes of mapped memory, and of buffers
+that shaders may write, can't be observed; draws from such a buffer expand their indices each time. Where the
+restart index is among them, quads begin anywhere: each range of a draw is then expanded for itself.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.gl.gl_buffers import Buffers
-from rhi.contract.descriptors import Id
+from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.formats import IndexFormat
+from rhi.contract.topology import list_primitives
 
 CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
 
@@ -33,8 +35,8 @@ class QuadIndices:
         self._check_context = check_context
         self._buffer: moderngl.Buffer | None = None
         self._capacity = 0
-        self._expanded: dict[Id, dict[tuple[IndexFormat, int], moderngl.Buffer]] = {}
-        self._latest: moderngl.Buffer | None = None  # of the latest draw whose indices can't be kept
+        self._expanded: dict[Id, dict[tuple[object, ...], moderngl.Buffer]] = {}
+        self._latest: moderngl.Buffer | None = None  # of the latest draw whose indices can't be cached
 
     def release(self) -> None:
         """Release all buffers."""
@@ -47,31 +49,43 @@ class QuadIndices:
         for buffer in list(self._expanded):
             self._forget(buffer)
 
-    def expand(self, buffer: Id, form: IndexFormat, first: int, quads: int) -> tuple[int, int]:
-        """Return GL's name of a buffer with the triangle indices of indexed quads, and the byte at which they
-        begin.
+    def expand(self, buffer: Id, form: IndexFormat, first: int, count: int) -> tuple[int, int, int]:
+        """Return the triangle indices of indexed quads: GL's name of a buffer, the byte at which they begin,
+        and how many there are.
 
         The name is valid until the next call, or until `buffer` changes.
 
         Args:
-            first: the first index of `quads` quads.
+            first: the first index of `count`, of which the last ones may be no whole quad.
         """
         corner = first % 4  # where the first quad of all begins
-        expanded = self._expanded.get(buffer, {}).get((form, corner))
+        cached = self._expanded.get(buffer, {})
+        expanded = cached.get((form, corner)) or cached.get((form, first, count))
         if expanded is None:
             self._check_context()
             if self._latest is not None:
                 self._latest.release()
                 self._latest = None
             if not self._buffers.watch(buffer, self._forget):
-                data = self._buffers.read(buffer, first * form.size, 4 * quads * form.size)
-                self._latest = self._context.buffer(expand_indices(data, form))
-                return self._latest.glo, 0
-            whole = (self._buffers.objects[buffer].size // form.size - corner) // 4
-            data = self._buffers.read(buffer, corner * form.size, 4 * whole * form.size)
-            expanded = self._context.buffer(expand_indices(data, form))
-            self._expanded.setdefault(buffer, {})[form, corner] = expanded
-        return expanded.glo, first // 4 * CORNERS.size * form.size
+                corners = self._read(buffer, form, first, count)
+                self._latest = self._context.buffer(corners) if corners.size else None
+                return (self._latest.glo if self._latest is not None else 0), 0, corners.size
+            size = self._buffers.objects[buffer].size // form.size
+            key: tuple[object, ...] = form, corner
+            corners = self._read(buffer, form, corner, (size - corner) // 4 * 4)
+            if corners.size != (size - corner) // 4 * 6:  # with restarts, quads begin anywhere
+                key, corners = (form, first, count), self._read(buffer, form, first, count)
+            expanded = self._context.buffer(corners) if corners.size else None
+            if expanded is None:
+                return 0, 0, 0
+            self._expanded.setdefault(buffer, {})[key] = expanded
+            cached = self._expanded[buffer]
+        if (form, corner) in cached:
+            return expanded.glo, first // 4 * 6 * form.size, count // 4 * 6
+        return expanded.glo, 0, expanded.size // form.size
+
+    def _read(self, buffer: Id, form: IndexFormat, first: int, count: int) -> NDArray[np.generic]:
+        return expand_indices(self._buffers.read(buffer, first * form.size, count * form.size), form)
 
     def _forget(self, buffer: Id) -> None:
         for expanded in self._expanded.pop(buffer, {}).values():
@@ -82,14 +96,20 @@ class QuadIndices:
         first vertex is the draw's base vertex. Growth changes the name."""
         if self._buffer is None or quads > self._capacity:
             self._check_context()
-            if self._buffer is not None:
-                self._buffer.release()
-            self._capacity = max(1024, 1 << (quads - 1).bit_length())
-            firsts = 4 * np.arange(self._capacity, dtype=np.uint32)[:, None]
-            self._buffer = self._context.buffer(firsts + CORNERS)
+            capacity = max(1024, 1 << (quads - 1).bit_length())
+            firsts = 4 * np.arange(capacity, dtype=np.uint32)[:, None]
+            old, self._buffer = self._buffer, self._context.buffer(firsts + CORNERS)
+            self._capacity = capacity
+            if old is not None:
+                old.release()
         return self._buffer.glo
 
 
 def expand_indices(indices: bytes, index_format: IndexFormat) -> NDArray[np.generic]:
-    """Return the triangle indices of indexed quads: an array (quads, 6)."""
-    return np.ascontiguousarray(np.frombuffer(indices, index_format.dtype).reshape(-1, 4)[:, CORNERS])
+    """Return the triangle indices (n,) of indexed quads. The largest index restarts."""
+    values = np.frombuffer(indices, index_format.dtype)
+    restart = (1 << 8 * index_format.size) - 1
+    if values.size and values.max() == restart:
+        return list_primitives(Primitive.QUADS, values, restart).astype(index_format.dtype)
+    whole = values[: values.size // 4 * 4].reshape(-1, 4)
+    return np.ascontiguousarray(whole[:, CORNERS]).reshape(-1)

@@ -8,7 +8,8 @@ features of this implementation.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -63,6 +64,7 @@ _CORE_LIMITS: Final = {
     "max-compute-workgroups-per-dimension": 65535,
 }  # fmt: skip
 """The limits that every implementation of WebGPU has."""
+_DISPLAY: Final = "WAYLAND_DISPLAY"
 _TIP: Final = "a Vulkan driver: on Debian, apt install mesa-vulkan-drivers"
 
 
@@ -76,6 +78,11 @@ class Host:
     limits: Mapping[str, int]
     rejected_devices: tuple[str, ...] = ()
 
+    @property
+    def key(self) -> object:
+        """A key that devices with the same adapter, features and limits share."""
+        return (*sorted(self.info.items()), self.features, *sorted(self.limits.items()))
+
 
 def open_host() -> Host:
     """Open a device on the best adapter.
@@ -86,7 +93,8 @@ def open_host() -> Host:
     call = "rhi.create_device('wgpu')"
     check_version()
     try:
-        adapters = list(wgpu.gpu.enumerate_adapters_sync())
+        with _quiet_without_wayland():
+            adapters = list(wgpu.gpu.enumerate_adapters_sync())
     except RuntimeError as error:
         raise DeviceError(DEVICE_DRIVER, call, str(error), tip=_TIP) from error
     name = os.environ.get("RHI_WGPU_ADAPTER", "").lower()
@@ -104,6 +112,27 @@ def open_host() -> Host:
         except (wgpu.GPUError, RuntimeError) as error:
             reasons.append(f"{adapter.info['device']}: {error}")
     raise DeviceError(DEVICE_DRIVER, call, "\n".join(reasons), tip=_TIP)
+
+
+@contextmanager
+def _quiet_without_wayland() -> Iterator[None]:
+    """Keep drivers that look for a compositor from complaining that there can be none.
+
+    Without `XDG_RUNTIME_DIR`, as on servers, libwayland prints a line for each try. It needs that folder only
+    for a display whose name is no path, so the display is named by one for the moment.
+    """
+    display = os.environ.get(_DISPLAY)
+    if os.path.isabs(os.environ.get("XDG_RUNTIME_DIR", "")) or os.path.isabs(display or ""):
+        yield
+        return
+    os.environ[_DISPLAY] = os.devnull  # where no compositor answers
+    try:
+        yield
+    finally:
+        if display is None:
+            del os.environ[_DISPLAY]
+        else:
+            os.environ[_DISPLAY] = display
 
 
 def _open(adapter: GpuObject, rejected_devices: Sequence[str]) -> Host:

@@ -6,20 +6,21 @@
 - Writes of the queue happen before the whole next submission, so what the open encoder uses is submitted
   before it is written. Resources note the number of the encoder that uses them (`serial`).
 - A compute pass stays open from one dispatch to the next: WebGPU orders dispatches of a pass.
+- What belongs together (the begin of a driver's pass and the note of it, its end, a submission) isn't
+  interrupted between: an encoder whose pass nobody knows is locked for ever.
 - WebGPU can't draw to a slice of a 3D texture. A 2D texture stands in for it during a segment.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
-
-import wgpu
-import wgpu.backends.wgpu_native
 
 from rhi.backends.wgpu.native import NEVER_SLICED, NULL, Fence, GpuObject, Handle, ffi, lib
 from rhi.backends.wgpu.wgpu_errors import translate_errors
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor
+from rhi.contract.interrupts import DeferredInterrupts
 
 
 class PassTargets(Protocol):
@@ -64,7 +65,7 @@ class Stream:
         self.segments = 0
         self._labels: list[str] = []
         self._encoder: GpuObject | None = None
-        self._render_object: GpuObject | None = None
+        self._open: list[Handle] = []  # the driver's open render pass, if any
         self._compute_object: GpuObject | None = None
         self._compute: Handle | None = None
         self._begun = False  # whether the pass has a segment
@@ -72,19 +73,25 @@ class Stream:
 
     # -- encoders ----------------------------------------------------------------------------------------
 
+    @property
+    def open_pass(self) -> Handle:
+        """The handle of the driver's open render pass, also of one that `render` doesn't know yet."""
+        return self._open[0]
+
     def encoder(self) -> GpuObject:
         """Return the open encoder; it may be inside a pass."""
         if self._encoder is None:
             with translate_errors("device"):
-                self._encoder = self.device.create_command_encoder()
+                encoder = self.device.create_command_encoder()
             for label in self._labels:
-                self._encoder.push_debug_group(label)
+                encoder.push_debug_group(label)
+            self._encoder = encoder
         return self._encoder
 
     def outside(self) -> GpuObject:
         """Return the open encoder, outside of any pass. The clears of an open pass are done first."""
         self._end_compute()
-        if self.render is not None:
+        if self._open:
             self.end_segment()
         self.settle()
         return self.encoder()
@@ -103,6 +110,10 @@ class Stream:
         """
         if self._encoder is None and not self.before_submit:
             return self._latest
+        with DeferredInterrupts():
+            return self._submit()
+
+    def _submit(self) -> int:
         self.outside()
         for call in self.before_submit:
             call()
@@ -119,51 +130,56 @@ class Stream:
 
     def signal(self, value: int) -> None:
         """Submit; the fence reaches `value` once all commands are done."""
-        self.encoder()
-        submission = self.submit()
-        with translate_errors("signal"):
-            self.fence.signal(value, submission)
+        with DeferredInterrupts(), translate_errors("signal"):
+            self.encoder()
+            self.fence.signal(value, self.submit())
 
     def abandon(self) -> None:
         """Drop the encoded commands."""
-        self._end_compute()
-        if self.render is not None:
-            self._drop_segment()
-        self.pass_ = None
-        self._encoder = None
+        with DeferredInterrupts():
+            self._end_compute()
+            if self._open:
+                self._end_open()
+            self.pass_ = None
+            self._encoder = None
 
     def push_label(self, text: str) -> None:
         """Begin a group of commands."""
         encoder = self.outside()
-        self._labels.append(text)
-        encoder.push_debug_group(text)
+        with DeferredInterrupts():
+            encoder.push_debug_group(text)
+            self._labels.append(text)
 
     def pop_label(self) -> None:
         """End the innermost group."""
         encoder = self.outside()
-        self._labels.pop()
-        encoder.pop_debug_group()
+        with DeferredInterrupts():
+            self._labels.pop()
+            encoder.pop_debug_group()
 
     # -- compute -----------------------------------------------------------------------------------------
 
     def compute(self) -> Handle:
         """Return the handle of the open compute pass."""
         if self._compute is None:
-            self._compute_object = self.outside().begin_compute_pass()
-            self._compute = self._compute_object._internal
+            encoder = self.outside()
+            with DeferredInterrupts():
+                self._compute_object = encoder.begin_compute_pass()
+                self._compute = self._compute_object._internal
         return self._compute
 
     def _end_compute(self) -> None:
         if self._compute_object is not None:
-            ended = self._compute_object
-            self._compute_object = None
-            self._compute = None
-            ended.end()
+            with DeferredInterrupts():
+                ended, self._compute_object, self._compute = self._compute_object, None, None
+                ended.end()
 
     # -- render passes -----------------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         """Begin a pass of the contract. Its first segment begins with the first command that needs one."""
+        if self.pass_ is not None:  # an interrupt came before its end
+            self.outside()
         self._end_compute()
         self.pass_, self._begun = descriptor, False
 
@@ -173,13 +189,15 @@ class Stream:
         resolves = any(color.resolve for color in self.pass_.colors)
         if self.render is None and ((not self._begun and _clears(self.pass_)) or resolves):
             self.begin_segment()
-        if self.render is not None:
+        if self._open:
             self.end_segment()
         self.pass_ = None
 
     def begin_segment(self) -> None:
         """Begin a render pass with the targets of the pass."""
         assert self.pass_ is not None
+        if self._open:  # an interrupt came before its note in `render`
+            self._end_open()
         self._end_compute()
         descriptor = self.pass_
         first = not self._begun
@@ -200,9 +218,9 @@ class Stream:
             colors[0].loadOp, colors[0].storeOp = lib.WGPULoadOp_Clear, lib.WGPUStoreOp_Discard
             info.colorAttachmentCount = 1
         info.occlusionQuerySet = self.query_set()
-        handle = lib.wgpuCommandEncoderBeginRenderPass(encoder._internal, info)
-        self._render_object = wgpu.backends.wgpu_native.GPURenderPassEncoder("", handle, self.device)
-        self.render, self._begun = handle, True
+        # The call and the note of its pass are C alone: an interrupt between would lock the encoder for ever.
+        self._open.extend(map(lib.wgpuCommandEncoderBeginRenderPass, (encoder._internal,), (info,)))
+        self.render, self._begun = self._open[0], True
         self.segments += 1
         for call in self.on_begin:
             call()
@@ -239,16 +257,15 @@ class Stream:
         """End the open render pass."""
         for call in self.on_end:
             call()
-        self._drop_segment()
+        self._end_open()
         self.targets.detach(self.encoder())
 
-    def _drop_segment(self) -> None:
-        ended = self._render_object
-        self._render_object = None
+    def _end_open(self) -> None:
         self.render = None
-        assert ended is not None
-        with translate_errors("end_pass"):
-            ended.end()
+        handle = self._open[0]
+        ends = map(lib.wgpuRenderPassEncoderEnd, map(self._open.pop, (0,)))  # C alone, as the begin
+        deque(ends, maxlen=0)
+        lib.wgpuRenderPassEncoderRelease(handle)
 
 
 def _clears(descriptor: PassDescriptor) -> bool:

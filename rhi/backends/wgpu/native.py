@@ -10,10 +10,11 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
+from struct import Struct
 from typing import Any, Final, TypeAlias
 
 import wgpu
-import wgpu.backends.wgpu_native
 from wgpu.backends.wgpu_native._api import libf
 from wgpu.backends.wgpu_native._ffi import ffi, lib
 
@@ -56,8 +57,7 @@ _FUNCTIONS: Final = (
     "void(WGPUDevice const *, WGPUDeviceLostReason, WGPUStringView, void *, void *)",
     "void(WGPUDevice const *, WGPUErrorType, WGPUStringView, void *, void *)",
     "void(WGPURequestDeviceStatus, WGPUDevice, WGPUStringView, void *, void *)",
-    "void(WGPUQueueWorkDoneStatus, WGPUStringView, void *, void *)",
-    "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)",
+    "void(int, WGPUStringView, uintptr_t, uintptr_t)",
 )
 """Types of callbacks, as wgpu-py and this module write them."""
 
@@ -96,21 +96,88 @@ def check_version() -> None:
         raise DeviceError(DEVICE_DRIVER, "rhi.create_device('wgpu')", given, f"wgpu {VERSION}", tip)
 
 
-_callbacks: Final[list[Any]] = []
-"""Callbacks of all devices. The unfinished work of a lost device may call them as late as the end of the
-process."""
+_callbacks: Final[deque[Any]] = deque(maxlen=64)
+"""Callbacks of the latest devices: a device may call them when it is released."""
+_lost_callbacks: Final[list[Any]] = []
+"""Callbacks of lost devices, whose unfinished work may call them as late as the end of the process."""
 
 
 def retain_callbacks(device: GpuObject) -> None:
     """Keep the callbacks of wgpu-py alive beyond their device, which calls them when it is lost or
     released."""
-    _callbacks.extend((device._uncaptured_error_callback, device._device_lost_callback))
+    _callbacks.append((device._uncaptured_error_callback, device._device_lost_callback))
 
 
 def release(device: GpuObject) -> None:
     """Destroy a device, and release its handle while its callbacks exist."""
+    if _is_lost(device):
+        _lost_callbacks.append((device._uncaptured_error_callback, device._device_lost_callback))
     device.destroy()
     device._release()
+
+
+def _is_lost(device: GpuObject) -> bool:
+    try:
+        device.create_buffer(size=16, usage=wgpu.BufferUsage.COPY_DST)
+    except wgpu.GPUError:
+        return True
+    return False
+
+
+class CallbackRecord:
+    """A callback of wgpu-native that notes its arguments.
+
+    It is C code of Python's own: while it runs, no Python function does, so no handler of a signal can be
+    called inside it. What a handler raised there would be lost.
+    """
+
+    __slots__ = ("_memory", "callback")
+    _ARGUMENTS: Final = Struct("=i?QQ")  # status, whether there is a message, and the user's two numbers
+
+    def __init__(self) -> None:
+        self._memory = bytearray(self._ARGUMENTS.size)
+        write = partial(self._ARGUMENTS.pack_into, self._memory, 0)
+        self.callback = ffi.callback("void(int, WGPUStringView, uintptr_t, uintptr_t)", write)
+
+    @property
+    def status(self) -> int:
+        """The status of the latest call."""
+        return int(self._ARGUMENTS.unpack(self._memory)[0])
+
+    @property
+    def number(self) -> int:
+        """The user's number in the latest call; 0 before the first."""
+        return int(self._ARGUMENTS.unpack(self._memory)[2])
+
+    def install(self, info: Any, number: int) -> None:
+        """Let the call that takes `info` end in this callback, with `number`."""
+        info.mode = lib.WGPUCallbackMode_AllowProcessEvents
+        info.callback = ffi.cast(ffi.typeof(info.callback), self.callback)
+        info.userdata1 = ffi.cast("void *", number)
+
+    def reset(self) -> None:
+        """Forget the latest call."""
+        self._memory[:] = bytes(len(self._memory))
+
+
+_spare_records: Final[list[CallbackRecord]] = []
+_records_in_use: Final[set[CallbackRecord]] = set()
+"""Records that wgpu-native may still write to. They outlive their devices."""
+
+
+def take_record() -> CallbackRecord:
+    """Return a record for calls to come."""
+    record = _spare_records.pop() if _spare_records else CallbackRecord()
+    record.reset()
+    _records_in_use.add(record)
+    return record
+
+
+def give_record(record: CallbackRecord) -> None:
+    """Give back a record whose callback won't be called any more."""
+    if record in _records_in_use:
+        _records_in_use.remove(record)
+        _spare_records.append(record)
 
 
 class Fence:
@@ -122,9 +189,7 @@ class Fence:
         self.reached = 0
         self._pending: deque[tuple[int, int]] = deque()  # values, and the submissions that reach them
         self._info = ffi.new("WGPUQueueWorkDoneCallbackInfo *")
-        self._info.mode = lib.WGPUCallbackMode_AllowProcessEvents
-        callback = self._info.callback = _make_done_callback(self)
-        _callbacks.append(callback)
+        self._done = take_record()
 
     def submit(self, commands: GpuObject) -> int:
         """Submit a command buffer and return the number of the submission."""
@@ -135,21 +200,25 @@ class Fence:
 
     def signal(self, value: int, submission: int) -> None:
         """Set the value once everything that was submitted is done."""
-        self._info.userdata1 = ffi.cast("void *", value)
-        checked.wgpuQueueOnSubmittedWorkDone(self._queue, self._info[0])
+        self._done.install(self._info, value)
         self._pending.append((value, submission))
+        checked.wgpuQueueOnSubmittedWorkDone(self._queue, self._info[0])
 
     def poll(self) -> int:
         """Return the value reached, without waiting."""
-        if self._pending:
-            self.process()
-            while self._pending and self._pending[0][0] <= self.reached:
-                self._pending.popleft()
+        pending = self._pending
+        if pending:
+            is_empty = self.process()
+            self.reached = max(self.reached, self._done.number)
+            if is_empty:  # also if a callback was never called
+                self.reached = max(self.reached, pending[-1][0])
+            while pending and pending[0][0] <= self.reached:
+                pending.popleft()
         return self.reached
 
-    def process(self) -> None:
-        """Run the callbacks of all finished work."""
-        lib.wgpuDevicePoll(self._device, False, NULL)
+    def process(self) -> bool:
+        """Run the callbacks of all finished work; return whether all work is finished."""
+        return bool(lib.wgpuDevicePoll(self._device, False, NULL))
 
     def finish(self, submission: int) -> None:
         """Wait until a submission is done."""
@@ -159,52 +228,57 @@ class Fence:
         """Wait until everything that was submitted is done."""
         lib.wgpuDevicePoll(self._device, True, NULL)
 
-
-def _make_done_callback(fence: Fence) -> Any:
-    @ffi.callback("void(WGPUQueueWorkDoneStatus, WGPUStringView, void *, void *)")  # type: ignore[untyped-decorator]
-    def done(status: int, message: Any, user: Any, other: Any) -> None:
-        fence.reached = max(fence.reached, int(ffi.cast("uintptr_t", user)))
-
-    return done
+    def close(self) -> None:
+        """Give back the record of a device that is released."""
+        if not self._pending or self._done.number == self._pending[-1][0]:
+            give_record(self._done)
 
 
 class Mappings:
     """Maps buffers for reading, without the threads that wgpu-py would start for it."""
 
     def __init__(self) -> None:
-        self._status: dict[int, int] = {}
+        self._records: dict[int, CallbackRecord] = {}  # by ticket
         self._latest = 0
-        status = self._status
-
-        @ffi.callback("void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)")  # type: ignore[untyped-decorator]
-        def mapped(result: int, message: Any, user: Any, other: Any) -> None:
-            status[int(ffi.cast("uintptr_t", user))] = int(result)
-
-        self._callback = mapped
-        _callbacks.append(mapped)
 
     def begin(self, buffer: GpuObject, size: int) -> int:
         """Begin to map the first bytes of a buffer after all submitted work; return a ticket."""
         self._latest += 1
         info = ffi.new("WGPUBufferMapCallbackInfo *")
-        info.mode = lib.WGPUCallbackMode_AllowProcessEvents
-        info.callback = self._callback
-        info.userdata1 = ffi.cast("void *", self._latest)
+        record = self._records[self._latest] = take_record()
+        record.install(info, self._latest)
         checked.wgpuBufferMapAsync(buffer._internal, lib.WGPUMapMode_Read, 0, size, info[0])
         return self._latest
 
     def is_done(self, ticket: int) -> bool:
         """Whether the buffer is mapped."""
-        return ticket in self._status
+        return bool(self._records[ticket].number)
 
     def end(self, ticket: int, buffer: GpuObject, offset: int, size: int) -> bytes:
         """Return a range of a mapped buffer, and unmap it. Offset and size are multiples of 8 and 4."""
-        if self._status.pop(ticket) != lib.WGPUMapAsyncStatus_Success:
+        record = self._records.pop(ticket)
+        status = record.status
+        give_record(record)
+        if status != lib.WGPUMapAsyncStatus_Success:
             raise wgpu.GPUError("a buffer could not be mapped")
         address = lib.wgpuBufferGetConstMappedRange(buffer._internal, offset, size)
         data = bytes(ffi.buffer(address, size))
         lib.wgpuBufferUnmap(buffer._internal)
         return data
+
+    def cancel(self, ticket: int, buffer: GpuObject) -> None:
+        """Unmap a buffer whose mapping was begun and not ended."""
+        record = self._records.pop(ticket, None)
+        lib.wgpuBufferUnmap(buffer._internal)  # which calls a callback that is still to come
+        if record is not None and record.number:
+            give_record(record)
+
+    def close(self) -> None:
+        """Give back the records of a device that is released."""
+        for record in self._records.values():
+            if record.number:
+                give_record(record)
+        self._records.clear()
 
 
 def write_queue(device: GpuObject, buffer: Handle, offset: int, data: Any, start: int, size: int) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rhi.backends.wgpu.native import GpuObject
 from rhi.backends.wgpu.wgpu_buffers import Buffers
 from rhi.contract.descriptors import Region
+from rhi.contract.interrupts import DeferredInterrupts
 
 DEPTH_READ: Final = """
 @group(0) @binding(0) var source: texture_depth_2d_array;
@@ -102,27 +103,69 @@ LIST_DRAWS: Final = """
   }
 }
 """
-EXPAND_QUADS: Final = """
+_QUADS: Final = """
 @group(0) @binding(0) var<storage, read> source: array<u32>;
 @group(0) @binding(1) var<storage, read_write> out: array<u32>;
-@group(0) @binding(2) var<uniform> p: vec4<u32>;  // the first index, quads, whether indices have 16 bits
+@group(0) @binding(2) var<uniform> p: vec4<u32>;  // the first index, how many, whether they have 16 bits
+@group(0) @binding(3) var<storage, read_write> restarts: atomic<u32>;  // whether one of them restarts
 fn index_of(i: u32) -> u32 {
   let at = p.x + i;
   if (p.z == 0u) { return source[at]; }
   return (source[at / 2u] >> (16u * (at % 2u))) & 0xffffu;
 }
+fn write_quad(at: u32, corners: vec4<u32>) {
+  out[at] = corners.x;
+  out[at + 1u] = corners.y;
+  out[at + 2u] = corners.z;
+  out[at + 3u] = corners.x;
+  out[at + 4u] = corners.z;
+  out[at + 5u] = corners.w;
+}
+fn is_restart(index: u32) -> bool { return index == select(0xffffffffu, 0xffffu, p.z != 0u); }
+"""
+EXPAND_QUADS: Final = (
+    _QUADS
+    + """
 @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-  if (id.x >= p.y) { return; }
-  let first = index_of(4u * id.x);
-  let third = index_of(4u * id.x + 2u);
-  out[6u * id.x] = first;
-  out[6u * id.x + 1u] = index_of(4u * id.x + 1u);
-  out[6u * id.x + 2u] = third;
-  out[6u * id.x + 3u] = first;
-  out[6u * id.x + 4u] = third;
-  out[6u * id.x + 5u] = index_of(4u * id.x + 3u);
+  let begin = 4u * id.x;
+  var corners = vec4<u32>();
+  for (var i = 0u; i < 4u && begin + i < p.y; i++) {
+    corners[i] = index_of(begin + i);
+    if (is_restart(corners[i])) { atomicStore(&restarts, 1u); }
+  }
+  if (begin + 4u <= p.y) { write_quad(6u * id.x, corners); }
 }
 """
+)
+"""Writes the triangles of quads that begin at every fourth index, and whether an index restarts."""
+RESTART_QUADS: Final = (
+    _QUADS
+    + """
+@compute @workgroup_size(1) fn main() {
+  if (atomicLoad(&restarts) == 0u) { return; }
+  var corners = vec4<u32>();
+  var corner = 0u;
+  var end = 0u;
+  for (var i = 0u; i < p.y; i++) {
+    let index = index_of(i);
+    if (is_restart(index)) {
+      corner = 0u;
+    } else {
+      corners[corner] = index;
+      corner++;
+      if (corner == 4u) {
+        write_quad(end, corners);
+        end += 6u;
+        corner = 0u;
+      }
+    }
+  }
+  for (; end < p.y / 4u * 6u; end++) { out[end] = 0u; }
+}
+"""
+)
+"""Writes them again if an index restarts: quads then begin anywhere. What remains are triangles without
+area."""
 
 
 class Tools:
@@ -153,11 +196,13 @@ class Tools:
     ) -> None:
         """Run the compute program of this text on `x * y * z` work-groups."""
         pipeline = self.get_or_create(code, lambda: self._compute_pipeline(code))
-        with_pass = encoder.begin_compute_pass()
-        with_pass.set_pipeline(pipeline)
-        with_pass.set_bind_group(0, self.group(pipeline, resources))
-        with_pass.dispatch_workgroups(x, y, z)
-        with_pass.end()
+        group = self.group(pipeline, resources)
+        with DeferredInterrupts():  # a pass that isn't ended locks the encoder
+            compute = encoder.begin_compute_pass()
+            compute.set_pipeline(pipeline)
+            compute.set_bind_group(0, group)
+            compute.dispatch_workgroups(x, y, z)
+            compute.end()
 
     def _compute_pipeline(self, code: str) -> GpuObject:
         module = self.device.create_shader_module(code=code)
@@ -181,11 +226,13 @@ class Tools:
             (code, form), lambda: self._render_pipeline(code, [{"format": form}], None)
         )
         color = {"view": target, "load_op": "clear", "store_op": "store"}
-        render = encoder.begin_render_pass(color_attachments=[color])
-        render.set_pipeline(pipeline)
-        render.set_bind_group(0, self.group(pipeline, resources))
-        render.draw(3)
-        render.end()
+        group = self.group(pipeline, resources)
+        with DeferredInterrupts():
+            render = encoder.begin_render_pass(color_attachments=[color])
+            render.set_pipeline(pipeline)
+            render.set_bind_group(0, group)
+            render.draw(3)
+            render.end()
 
     def _render_pipeline(
         self, code: str, targets: Sequence[Any], depth: Mapping[str, Any] | None
@@ -214,10 +261,17 @@ class Tools:
         info = {"view": target, "depth_load_op": "load", "depth_store_op": "store"}
         if stencil is not None:
             info |= {"stencil_load_op": "load", "stencil_store_op": "store"}
-        render = encoder.begin_render_pass(color_attachments=[], depth_stencil_attachment=info)
-        render.set_scissor_rect(x, y, region.width, region.height)
-        way = (region.x - x, region.y - y)
+        with DeferredInterrupts():
+            render = encoder.begin_render_pass(color_attachments=[], depth_stencil_attachment=info)
+            try:
+                render.set_scissor_rect(x, y, region.width, region.height)
+                self._draw_depth(render, form, source, stencil, (region.x - x, region.y - y))
+            finally:
+                render.end()
 
+    def _draw_depth(
+        self, render: GpuObject, form: str, source: GpuObject, stencil: GpuObject | None, way: tuple[int, int]
+    ) -> None:
         def draw(pipeline: GpuObject, view: GpuObject, bit: int, everywhere: int) -> None:
             render.set_pipeline(pipeline)
             render.set_bind_group(
@@ -233,7 +287,6 @@ class Tools:
                     key = ("stencil", form, bit, operation)
                     make = lambda bit=bit, operation=operation: self._stencil_pipeline(form, bit, operation)  # noqa: E731
                     draw(self.get_or_create(key, make), stencil, bit, everywhere)
-        render.end()
 
     def _depth_pipeline(self, form: str) -> GpuObject:
         depth = {"format": form, "depth_write_enabled": True, "depth_compare": "always"}

@@ -32,6 +32,7 @@ from rhi.contract import descriptors
 from rhi.contract.descriptors import Id
 from rhi.contract.driver_faults import is_fourth_uniform_faulty
 from rhi.contract.formats import ChannelKind, Format
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.states import StateChange
 
 _FIRST_PAUSE: Final = 2e-5
@@ -51,11 +52,11 @@ class WgpuBackend:
         self.get_surface: Callable[[bool], GpuObject] | None = None
         device = self.device = host.device
         self._fence = Fence(device)
-        mappings = Mappings()
+        mappings = self._mappings = Mappings()
         self._stream = Stream(device, self._fence)
         self._buffers = Buffers(device, self._stream, mappings)
         self._tools = Tools(device, self._buffers)
-        self._textures = Textures(device, self._stream, self._buffers, self._tools)
+        self._textures = Textures(device, self._stream, self._buffers, self._tools, host.key)
         self._samplers = Samplers(device)
         self.capabilities = query_capabilities(host, self._textures)
         self._bindings = BoundResources(
@@ -115,9 +116,12 @@ class WgpuBackend:
         """Do nothing: no other code changes this device's bindings."""
 
     def close(self) -> None:
-        self._stream.abandon()
-        self._fence.finish_all()
-        release(self.device)
+        with DeferredInterrupts():
+            self._stream.abandon()
+            self._fence.finish_all()
+            release(self.device)
+            self._fence.close()
+            self._mappings.close()
 
     # -- resources ---------------------------------------------------------------------------------------
 
@@ -139,6 +143,7 @@ class WgpuBackend:
 
     def _destroy_program(self, program: Id) -> None:
         gone = self._programs.pop(program)
+        self._pipelines.forget(gone)
         if self._draws.program is gone:
             self._draws.program = None
 

@@ -17,6 +17,7 @@ from rhi.backends.wgpu.command_encoder import Stream
 from rhi.backends.wgpu.native import GpuObject, Mappings, write_queue
 from rhi.backends.wgpu.wgpu_errors import translate_errors
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
+from rhi.contract.interrupts import DeferredInterrupts
 
 _USAGE: Final = wgpu.BufferUsage
 ALL_USES: Final = (
@@ -127,12 +128,12 @@ class Buffers:
     def _write_shadow(self, target: GpuBuffer, offset: int, view: memoryview) -> None:
         assert target.shadow is not None
         end, dirty = offset + len(view), target.dirty
-        target.shadow[offset:end] = view
         if dirty and dirty[-1][0] <= offset <= dirty[-1][1] + _GAP:
             dirty[-1][1] = max(end, dirty[-1][1])
         else:
-            dirty.append([offset, end])
             self._dirty[id(target)] = target
+            dirty.append([offset, end])
+        target.shadow[offset:end] = view  # last: after an interrupt before it, only more is uploaded
 
     def before_write(self, resource: object) -> None:
         """Submit if the open encoder uses a buffer that the queue is about to write."""
@@ -168,12 +169,17 @@ class Buffers:
         return data[:size]
 
     def _map(self, staging: GpuObject, submission: int, offset: int, size: int) -> bytes:
-        ticket = self._mappings.begin(staging, offset + size)
-        if submission:
-            self._stream.fence.finish(submission)
-        while not self._mappings.is_done(ticket):
-            self._stream.fence.finish_all()
-        return self._mappings.end(ticket, staging, offset, size)
+        with DeferredInterrupts():  # an interrupt between would leave the buffer mapped
+            ticket = self._mappings.begin(staging, offset + size)
+            try:
+                if submission:
+                    self._stream.fence.finish(submission)
+                while not self._mappings.is_done(ticket):
+                    self._stream.fence.finish_all()
+                return self._mappings.end(ticket, staging, offset, size)
+            except BaseException:
+                self._mappings.cancel(ticket, staging)
+                raise
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
         source = self.objects[buffer]

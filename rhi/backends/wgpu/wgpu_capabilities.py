@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 import wgpu
@@ -42,7 +43,18 @@ _ALWAYS_BLEND: Final = frozenset(
 
 
 def query_capabilities(host: Host, textures: Textures) -> Capabilities:
-    """Return the capabilities of a device."""
+    """Return the capabilities of a device. They are found once for each adapter: wgpu-native keeps whatever
+    it refuses, and with refused commands their device."""
+    capabilities = _cached.get(host.key)
+    if capabilities is None:
+        capabilities = _cached[host.key] = _find_capabilities(host, textures)
+    return replace(capabilities, rejected_devices=host.rejected_devices)
+
+
+_cached: Final[dict[object, Capabilities]] = {}
+
+
+def _find_capabilities(host: Host, textures: Textures) -> Capabilities:
     limits = host.limits
     info = host.info
     features = host.features
@@ -52,7 +64,8 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
     targets = [
         format for format in (*COLOR_FORMATS, *DEPTH_FORMATS) if format not in unrenderable | unsupported
     ]
-    single = frozenset(format for format in targets if not formats.is_target(format, 4))
+    supported = [format for format in Format if format not in unsupported]
+    single = frozenset(format for format in supported if not formats.is_target(format, 4))
     many = [format for format in targets if format not in single]
     stage = "per-shader-stage"
     driver = f"{info['backend_type']} {info['description']}, wgpu {wgpu.__version__}".replace("  ", " ")
@@ -64,12 +77,15 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         driver=driver,
         max_texture_size=limits["max-texture-dimension-2d"],
         max_texture_layers=min(limits["max-texture-array-layers"], limits["max-texture-dimension-3d"]),
+        max_volume_size=limits["max-texture-dimension-3d"],
         max_color_targets=min(limits["max-color-attachments"], MAX_TARGETS),
         max_target_bytes=limits["max-color-attachment-bytes-per-sample"],
         sample_counts=tuple(
             n for n in SAMPLE_COUNTS if n in (1, 4) or all(formats.is_target(f, n) for f in many)
         ),
         max_vertex_attributes=min(16, limits["max-vertex-attributes"]),
+        max_vertex_stride=limits["max-vertex-buffer-array-stride"],
+        max_varyings=limits["max-inter-stage-shader-variables"] - 1,
         max_uniform_bytes=limits["max-uniform-buffer-binding-size"],
         max_storage_bytes=limits["max-storage-buffer-binding-size"],
         max_uniform_slots=min(
@@ -109,6 +125,8 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         wireframe="polygon-mode-line" in features,
         border_colors=False,
         draw_index="shader-draw-index" in features,
+        aliased_writes=False,
+        resolve_feedback=False,
         vertex_writes="vertex-writable-storage" in features,
         early_depth="shader-early-depth-test" in features,
         compressed_size_step=4,
@@ -122,7 +140,6 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         unresolvable_formats=frozenset(f for f in many if not f.is_depth and not formats.resolves(f)),
         unstorable_formats=frozenset(f for f in COLOR_FORMATS if not formats.is_image(f, "write-only")),
         unloadable_formats=frozenset(f for f in COLOR_FORMATS if not formats.is_image(f, "read-write")),
-        rejected_devices=host.rejected_devices,
     )
 
 
@@ -181,7 +198,7 @@ class _Formats:
         }
         encoder = self._device.create_command_encoder()
         encoder.begin_render_pass(color_attachments=[color]).end()
-        encoder.finish()
+        self._device.queue.submit([encoder.finish()])  # wgpu-native keeps commands that aren't submitted
 
     def is_image(self, format: Format, access: str) -> bool:
         """Whether images of a format allow this access."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.wgpu.command_encoder import Stream
 from rhi.backends.wgpu.native import NULL, GpuObject, Handle, lib
-from rhi.backends.wgpu.tools import EXPAND_QUADS, LIST_DRAWS, Tools, expand_fan
+from rhi.backends.wgpu.tools import EXPAND_QUADS, LIST_DRAWS, RESTART_QUADS, Tools, expand_fan
 from rhi.backends.wgpu.wgpu_bindings import BoundResources
 from rhi.backends.wgpu.wgpu_buffers import Buffers, GpuBuffer
 from rhi.backends.wgpu.wgpu_pipelines import Pipelines, States, TargetFormats
@@ -31,7 +31,7 @@ from rhi.backends.wgpu.wgpu_programs import GpuProgram, PipelineLayout
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 from rhi.contract.limits import count_elements, draw_faults
-from rhi.contract.states import StateChange
+from rhi.contract.states import StateChange, clamp_rectangle
 
 _FAN: Final = Primitive.TRIANGLE_FAN
 _QUADS: Final = Primitive.QUADS
@@ -65,7 +65,7 @@ class GpuVertexArray:
         self.restarts = descriptor.index_format if self.indexed else None
         self.key = key
         self.expanded: tuple[tuple[int, int, int], GpuObject] | None = (
-            None  # quads: (first, quads, version), indices
+            None  # quads: (first, count, version), indices
         )
 
 
@@ -295,14 +295,13 @@ class Draws:
         if not array.indexed:
             indices, base = self._shared(primitive, corners), first
         elif primitive is _QUADS:
-            indices, base = self._expand_quads(array, first, count // 4), base_vertex
+            indices, base = self._expand_quads(array, first, count), base_vertex
         else:
             triangles = self._expand_fan(array.descriptor, first, count)
-            indices = self._indices(triangles)
-            base = base_vertex
-            corners = triangles.size
+            base, corners = base_vertex, triangles.size
             if not corners:
                 return
+            indices = self._indices(triangles)
         render = self.ready(vertex_array, primitive)
         _set_indices(render, indices._internal, _UINT32, 0, 4 * corners)
         _draw_indexed(render, corners, instances, 0, base, base_instance)
@@ -324,23 +323,25 @@ class Draws:
             self._shared_indices[primitive] = indices.size, index_buffer
         return index_buffer
 
-    def _expand_quads(self, array: GpuVertexArray, first: int, quads: int) -> GpuObject:
+    def _expand_quads(self, array: GpuVertexArray, first: int, count: int) -> GpuObject:
         """Return the triangles of indexed quads."""
         descriptor = array.descriptor
         buffer = self._buffers.use(descriptor.index_buffer)
-        key = (first, quads, buffer.version)
+        key = (first, count, buffer.version)
         if array.expanded is not None and array.expanded[0] == key and buffer.shadow is None:
             return array.expanded[1]
         short = int(descriptor.index_format is IndexFormat.UINT16)
-        expanded = self._buffers.temporary(24 * quads)
+        expanded, restarts = self._buffers.temporary(count // 4 * 24), self._buffers.temporary(4)
         encoder = self._stream.outside()
         buffer = self._buffers.use(descriptor.index_buffer)
         resources = [
             {"buffer": buffer.object},
             {"buffer": expanded},
-            self._tools.constants([first, quads, short, 0]),
+            self._tools.constants([first, count, short, 0]),
+            {"buffer": restarts},
         ]
-        self._tools.compute(encoder, EXPAND_QUADS, resources, -(-quads // 64))
+        self._tools.compute(encoder, EXPAND_QUADS, resources, -(-count // 256))
+        self._tools.compute(encoder, RESTART_QUADS, resources, 1)
         array.expanded = key, expanded
         return expanded
 
@@ -359,14 +360,12 @@ class Draws:
         base_vertices = draws["base_vertex"].tolist() if indexed else [0] * len(draws)
         columns = [draws[name].tolist() for name in ("first", "count", "instances", "base_instance")]
         rows = zip(*columns, base_vertices, clips.tolist(), strict=True)
-        for first, count, instances, base_instance, base_vertex, (x, y, clip_width, clip_height) in rows:
+        for first, count, instances, base_instance, base_vertex, clip in rows:
             if primitive is _FAN or self._alone or self.program.descriptor.writes_memory:  # type: ignore[union-attr]
                 self._states.moved = True
             render = self.ready(vertex_array, primitive)
-            width, height = self._stream.pass_.size  # type: ignore[union-attr]
-            left, top = min(width, max(0, x)), min(height, max(0, y))
-            right, bottom = min(width, max(left, x + clip_width)), min(height, max(top, y + clip_height))
-            lib.wgpuRenderPassEncoderSetScissorRect(render, left, top, right - left, bottom - top)
+            size = self._stream.pass_.size  # type: ignore[union-attr]
+            lib.wgpuRenderPassEncoderSetScissorRect(render, *clamp_rectangle(clip, *size))
             if indexed:
                 _draw_indexed(render, count, instances, first, base_vertex, base_instance)
             else:

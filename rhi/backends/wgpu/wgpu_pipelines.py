@@ -56,6 +56,9 @@ from rhi.shading.wgsl.wgsl_stages import ALPHA_TESTS
 TargetFormats = tuple[tuple[Format, ...], Format | None, int]
 """The color formats, the depth format, and the number of samples of a pass."""
 
+MAX_PIPELINES: Final = 512
+"""Largest number of pipelines of a device: each takes a quarter of a MiB on llvmpipe."""
+_MAX_BIAS: Final = (1 << 31) - 1
 _DYNAMIC: Final = frozenset({Viewport, Scissor, BlendColor, StencilReference})
 _ALPHA: Final = frozenset({AlphaTest, AlphaFunction, AlphaReference})
 _BAKED: Final = tuple(state for state in DEFAULTS if state not in _DYNAMIC | _ALPHA)
@@ -64,6 +67,8 @@ _TRIANGLES: Final = frozenset(
 )
 _EMPTY: Final = "@fragment fn main() {}"
 _TESTED: Final = AlphaTest.ON
+_FAR: Final = 64
+"""Texels between a target and a viewport in which nothing can be drawn."""
 
 
 class States:
@@ -117,11 +122,9 @@ class States:
             lib.wgpuRenderPassEncoderSetViewport(render, 0, 0, width, height, 0, 1)
         else:
             near, far = min(view.near, view.far), max(view.near, view.far)
-            lib.wgpuRenderPassEncoderSetViewport(render, view.x, view.y, view.width, view.height, near, far)
+            lib.wgpuRenderPassEncoderSetViewport(render, *_move_near(view, width, height), near, far)
         cut: Scissor = values[Scissor]
-        left, top = min(width, max(0, cut.x)), min(height, max(0, cut.y))
-        right, bottom = min(width, max(left, cut.x + cut.width)), min(height, max(top, cut.y + cut.height))
-        lib.wgpuRenderPassEncoderSetScissorRect(render, left, top, right - left, bottom - top)
+        lib.wgpuRenderPassEncoderSetScissorRect(render, *cut.clamp(width, height))
         color: BlendColor = values[BlendColor]
         constant = ffi.new("WGPUColor *", (color.red, color.green, color.blue, color.alpha))
         lib.wgpuRenderPassEncoderSetBlendConstant(render, constant)
@@ -129,13 +132,59 @@ class States:
         self.moved = False
 
 
+def _move_near(view: Viewport, width: int, height: int) -> tuple[float, float, float, float]:
+    """Return x, y, width and height of a viewport as WebGPU takes them, for a target of this size.
+
+    WebGPU refuses viewports far from the target. Nothing is drawn in these, so a near one takes their place.
+    """
+    is_far = (
+        view.x >= width + _FAR
+        or view.y >= height + _FAR
+        or view.x + view.width <= -_FAR
+        or view.y + view.height <= -_FAR
+    )
+    return (-2 * _FAR, -2 * _FAR, _FAR, _FAR) if is_far else (view.x, view.y, view.width, view.height)
+
+
+class _CachedPipeline:
+    """A pipeline in its program's table, and the count of creations when it was last asked for."""
+
+    __slots__ = ("key", "pipeline", "table", "used")
+
+    def __init__(
+        self, pipeline: GpuObject, table: dict[object, _CachedPipeline], key: object, used: int
+    ) -> None:
+        self.pipeline = pipeline
+        self.table = table
+        self.key = key
+        self.used = used
+
+
 class Pipelines:
-    """Makes pipelines."""
+    """Makes pipelines, and keeps at most `MAX_PIPELINES`; those that were not asked for longest go."""
 
     def __init__(self, device: GpuObject, capabilities: Capabilities) -> None:
         self._device = device
         self._unblendable = capabilities.unblendable_formats
         self._empty: GpuObject | None = None
+        self._cached: list[_CachedPipeline] = []
+        self._created = 0
+
+    def forget(self, program: GpuProgram) -> None:
+        """Drop the pipelines of a program that is destroyed."""
+        self._cached = [cached for cached in self._cached if cached.table is not program.pipelines]
+        program.pipelines.clear()
+
+    def _keep(self, table: dict[object, _CachedPipeline], key: object, pipeline: GpuObject) -> None:
+        self._created += 1
+        if len(self._cached) >= MAX_PIPELINES:
+            self._cached.sort(key=lambda cached: cached.used)
+            half = MAX_PIPELINES // 2
+            for cached in self._cached[:half]:
+                del cached.table[cached.key]
+            del self._cached[:half]
+        table[key] = _CachedPipeline(pipeline, table, key, self._created)
+        self._cached.append(table[key])
 
     def get_render_pipeline(
         self,
@@ -151,24 +200,28 @@ class Pipelines:
         topology = TOPOLOGIES[primitive]
         strip = array.index_format if array.index_buffer and topology.endswith("strip") else None
         key = (array_key, topology, strip, states.bake(), targets, layout.unfiltered)
-        pipeline = program.pipelines.get(key)
-        if pipeline is None:
-            with translate_errors(f"draw with {program.descriptor.name}"):
-                pipeline = self._make(program, layout, array, primitive, strip, states, targets)
-            program.pipelines[key] = pipeline
+        cached = program.pipelines.get(key)
+        if cached is not None:
+            cached.used = self._created
+            return cached.pipeline
+        with translate_errors(f"draw with {program.descriptor.name}"):
+            pipeline = self._make(program, layout, array, primitive, strip, states, targets)
+        self._keep(program.pipelines, key, pipeline)
         return pipeline
 
     def get_compute_pipeline(self, program: GpuProgram, layout: PipelineLayout) -> GpuObject:
         """Return the compute pipeline of a program."""
-        pipeline = program.pipelines.get(layout.unfiltered)
-        if pipeline is None:
+        cached = program.pipelines.get(layout.unfiltered)
+        if cached is None:
             stage = {"module": program.modules[Stage.COMPUTE], "entry_point": "main"}
             with translate_errors(f"dispatch of {program.descriptor.name}"):
                 pipeline = self._device.create_compute_pipeline(
                     label=program.descriptor.name, layout=layout.object, compute=stage
                 )
-            program.pipelines[layout.unfiltered] = pipeline
-        return pipeline
+            self._keep(program.pipelines, layout.unfiltered, pipeline)
+            return pipeline
+        cached.used = self._created
+        return cached.pipeline
 
     def _make(
         self,
@@ -272,7 +325,8 @@ def _depth_stencil(values: dict[type, Any], depth: Format, primitive: Primitive)
     }
     if primitive in _TRIANGLES and values[PolygonMode] is PolygonMode.FILL:
         offset: PolygonOffset = values[PolygonOffset]
-        description["depth_bias"] = round(values[DepthBias].units)  # WebGPU's is a whole number
+        units = min(max(values[DepthBias].units, -_MAX_BIAS), _MAX_BIAS)
+        description["depth_bias"] = round(units)  # WebGPU's is a whole number
         description |= {"depth_bias_slope_scale": offset.slope, "depth_bias_clamp": offset.clamp}
     if depth.has_stencil and values[StencilTest] is StencilTest.ON:
         description |= {

@@ -66,7 +66,7 @@ class GpuProgram:
         self.id = program
         self.descriptor = descriptor
         self.modules: dict[Stage, GpuObject] = {}
-        self.pipelines: dict[object, GpuObject] = {}
+        self.pipelines: dict[object, Any] = {}
         self._device = device
         self._visibility: dict[tuple[int, int], int] = {}
         self._access: dict[tuple[int, int], str] = {}

@@ -1,11 +1,13 @@
 """Occlusion queries and timestamps.
 
 Each submission uses its own query sets, from a pool. Their results are copied to a buffer that is mapped once
-they are there. A query that lies in several segments is the sum of a slot in each.
+they are there, and stored at the next submission, whether or not anybody reads them: so the pool stays small.
+A query that lies in several segments is the sum of a slot in each.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Final
 
 import numpy as np
@@ -16,6 +18,7 @@ from rhi.backends.wgpu.native import GpuObject, Handle, Mappings, lib, timestamp
 from rhi.backends.wgpu.wgpu_buffers import READ
 from rhi.backends.wgpu.wgpu_errors import translate_errors
 from rhi.contract.descriptors import Id, QueryKind
+from rhi.contract.interrupts import DeferredInterrupts
 
 _SLOTS: Final = 1024
 _SPARE: Final = 64
@@ -70,7 +73,7 @@ class Queries:
         self._free: dict[str, list[_SlotSet]] = {"occlusion": [], "timestamp": []}
         self._current: dict[str, _SlotSet] = {}
         self._resolved: list[_SlotSet] = []
-        self._waiting: list[tuple[int, _SlotSet]] = []
+        self._waiting: deque[tuple[int, _SlotSet]] = deque()
         self._active: _Query | None = None
         self._running = False
         stream.before_submit.append(self._resolve)
@@ -88,14 +91,19 @@ class Queries:
     # -- commands ----------------------------------------------------------------------------------------
 
     def begin(self, query: Id) -> None:
+        if self._active is not None:  # an interrupt came before its end
+            self._end(self._active)
         self._active = self._queries[query]
         self._active.begin(True)
         if self._stream.render is not None:
             self._begin_slot()
 
     def end(self, query: Id) -> None:
+        self._end(self._queries[query])
+
+    def _end(self, ended: _Query) -> None:
         self._end_slot()
-        ended, self._active = self._queries[query], None
+        self._active = None
         ended.open = False
         if not ended.missing:
             ended.result = ended.sum
@@ -159,19 +167,22 @@ class Queries:
             self._stream.submit()
             self._stream.begin_segment()  # calls this again
             return
-        lib.wgpuRenderPassEncoderBeginOcclusionQuery(
-            self._stream.render, self._take(self._set("occlusion"), self._active)
-        )
-        self._running = True
+        with DeferredInterrupts():
+            lib.wgpuRenderPassEncoderBeginOcclusionQuery(
+                self._stream.render, self._take(self._set("occlusion"), self._active)
+            )
+            self._running = True
 
     def _end_slot(self) -> None:
         if self._running:
-            lib.wgpuRenderPassEncoderEndOcclusionQuery(self._stream.render)
-            self._running = False
+            with DeferredInterrupts():
+                lib.wgpuRenderPassEncoderEndOcclusionQuery(self._stream.open_pass)
+                self._running = False
 
     # -- results -----------------------------------------------------------------------------------------
 
     def _resolve(self) -> None:
+        self._store_results()
         for kind, current in list(self._current.items()):
             count = len(current.slots)
             if count:
@@ -190,16 +201,23 @@ class Queries:
         """Store the results that are available."""
         if self._waiting:
             self._stream.fence.process()
+        self._store_results()
+
+    def _store_results(self) -> None:
+        """Store the results of the sets that are mapped, and put the sets back into the pool."""
         while self._waiting and self._mappings.is_done(self._waiting[0][0]):
-            ticket, owner = self._waiting.pop(0)
-            with translate_errors("read_query"):
-                data = self._mappings.end(ticket, owner.mapped, 0, 8 * len(owner.slots))
-            scale = self._period if owner.kind == "timestamp" else 1
-            for (query, use), value in zip(owner.slots, np.frombuffer(data, np.uint64).tolist(), strict=True):
-                if query.use == use:
-                    query.sum += int(value * scale)
-                    query.missing -= 1
-                    if not query.missing and not query.open:
-                        query.result = query.sum
-            owner.slots.clear()
-            self._free[owner.kind].append(owner)
+            with DeferredInterrupts():
+                self._store_set(*self._waiting.popleft())
+
+    def _store_set(self, ticket: int, owner: _SlotSet) -> None:
+        with translate_errors("read_query"):
+            data = self._mappings.end(ticket, owner.mapped, 0, 8 * len(owner.slots))
+        scale = self._period if owner.kind == "timestamp" else 1
+        for (query, use), value in zip(owner.slots, np.frombuffer(data, np.uint64).tolist(), strict=True):
+            if query.use == use:
+                query.sum += int(value * scale)
+                query.missing -= 1
+                if not query.missing and not query.open:
+                    query.result = query.sum
+        owner.slots.clear()
+        self._free[owner.kind].append(owner)

@@ -33,6 +33,10 @@ DUMMY: Final = "r8unorm"
 """The format of the dummy target of passes without targets."""
 
 
+_usages: Final[dict[object, dict[tuple[Format, TextureKind, int], int]]] = {}
+"""The usages of textures that each adapter allows, by format, kind and number of samples."""
+
+
 class GpuTexture:
     """A texture: its object, its views, and the encoder that uses it."""
 
@@ -53,13 +57,16 @@ class GpuTexture:
 class Textures:
     """The textures of a device, by id; `rhi.backends.wgpu.command_encoder.PassTargets`."""
 
-    def __init__(self, device: GpuObject, stream: Stream, buffers: Buffers, tools: Tools) -> None:
+    def __init__(
+        self, device: GpuObject, stream: Stream, buffers: Buffers, tools: Tools, adapter: object
+    ) -> None:
+        """`adapter` is a key for what is the same on all devices of an adapter."""
         self.objects: dict[Id, GpuTexture] = {}
         self._device = device
         self._stream = stream
         self._buffers = buffers
         self._tools = tools
-        self._usages: dict[tuple[Format, TextureKind, int], int] = {}
+        self._usages = _usages.setdefault(adapter, {})
         self._stand_ins: list[tuple[GpuObject, dict[str, Any], tuple[int, int, int]]] = []
         self._dummies: dict[tuple[int, int, int], GpuObject] = {}
         stream.targets = self

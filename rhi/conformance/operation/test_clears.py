@@ -84,7 +84,8 @@ def draw_over(
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
 def test_a_color_format_is_cleared_under_a_draw_as_in_a_pass_before(device: Device, format: Format) -> None:
     require_renderable(device, format)
-    shader, clear = SHADERS.get(format.kind, Colored), (3.0, 0.3, 2.0, 0.75)
+    shader = SHADERS.get(format.kind, Colored)
+    clear = (3.0, 1.0, 2.0, 0.0) if format.is_integer else (3.0, 0.3, 2.0, 0.75)
     with device.texture(SIZE, format) as image, device.texture(SIZE, format) as expected:
         draw_over(device, image, shader, clear, True)
         draw_over(device, expected, shader, clear, False)

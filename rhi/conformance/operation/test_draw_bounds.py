@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -244,6 +245,85 @@ def test_indirect_arguments_read_the_mesh(
     with device.buffer(draws) as arguments:
         program, indirect = device.program(Numbered), IndirectDraws(arguments, 1)
         assert_own(device, mesh, lambda: device.draw_indirect(program, mesh, indirect))
+
+
+FARTHEST = [5_000_000, 10_000_000, 100_663_296, (1 << 31) - 1, 1 << 31, (1 << 32) - 1]
+"""Numbers at which drivers have read memory far from a buffer."""
+
+
+@pytest.mark.parametrize("by_device", [False, True], ids=["by the CPU", "by the device"])
+@pytest.mark.parametrize("value", FARTHEST)
+@pytest.mark.parametrize(
+    ("mesh_name", "name"),
+    [
+        ("indexed", "count"),
+        ("indexed", "first"),
+        ("plain", "count"),
+        ("plain", "first"),
+        ("instanced", "instances"),
+        ("instanced", "base_instance"),
+    ],
+)
+def test_far_indirect_arguments_read_the_mesh(
+    device: Device, request: pytest.FixtureRequest, mesh_name: str, name: str, value: int, by_device: bool
+) -> None:
+    mesh: Mesh = request.getfixturevalue(mesh_name)
+    draws = mesh.draws(0, 1)
+    draws[name] = value
+    with device.buffer(mesh.draws(0, 1)) as arguments, device.buffer(draws) as source:
+        if by_device:
+            source.copy_to(arguments)
+        else:
+            arguments.write(draws)
+        program, indirect = device.program(Numbered), IndirectDraws(arguments, 1)
+        assert_own(device, mesh, lambda: device.draw_indirect(program, mesh, indirect))
+
+
+@pytest.mark.parametrize("stride", [20, 36])
+@pytest.mark.parametrize("name", ["count", "first"])
+@pytest.mark.parametrize("mesh_name", ["indexed", "plain"])
+def test_draws_beside_one_beyond_the_mesh_are_whole(
+    device: Device, request: pytest.FixtureRequest, mesh_name: str, name: str, stride: int
+) -> None:
+    mesh: Mesh = request.getfixturevalue(mesh_name)
+    draws = mesh.draws([1, 0, 6], [2, 1, 2])
+    draws[name][1] = (1 << 32) - 1
+    padded = np.zeros((3, stride), np.uint8)
+    padded[:, :20] = draws.view(np.uint8).reshape(3, 20)
+    with device.buffer(padded) as arguments:
+        program, indirect = device.program(Numbered), IndirectDraws(arguments, 3, stride=stride)
+        image = show(device, lambda: device.draw_indirect(program, mesh, indirect))
+    whole = np.isin(OWN, [2, 3, 7, 8])
+    assert_same(image[whole], OWN[whole])
+    assert np.isin(image[~whole], [0.0, *OWN]).all(), image
+
+
+def draw_random_arguments(mesh: Mesh, rng: np.random.Generator) -> NDArray[Any]:
+    """Return a draw whose numbers lie inside the mesh, at its ends, or far beyond it."""
+    draws = mesh.draws(0, 1)
+    far = [0, 1, COUNT - 1, COUNT, COUNT + 1, *FARTHEST]
+    for name in ("count", "first", "base_instance"):
+        if rng.random() < 0.6:
+            draws[name] = rng.choice(far)
+    draws["instances"] = rng.integers(0, 3)
+    if mesh.is_indexed and rng.random() < 0.5:
+        draws["base_vertex"] = rng.choice([0, -1, COUNT, (1 << 31) - 1, -(1 << 31)])
+    return draws
+
+
+@pytest.mark.parametrize("mesh_name", ["indexed", "plain", "instanced"])
+def test_random_indirect_arguments_read_the_mesh(
+    device: Device, request: pytest.FixtureRequest, mesh_name: str
+) -> None:
+    mesh: Mesh = request.getfixturevalue(mesh_name)
+    rng, program = np.random.default_rng(7), device.program(Numbered)
+    for _ in range(24):
+        draws = np.concatenate([draw_random_arguments(mesh, rng) for _ in range(rng.integers(1, 4))])
+        with device.buffer(draws) as arguments:
+            indirect = IndirectDraws(arguments, len(draws))
+            image = show(device, partial(device.draw_indirect, program, mesh, indirect))
+            assert np.isin(image, [0.0, *OWN]).all(), (draws, image)
+    assert_own(device, mesh, lambda: None)
 
 
 @pytest.mark.requires("indirect_count")

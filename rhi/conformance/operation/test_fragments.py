@@ -418,3 +418,59 @@ def test_draws_of_one_pass_see_their_effects_in_order(device: rhi.Device) -> Non
         assert_near(image.read(), value, 1e-6, "12 roundings in float32")
         for mesh in meshes:
             mesh.destroy()
+
+
+class AlikeCorner(sl.Struct):
+    """Attributes with similar names."""
+
+    position: sl.vec4
+    a: float
+    a_: float
+
+
+class AlikeVaryings(sl.Struct):
+    """Varyings with similar names; a matrix has a location for each row."""
+
+    clip: sl.vec4
+    m: sl.mat2
+    m_: float
+    m_0: float
+
+
+class AlikeColors(sl.Struct):
+    """Targets with similar names."""
+
+    color: sl.vec4
+    color_: sl.vec4
+
+
+class NamesAlike(sl.Shader):
+    """One uniform is read by the vertex stage, and one with a similar name by the fragment stage."""
+
+    u: sl.Uniform[float]
+    u_: sl.Uniform[float]
+
+    def vertex(self, v: AlikeCorner) -> AlikeVaryings:
+        rows = sl.mat2(sl.vec2(v.a, 1.0), sl.vec2(2.0, 3.0))
+        return AlikeVaryings(clip=v.position, m=rows, m_=v.a_, m_0=self.u)
+
+    def fragment(self, v: AlikeVaryings) -> AlikeColors:
+        return AlikeColors(
+            color=sl.vec4(v.m[0], v.m[1]),
+            color_=sl.vec4(v.m_, v.m_0, self.u_, 1.0),
+        )
+
+
+def test_names_that_differ_in_underscores_are_two(device: rhi.Device) -> None:
+    rows = np.zeros(3, AlikeCorner.dtype)
+    rows["position"] = corners([(-1, -1), (3, -1), (-1, 3)])["position"]
+    rows["a"], rows["a_"] = 7.0, 8.0
+    with (
+        device.texture((1, 1), rhi.Format.RGBA32F) as first,
+        device.texture((1, 1), rhi.Format.RGBA32F) as second,
+        device.mesh(rows) as mesh,
+    ):
+        with device.render_pass([first, second], clear=(0, 0, 0, 0)):
+            device.draw(device.program(NamesAlike), mesh, u=5.0, u_=6.0)
+        assert_near(first.read().reshape(4), [7, 1, 2, 3], 1e-5, "interpolated")
+        assert_near(second.read().reshape(4), [8, 5, 6, 1], 1e-5, "interpolated")

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from rhi import Device
+from rhi import Device, Format
 from rhi.conformance.compare import assert_near, assert_same
 
 pytestmark = pytest.mark.requires("shading", "compute")
@@ -733,6 +733,165 @@ def test_targets_are_assigned_once_all_values_are_known(device: Device) -> None:
 
     source = np.array([1.0, 5.0, -3.0], "f4")
     assert_same(run(device, Together, float, source, 6), np.array([expect(x) for x in source.tolist()], "f4"))
+
+
+class Ordered(sl.Shader):
+    """Operands that read what calls beside them write, in memory, in shared memory and in an image.
+
+    One invocation of a whole group works: llvmpipe lets those that a group lacks go round in loops.
+    """
+
+    work_group = (8,)
+    numbers: sl.StorageRW[int]
+    texels: sl.IntImage2D = sl.image(Format.R32I)
+    part = sl.shared(int, 2)
+    target: sl.StorageRW[int]
+
+    def grow(self) -> int:
+        self.numbers[0] = self.numbers[0] + 1
+        return self.numbers[0]
+
+    def grow_part(self) -> int:
+        self.part[0] = self.part[0] + 1
+        return self.part[0]
+
+    def grow_texel(self) -> int:
+        number = self.texels.load(sl.ivec2(0, 0)).x + 1
+        self.texels.store(sl.ivec2(0, 0), sl.ivec4(number, 0, 0, 1))
+        return number
+
+    def pair(self, first: int, second: int) -> int:
+        return first * 100 + second
+
+    def sum(self) -> int:
+        return self.numbers[0] * 100 + self.grow()
+
+    def compute(self) -> None:
+        if sl.local_index() == 0:
+            self.evaluate()
+
+    def evaluate(self) -> None:
+        self.part[0] = 4
+        self.texels.store(sl.ivec2(0, 0), sl.ivec4(4, 0, 0, 1))
+        self.target[0] = self.numbers[0] * 100 + self.grow()
+        self.target[1] = self.grow() * 100 + self.numbers[0]
+        self.target[2] = self.pair(self.numbers[0], self.grow())
+        self.target[3] = self.sum()
+        self.target[4] = int(self.numbers[0] == self.grow())
+        self.target[5] = self.numbers[0] * 100 + sl.atomic_add(self.numbers[0], 1)
+        self.target[6] = sl.ivec2(self.numbers[0], self.grow()).x
+        self.target[7] = self.numbers[0] if self.grow() > 0 else 0
+        self.target[8] = int(self.numbers[0] > 0 and self.numbers[0] == self.grow())
+        self.numbers[0] += self.grow()
+        self.target[9] = self.numbers[0]
+        self.numbers[1 + (self.numbers[0] & 1)] += self.grow()
+        self.target[10] = self.numbers[1] * 100 + self.numbers[2]
+        self.numbers[0] = 0
+        steps = 0
+        while self.numbers[0] + self.grow() < 10:
+            steps += 1
+        self.target[11] = steps
+        for k in range(self.numbers[0], self.grow() + 2):
+            self.target[12] = k
+        self.target[13] = sl.atomic_add(self.numbers[3 + (self.grow() & 1)], self.numbers[0])
+        self.target[14] = self.numbers[3] * 100 + self.numbers[4]
+        self.target[15] = self.part[0] * 100 + self.grow_part()
+        self.target[16] = self.texels.load(sl.ivec2(0, 0)).x * 100 + self.grow_texel()
+
+
+@pytest.mark.requires("max_image_slots")
+def test_operands_are_evaluated_from_left_to_right(device: Device) -> None:
+    with (
+        device.storage(int, np.array([4, 0, 0, 0, 0], "i4")) as numbers,
+        device.storage(int, 17) as target,
+        device.texture((1, 1), Format.R32I) as texels,
+    ):
+        device.dispatch(device.program(Ordered), 1, numbers=numbers, target=target, texels=texels.image())
+        back = target.read()
+    # The first number is 4, and grows by one at each call.
+    expected = [405, 606, 607, 708, 0, 909, 10, 12, 0, 13 + 14, 28, 5, 8, 0, 800, 405, 405]
+    assert_same(back, expected)
+
+
+class Alike(sl.Struct):
+    """Fields whose names are similar, or words of shading languages."""
+
+    a: float
+    a_: float
+    a__: float
+    b_b: float
+    b__b: float
+    input: float
+    input_: float
+    target: float
+    target_: float
+    a_2: float
+
+
+class NamesAlike(sl.Shader):
+    """Bindings, shared memory, functions and variables with similar names."""
+
+    u: sl.Uniform[Alike]
+    u_: sl.Storage[Alike]
+    u__: sl.StorageRW[float]
+    s = sl.shared(float, 1)
+    s_ = sl.shared(float, 1)
+
+    def f(self, x: float, x_: float) -> float:
+        return x
+
+    def f_(self, x_: float, x: float) -> float:
+        return x
+
+    def compute(self) -> None:
+        y = Alike(
+            a=1.0,
+            a_=2.0,
+            a__=3.0,
+            b_b=4.0,
+            b__b=5.0,
+            input=6.0,
+            input_=7.0,
+            target=8.0,
+            target_=9.0,
+            a_2=10.0,
+        )
+        y_ = y
+        y_.a_ += 100.0
+        self.s[0] = 1.0
+        self.s_[0] = 2.0
+        self.u__[0] = self.u.a
+        self.u__[1] = self.u.a_
+        self.u__[2] = self.u.a__
+        self.u__[3] = self.u.b_b
+        self.u__[4] = self.u.b__b
+        self.u__[5] = self.u.input
+        self.u__[6] = self.u.input_
+        self.u__[7] = self.u.target
+        self.u__[8] = self.u.target_
+        self.u__[9] = self.u.a_2
+        self.u__[10] = self.u_[0].a
+        self.u__[11] = self.u_[0].a_
+        self.u__[12] = self.u_[0].b__b
+        self.u__[13] = self.u_[0].input_
+        self.u__[14] = y.a_
+        self.u__[15] = y_.a_ + y_.a + y_.a__
+        self.u__[16] = self.s[0]
+        self.u__[17] = self.s_[0]
+        self.u__[18] = self.f(1.0, 2.0)
+        self.u__[19] = self.f_(1.0, 2.0)
+
+
+def test_names_that_differ_in_underscores_are_two(device: Device) -> None:
+    names = [field.name for field in Alike.shading_type.fields]
+    values = {name: float(number) for number, name in enumerate(names)}
+    rows = np.zeros(1, Alike.dtype)
+    for name, number in values.items():
+        rows[name] = number + 50.0
+    with device.storage(Alike, rows) as stored, device.storage(float, 20) as target:
+        device.dispatch(device.program(NamesAlike), 1, u=Alike(**values), u_=stored, u__=target)
+        back = target.read()
+    assert_same(back, [*range(10), 50, 51, 54, 56, 2, 106, 1, 2, 1, 2])
 
 
 class Base(sl.Shader):

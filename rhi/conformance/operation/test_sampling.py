@@ -9,7 +9,18 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 import rhi.shading as sl
-from rhi import Comparison, CompressedFormat, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
+from rhi import (
+    Comparison,
+    CompressedFormat,
+    Device,
+    Filter,
+    Format,
+    Program,
+    SamplerDescriptor,
+    Texture,
+    TextureKind,
+    Wrap,
+)
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, squeezed
 from rhi.conformance.reference import channels_of, compare, decode, encode
@@ -778,3 +789,74 @@ def test_texels_outside_are_zeros_and_stores_outside_are_dropped(device: Device)
     assert_same(back[1::2], ((at >= 0) & (at < 2))[:, None])
     stored = np.isin(np.arange(8), at)[None, :] & (np.arange(8) == 3)[:, None]
     assert_same(target.read(), 2.0 * stored[..., None])
+
+
+# -- levels and layers beyond all bounds ---------------------------------------------------------------------
+
+
+class Levels(sl.Shader):
+    """Samples the middle of a texture at each level of detail."""
+
+    work_group = (64, 1, 1)
+    source: sl.Texture2D
+    numbers: sl.Storage[float]
+    results: sl.StorageRW[float]
+
+    def compute(self) -> None:
+        i = sl.global_id().x
+        if i < len(self.numbers):
+            self.results[i] = self.source.sample_lod(sl.vec2(0.5, 0.5), self.numbers[i]).x
+
+
+class Layers(sl.Shader):
+    """Samples the middle of each layer."""
+
+    work_group = (64, 1, 1)
+    source: sl.Texture2DArray
+    numbers: sl.Storage[float]
+    results: sl.StorageRW[float]
+
+    def compute(self) -> None:
+        i = sl.global_id().x
+        if i < len(self.numbers):
+            self.results[i] = self.source.sample_lod(sl.vec3(0.5, 0.5, self.numbers[i]), 0.0).x
+
+
+FAR = [2147483520.0, 2147483648.0, 3e9, 4294967296.0, 1e10, 1e20, 3e38, np.inf]
+"""Numbers beyond what an integer of 32 bits holds."""
+
+
+def sample_at(
+    device: Device, shader: type[sl.Shader], texture: Texture, numbers: list[float], mip: Filter
+) -> NDArray[Any]:
+    """Return what a shader samples for each number, with nearest texels."""
+    values = np.array(numbers, np.float32)
+    sampler = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, mip=mip)
+    with device.storage(float, values) as levels, device.storage(float, len(values)) as results:
+        program: Program[...] = device.program(shader)
+        device.dispatch(
+            program, -(-len(values) // 64), source=texture.sampled(sampler), numbers=levels, results=results
+        )
+        return np.asarray(results.read())
+
+
+@pytest.mark.parametrize("mip", [Filter.NEAREST, Filter.LINEAR], ids=lambda f: f.name)
+def test_a_level_beyond_the_last_is_the_last_and_one_below_0_the_first(device: Device, mip: Filter) -> None:
+    levels = [0.0, 1.0, 2.0, 3.0, 4.0, 100.0, 1e6, 2e9, *FAR]
+    with device.texture((8, 8), Format.R32F, levels=4) as texture:
+        for level in range(4):
+            texture.write(np.full((8 >> level, 8 >> level), level + 1, np.float32), level=level)
+        expected = np.clip(levels, 0, 3) + 1
+        assert_same(sample_at(device, Levels, texture, levels, mip), expected)
+        assert_same(sample_at(device, Levels, texture, [-level for level in levels], mip), 1)
+
+
+@pytest.mark.parametrize("layers", [1, 4, 7])
+def test_layers_are_rounded_to_the_nearest_halves_up(device: Device, layers: int) -> None:
+    numbers = [*np.arange(-2, layers + 2, 0.25).tolist(), *FAR, *(-number for number in FAR)]
+    with device.texture((2, 2), Format.R32F, kind=TextureKind.D2_ARRAY, layers=layers) as texture:
+        texture.write(
+            np.broadcast_to(np.arange(layers, dtype=np.float32)[:, None, None, None], (layers, 2, 2, 1))
+        )
+        expected = np.clip(np.floor(np.array(numbers) + 0.5), 0, layers - 1)
+        assert_same(sample_at(device, Layers, texture, numbers, Filter.NEAREST), expected)

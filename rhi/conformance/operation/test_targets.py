@@ -61,6 +61,42 @@ def test_integers_are_stored_as_they_are(device: rhi.Device, format: rhi.Format)
     assert_same(channels_of(format, drawn).reshape(16, -1), color[: format.channels])
 
 
+class SignedOutput(Shader):
+    """Writes the color to a signed normalised target."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is ChannelKind.SNORM], ids=identity)
+@pytest.mark.parametrize(
+    "value", [-1.0, -1.003, -1.004, -2.0, -1e10, -3e38, 1.0, 1.01, 3.0, 1e10, 3e38], ids=str
+)
+def test_signed_normalised_targets_clamp_to_one_number_each_way(
+    device: rhi.Device, format: rhi.Format, value: float
+) -> None:
+    """What means −1 twice is read as −127, whichever of the two a driver stores."""
+    require_renderable(device, format)
+    drawn = draw_once(device, SIZE, format, rectangle(color=(value,) * 4), shader=SignedOutput)
+    assert_same(drawn, np.sign(value) * 127)
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is ChannelKind.SNORM], ids=identity)
+def test_the_second_number_that_means_minus_one_is_read_as_the_first(
+    device: rhi.Device, format: rhi.Format
+) -> None:
+    texels = np.full((*SIZE, format.channels), -128, np.int8)
+    texels[0] = 100
+    with device.texture(SIZE, format) as texture:
+        texture.write(texels)
+        expected = np.maximum(texels, -127)
+        for read in (texture.read(), texture.read_layers()[0], texture.read_async().result()):
+            assert_same(read.reshape(expected.shape), expected)
+
+
 class Three(Struct):
     """Outputs of three kinds."""
 
@@ -143,13 +179,104 @@ def test_each_target_blends_by_its_own_function(device: rhi.Device) -> None:
     assert_same(second, (0, 0, 0, 1))
 
 
-def test_a_target_without_an_output_keeps_other_targets_right(device: rhi.Device, mesh: rhi.Mesh) -> None:
-    """A program with one output, in a pass with two targets, writes the first target."""
+class First(Struct):
+    """A color."""
+
+    first: vec4
+
+
+class Four(Struct):
+    """Four colors."""
+
+    first: vec4
+    second: vec4
+    third: vec4
+    fourth: vec4
+
+
+class ToNone(Shader):
+    """Has a fragment stage without outputs."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> None:
+        pass
+
+
+class WithoutFragments(Shader):
+    """Has no fragment stage."""
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+
+class ToOne(Shader):
+    """Writes the color to the first target."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> First:
+        return First(first=v.color)
+
+
+class ToFour(Shader):
+    """Writes the color to four targets."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> Four:
+        return Four(first=v.color, second=v.color, third=v.color, fourth=v.color)
+
+
+OUTPUTS: dict[type[Shader], int] = {WithoutFragments: 0, ToNone: 0, ToOne: 1, ToTwo: 2, ToFour: 4}
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("targets", [1, 2, 3, 4])
+def test_targets_without_an_output_keep_their_contents_and_outputs_without_a_target_are_dropped(
+    device: rhi.Device, targets: int, samples: int
+) -> None:
+    """Programs with more and fewer outputs take turns in one pass, with masks and clears between them."""
+    require_samples(device, samples)
+    random = np.random.default_rng([targets, samples])
+    resolved = [device.texture(SIZE, rhi.Format.RGBA8) for _ in range(targets)]
+    images = (
+        resolved if samples == 1 else [device.texture(SIZE, rhi.Format.RGBA8, samples=4) for _ in resolved]
+    )
+    shaders, expected = list(OUTPUTS), np.zeros((targets, 4))
+    for _ in range(6):
+        clears = [(n, 51, 0, 255) if random.random() < 0.5 else None for n in range(targets)]
+        values = [None if clear is None else tuple(np.array(clear) / 255) for clear in clears]
+        expected = np.array([old if new is None else new for old, new in zip(expected, clears, strict=True)])
+        ends = resolved if samples > 1 else None
+        with device.render_pass(images, clear=values, resolve=ends), device.states(rhi.DepthTest.OFF):
+            for number in random.integers(0, len(shaders), 4):
+                color, masked = random.integers(0, 256, 4), int(random.integers(0, 5))
+                write = () if masked == 4 else (rhi.ColorWrite.OFF.at(masked),)
+                with device.mesh(rectangle(color=tuple(color / 255))) as mesh, device.states(*write):
+                    device.draw(device.program(shaders[number]), mesh)
+                outputs = [n for n in range(min(targets, OUTPUTS[shaders[number]])) if n != masked]
+                for output in outputs:
+                    swaps = shaders[number] is ToTwo and output == 1
+                    expected[output] = color[::-1] if swaps else color
+        for number, image in enumerate(resolved):
+            assert_same(image.read(), expected[number])
+    for image in {*images, *resolved}:
+        image.destroy()
+
+
+def test_blending_leaves_a_target_without_an_output(device: rhi.Device, mesh: rhi.Mesh) -> None:
     with device.texture(SIZE, rhi.Format.RGBA8) as first, device.texture(SIZE, rhi.Format.RGBA8) as second:
-        with device.render_pass([first, second], clear=(0, 0, 0, 0)), device.states(rhi.ColorWrite.OFF.at(1)):
-            device.draw(device.program(Colored), mesh)
+        with (
+            device.render_pass([first, second], clear=(0.2, 0.4, 0, 0)),
+            device.states(rhi.BlendFunction.ADDITIVE),
+        ):
+            device.draw(device.program(ToOne), mesh)
         assert_same(first.read(), 255)
-        assert_same(second.read(), 0)
+        assert_same(second.read(), (51, 102, 0, 0))
 
 
 def test_a_pass_with_depth_alone_draws_depth(device: rhi.Device) -> None:

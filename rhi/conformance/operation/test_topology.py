@@ -139,6 +139,25 @@ def test_the_triangles_of_a_strip_have_one_winding(device: Device) -> None:
             assert_mask(image.read(), expected)
 
 
+def draw_sum(
+    device: Device, primitive: Primitive, positions: NDArray[Any], indices: NDArray[Any]
+) -> NDArray[Any]:
+    """Return how often each texel is drawn."""
+    states = (CullMode.NONE, BlendFunction.ADDITIVE)
+    rows, clear = corners(positions), (0, 0, 0, 0)
+    return draw_once(
+        device,
+        SIZE,
+        Format.R16F,
+        rows,
+        *states,
+        shader=FlatColored,
+        indices=indices,
+        primitive=primitive,
+        clear=clear,
+    )
+
+
 FAN = [(8, 8), (15, 8), (12, 1), (5, 1), (1, 7), (4, 15)]
 
 
@@ -184,6 +203,115 @@ def test_the_last_index_restarts(device: Device, primitive: Primitive, dtype: st
     indices = np.array([0, 1, 2, restart, 3, 4, 5], dtype)
     image = draw_image(device, primitive, window_to_clip(points, SIZE), indices)
     assert_mask(image, covered(points[:3], points[3:]))
+
+
+def split_runs(indices: list[int], restart: int) -> list[list[int]]:
+    """Return the indices between restarts."""
+    runs: list[list[int]] = [[]]
+    for index in indices:
+        if index == restart:
+            runs.append([])
+        else:
+            runs[-1].append(index)
+    return runs
+
+
+def list_corners(primitive: Primitive, run: list[int]) -> list[int]:
+    """Return the corners of the points, lines or triangles of indices without restarts, one after the
+    other."""
+    count = len(run)
+    if primitive is Primitive.QUADS:
+        starts = range(0, count - 3, 4)
+        return [run[i + corner] for i in starts for corner in (0, 1, 2, 0, 2, 3)]
+    if primitive is Primitive.TRIANGLE_FAN:
+        return [corner for i in range(1, count - 1) for corner in (run[i], run[i + 1], run[0])]
+    if primitive is Primitive.TRIANGLE_STRIP:
+        swap = [(0, 1, 2), (0, 2, 1)]
+        return [run[i + corner] for i in range(count - 2) for corner in swap[i % 2]]
+    if primitive is Primitive.LINE_STRIP:
+        return [corner for i in range(count - 1) for corner in (run[i], run[i + 1])]
+    size = {Primitive.POINTS: 1, Primitive.LINES: 2, Primitive.TRIANGLES: 3}[primitive]
+    return run[: count // size * size]
+
+
+LISTED = {
+    Primitive.POINTS: Primitive.POINTS,
+    Primitive.LINES: Primitive.LINES,
+    Primitive.LINE_STRIP: Primitive.LINES,
+}
+RESTARTED = {
+    "begins": [-1, 0, 1, 2, 3],
+    "inside": [0, 1, -1, 0, 1, 2, 3],
+    "ends": [0, 1, 2, 3, -1],
+    "the last corner": [0, 1, 2, -1],
+    "the last corner, and more": [0, 1, 2, -1, 0, 1, 2, 3],
+    "several": [0, -1, -1, -1, 0, 1, 2, 3],
+    "nothing else": [-1, -1, -1, -1, -1],
+    "incomplete": [0, 1, 2, 3, 4, 5],
+    "incomplete twice": [4, 5, 6, 7, 1, -1, 0, 1, 2, 3, 0],
+}
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+@pytest.mark.parametrize("primitive", list(Primitive), ids=lambda p: p.name)
+def test_the_largest_index_drops_what_is_incomplete_and_begins_anew(
+    device: Device, primitive: Primitive, dtype: str
+) -> None:
+    """Of lists of points, lines and triangles, on devices that declare it; incomplete ones are dropped on
+    all."""
+    restart = int(np.iinfo(dtype).max)
+    random = np.random.default_rng([8, list(Primitive).index(primitive)])
+    cases = [*RESTARTED.values()]
+    cases += [random.choice([*range(8), -1], size).tolist() for size in (1, 7, 12, 23, 40)]
+    rows = centers([(1, 2), (14, 1), (13, 13), (2, 14), (8, 1), (15, 8), (7, 15), (1, 9)], SIZE)
+    may_restart = device.capabilities.list_restart or primitive not in (
+        Primitive.POINTS,
+        Primitive.LINES,
+        Primitive.TRIANGLES,
+    )
+    for case in cases:
+        if -1 in case and not may_restart:
+            continue
+        indices = np.array([restart if index < 0 else index for index in case], dtype)
+        listed = [
+            corner for run in split_runs(indices.tolist(), restart) for corner in list_corners(primitive, run)
+        ]
+        image = draw_sum(device, primitive, rows, indices)
+        if listed:
+            kind = LISTED.get(primitive, Primitive.TRIANGLES)
+            assert_same(image, draw_sum(device, kind, rows, np.array(listed, "u4")))
+        else:
+            assert_same(image, 0)
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+def test_a_range_of_quads_restarts_for_itself(device: Device, dtype: str) -> None:
+    """Draws of parts of the indices, and after they were written anew."""
+    restart = int(np.iinfo(dtype).max)
+    random = np.random.default_rng(9)
+    rows = corners(centers([(1, 2), (14, 1), (13, 13), (2, 14), (8, 1), (15, 8), (7, 15), (1, 9)], SIZE))
+    with device.texture(SIZE, Format.R16F) as image, device.buffer(24, dtype) as buffer:
+        program = device.program(FlatColored)
+        with device.mesh(rows, buffer, primitive=Primitive.QUADS) as mesh:
+            for _ in range(6):
+                indices = random.choice([*range(8), restart], 24).astype(dtype)
+                buffer.write(indices)
+                for first, count in ((0, 24), (3, 9), (5, 18), (8, 4), (20, 3)):
+                    part = indices[first : first + count].tolist()
+                    runs = split_runs(part, restart)
+                    listed = [corner for run in runs for corner in list_corners(Primitive.QUADS, run)]
+                    with device.render_pass(image, clear=(0, 0, 0, 0)):
+                        with device.states(CullMode.NONE, BlendFunction.ADDITIVE):
+                            device.draw(program, mesh.view(first, count))
+                    drawn = image.read()
+                    with device.render_pass(image, clear=(0, 0, 0, 0)):
+                        if listed:
+                            with (
+                                device.states(CullMode.NONE, BlendFunction.ADDITIVE),
+                                device.mesh(rows, np.array(listed, "u4")) as triangles,
+                            ):
+                                device.draw(program, triangles)
+                    assert_same(drawn, image.read())
 
 
 def test_a_line_strip_restarts(device: Device) -> None:

@@ -27,10 +27,10 @@ from rhi.contract.backend import (
     SupportsTextureSharing,
 )
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.limits import Fault, sampler_faults
 from rhi.contract.queries import list_draws
 from rhi.contract.states import AlphaTest, Scissor, StateChange
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.scopes import Scope
@@ -38,6 +38,7 @@ from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.errors import DeviceError, Rule, rules
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.device_objects import DeviceObject
 
 D = TypeVar("D")
 NO_THREAD: Final = 0
@@ -127,7 +128,7 @@ class Creation:
                 raise
 
 
-class Core:
+class Core(DeviceObject):
     """The shared part of one device.
 
     A device belongs to one thread. Whatever reaches the backend is checked by `check_ready`, except for what
@@ -146,6 +147,8 @@ class Core:
         targets: ids of the open pass's textures.
         readbacks: the memory of asynchronous reads.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
+        target_channels: the number of channels of each.
+        unblendable_targets: the indices of those that draws can't blend with.
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
         draw_counters: by program's id, a function that returns its number of draws since the last call.
         locked: resources with an open lock; while there are any, every draw checks everything.
@@ -181,11 +184,13 @@ class Core:
         "sampler_descriptors",
         "scopes",
         "states",
+        "target_channels",
         "target_kinds",
         "targets",
         "tests_alpha",
         "thread",
         "timeline",
+        "unblendable_targets",
         "upload_bytes",
     )
 
@@ -218,6 +223,8 @@ class Core:
         self.condition_count = 0
         self.targets = NO_TARGETS
         self.target_kinds: tuple[str, ...] = ()
+        self.target_channels: tuple[int, ...] = ()
+        self.unblendable_targets: tuple[int, ...] = ()
         self.locked: list[Owner] = []
         self.lock_blocks: list[weakref.ref[object]] = []
         self.draw_counters: dict[Id, Callable[[], int]] = {}
@@ -399,7 +406,7 @@ class Core:
         """Note that no pass is open."""
         self.render_pass = None
         self.targets = NO_TARGETS
-        self.target_kinds = ()
+        self.target_kinds = self.target_channels = self.unblendable_targets = ()
         self.program = None
 
     def lock(self, owner: Owner, block: object) -> None:

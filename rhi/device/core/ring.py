@@ -21,7 +21,7 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
-from rhi.device.core.interrupts import DeferredInterrupts
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.device.core.timeline import Timeline
 from rhi.errors.rules import TRANSIENT_SIZE
 

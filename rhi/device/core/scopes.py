@@ -23,10 +23,11 @@ from __future__ import annotations
 from sys import getrefcount, is_finalizing
 from typing import Final, NoReturn
 
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.device.core.containers import FixedStack
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors.call_sites import CallSite, find_call_site
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import CONTAINER_FULL, SCOPE_OPEN, SCOPE_ORDER
 
 STACK_DEPTH: Final = 256
@@ -34,7 +35,7 @@ _OWN: Final = 2
 """References to a block that `sys.getrefcount` itself causes: a variable's and an argument's."""
 
 
-class Scope:
+class Scope(DeviceObject):
     """An entry of the stack: a `with` block that was entered."""
 
     __slots__ = ()

@@ -24,7 +24,7 @@ from weakref import WeakSet, ref
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
-from rhi.device.core.interrupts import DeferredInterrupts
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import DeviceError
 from rhi.errors.call_sites import CallSite

@@ -14,13 +14,14 @@ from threading import get_ident
 from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.limits import condition_faults
 from rhi.device.core.core import Core, describe_object
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.lifetime import drop
 from rhi.errors import DeviceError, rules
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.device_objects import DeviceObject
 
 T = TypeVar("T")
 
@@ -31,7 +32,7 @@ _OPEN = "open"
 _ENDED = "ended"
 
 
-class PendingQuery(Generic[T]):
+class PendingQuery(DeviceObject, Generic[T]):
     """Base class of queries and query sets: their result becomes available some time after the end."""
 
     __slots__ = ("_answer", "_core", "_fence", "_ids", "_state", "destroyed", "emulated")

@@ -18,10 +18,11 @@ from typing import Final, TypeAlias, cast
 
 from rhi.contract.backend import SupportsIssueTimes
 from rhi.contract.descriptors import Id, QueryKind
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.device.core.core import Core, find_optional_part
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.scopes import Scope
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.device_objects import DeviceObject
 
 
 @dataclass(slots=True)
@@ -59,7 +60,7 @@ MAX_EVENTS: Final = 4096
 """Largest number of events in the tree of a frame."""
 
 
-class Timers:
+class Timers(DeviceObject):
     """The events of the current frame, and the event tree of the latest finished frame."""
 
     __slots__ = (
@@ -212,7 +213,7 @@ class EventScope(Scope):
     last: Id
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
-        if label.__class__ is not str:
+        if label.__class__ is not str or not label.isascii():
             ArgumentChecker("device.event", core.refuse).text("label", label)
         self._core = core
         self._timers = timers

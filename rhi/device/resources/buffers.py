@@ -31,7 +31,7 @@ from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors import ValidationError, rules
-from rhi.errors.arguments import ArgumentChecker, to_integer
+from rhi.errors.arguments import ArgumentChecker, little_endian, to_integer
 from rhi.shading import Struct, ivec3, uint, uvec3, value_type_of, vec3
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
@@ -46,6 +46,7 @@ class Buffer(Resource):
 
     Attributes:
         id: the buffer's id in the command stream.
+        dtype: the dtype of its elements, always little-endian.
         size: size in bytes.
         bind_uniform: a function of slot, offset and size that binds a range of the buffer.
     """
@@ -65,6 +66,7 @@ class Buffer(Resource):
         check = ArgumentChecker("device.buffer", core.refuse)
         check.choice("usage", usage, BufferUsage)
         check.text("label", label)
+        dtype = little_endian(dtype)
         if not _is_plain(dtype) or dtype.itemsize == 0:
             core.refuse(rules.BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
         size = count * dtype.itemsize
@@ -551,7 +553,7 @@ def as_constants(check: ArgumentChecker, value: Any) -> tuple[Any, Struct]:
     if isinstance(value, (Composite, uint)):
         kind = type(value)
     elif isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool):
-        array = np.asarray(value)
+        array = check.array("value", value)
         scalar = {"f": FLOAT, "i": INT, "u": UINT}.get(array.dtype.kind)
         if not array.ndim:
             kind = {FLOAT: float, INT: int, UINT: uint}.get(scalar) if scalar is not None else None

@@ -70,11 +70,13 @@ def compile_draw_code(
     recorded: bool = False,
     validates: bool = False,
     takes_more: bool = False,
+    checks_aliases: bool = False,
 ) -> CodeType:
     """Compile the functions of a program; `recorded`: for command buffers; `validates`: for a device with
     validation, where each draw checks its thread; `takes_more`: draws may pass bindings that the program
-    no longer reads."""
-    return _compile("\n".join(_write_source(bindings, recorded, validates, takes_more)), f"<draw of {name}>")
+    no longer reads; `checks_aliases`: each call checks that no memory is written and used a second time."""
+    lines = _write_source(bindings, recorded, validates, takes_more, checks_aliases)
+    return _compile("\n".join(lines), f"<draw of {name}>")
 
 
 @lru_cache(maxsize=256)
@@ -105,7 +107,7 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
 
 
 def _write_source(
-    bindings: tuple[Binding, ...], recorded: bool, validates: bool, takes_more: bool
+    bindings: tuple[Binding, ...], recorded: bool, validates: bool, takes_more: bool, checks_aliases: bool
 ) -> Iterator[str]:
     """Yield the source of a function `make` that returns the fields of `DrawCode`.
 
@@ -123,15 +125,14 @@ def _write_source(
     more = ("if _more:", "    _program.check_unknown(_more)") if takes_more else ()
     star, rest = ", *" if bindings else "", ", **_more" if takes_more else ""
     yield f"    def draw(_mesh, _instances=1, /{star}{keywords}{rest}):"
-    yield from _write_draw(bindings, cells, more, recorded=recorded, validates=validates)
+    flags = {"recorded": recorded, "validates": validates, "checks_aliases": checks_aliases}
+    yield from _write_draw(bindings, cells, more, **flags)
     yield "    def draw_with(_mesh, _instances, _bindings):"
-    yield from _write_draw(
-        bindings, cells, tuple(_write_unpack(bindings)), recorded=recorded, validates=validates
-    )
+    yield from _write_draw(bindings, cells, tuple(_write_unpack(bindings)), **flags)
     yield "    def bind(_check, _mesh, _bindings):"
     yield from _write_nonlocal(cells)
     unpack = tuple(_write_unpack(bindings))
-    yield from _write_bind(bindings, cells, "_check(_mesh)", unpack, recorded, draws=False)
+    yield from _write_bind(bindings, cells, "_check(_mesh)", unpack, recorded, checks_aliases, draws=False)
     yield from _write_cut_off()
     yield "    def collect_draw_count():"
     yield "        nonlocal _draws"
@@ -141,7 +142,12 @@ def _write_source(
 
 
 def _write_draw(
-    bindings: tuple[Binding, ...], cells: list[str], names: tuple[str, ...], recorded: bool, validates: bool
+    bindings: tuple[Binding, ...],
+    cells: list[str],
+    names: tuple[str, ...],
+    recorded: bool,
+    validates: bool,
+    checks_aliases: bool,
 ) -> Iterator[str]:
     yield from _write_nonlocal([*cells, "_draws"])
     if validates:
@@ -155,7 +161,8 @@ def _write_draw(
         "if _instances is not _one:",
         "    _instances = _program.check_instances(_instances, _mesh)",
     )
-    yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", unpack, recorded, draws=True)
+    check = "_program.check_can_draw(_mesh)"
+    yield from _write_bind(bindings, cells, check, unpack, recorded, checks_aliases, draws=True)
     yield "            if _states.requested is not _states.hardware:"
     yield "                _core.flush_states()"
     yield "            if _core.tests_alpha:"
@@ -189,6 +196,7 @@ def _write_bind(
     check: str,
     unpack: tuple[str, ...],
     recorded: bool,
+    checks_aliases: bool,
     draws: bool,
 ) -> Iterator[str]:
     """Yield the lines that check everything, then bind what changed."""
@@ -223,6 +231,8 @@ def _write_bind(
         yield f"                _program.check({i}, {name})"
         if binding.kind in _RANGES:
             yield f"                _owner_{i} = {name}.owner"
+    if checks_aliases:
+        yield f"            _program.check_aliases({values}, _mesh)"
     # Only the user's frames and this one stay in the traceback of a refusal.
     yield "        except _refusal as _error:"
     yield "            raise _error.with_traceback(None) from None"

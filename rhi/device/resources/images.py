@@ -7,8 +7,8 @@
 
 from __future__ import annotations
 
-import io
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Protocol
 
@@ -17,11 +17,31 @@ from numpy.typing import NDArray
 
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.texels import decode, to_srgb
-from rhi.errors import DeviceError, refuse
-from rhi.errors.rules import IMAGE_FILE, IMAGE_LIBRARY
+from rhi.device.resources.image_decoding import (
+    MAX_PIXELS,
+    ImageSource,
+    decode_colors,
+    import_pillow,
+    open_image,
+    refuse_image,
+)
+from rhi.errors import RhiError, refuse
+from rhi.errors.array_likes import to_array
+from rhi.errors.rules import IMAGE_FILE
 
 _DATA: Final = {"I;16": np.uint16, "I;16L": np.uint16, "I;16B": np.uint16, "F": np.float32}
 """Modes of Pillow whose texels are numbers rather than colors."""
+_ORIENTATION: Final = 0x0112  # the tag of EXIF that says how a camera was held
+_TURNS: Final[Mapping[int, Callable[[NDArray[Any]], NDArray[Any]]]] = {
+    2: lambda texels: texels[:, ::-1],
+    3: lambda texels: texels[::-1, ::-1],
+    4: lambda texels: texels[::-1],
+    5: lambda texels: texels.swapaxes(0, 1),
+    6: lambda texels: np.rot90(texels, -1),
+    7: lambda texels: texels[::-1, ::-1].swapaxes(0, 1),
+    8: lambda texels: np.rot90(texels),
+}
+"""What turns an image upright, by its orientation."""
 _KINDS: Final = {
     "u1": ChannelKind.UNORM,
     "u2": ChannelKind.UNORM,
@@ -43,49 +63,42 @@ class ImageLike(Protocol):
     def __array_interface__(self) -> dict[str, Any]: ...
 
 
-def load_image(source: str | Path | bytes | BinaryIO) -> NDArray[Any]:
+def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArray[Any]:
     """Return the texels of an image file, top row first: (height, width, 4) uint8, red, green, blue and
     alpha.
 
     `device.texture(load_image("wood.jpg"), Format.RGBA8_SRGB, levels=None)` is a texture of colors with all
-    mip levels. A file of one channel of 16 bits is (height, width) uint16, one of floats float32. A photo is
-    turned upright.
+    mip levels. A file of one channel of 16 bits is (height, width) uint16, one of floats float32; colors of
+    16 bits are rounded to 8. A photo is turned upright. Only PNG, JPEG, WebP, TIFF, BMP, DDS (whose blocks
+    are decoded) and TGA are read.
 
     Args:
-        source: a path, the contents of a file, or an open one. Pillow reads PNG, JPEG, WebP, TIFF, BMP, DDS
-            (whose blocks it decodes) and others.
+        source: the path of a regular file, the contents of a file, or an open one.
+        max_pixels: images of more pixels are refused before they are decoded. Pillow itself refuses more than
+            178 million.
 
     Raises:
-        ValidationError: `image-file` if the source is no readable image.
+        ValidationError: `image-file` if the source is no readable image of these formats.
         DeviceError: `image-library` without Pillow.
     """
-    library, call = _import_pillow("rhi.load_image"), "rhi.load_image"
-    from PIL import ImageOps, UnidentifiedImageError
-
+    call = "rhi.load_image"
+    image = open_image(source, max_pixels=max_pixels, call=call)
     try:
-        with library.open(io.BytesIO(source) if isinstance(source, bytes) else source) as image:
-            return as_texels(ImageOps.exif_transpose(image))
-    except (
-        OSError,
-        ValueError,
-        SyntaxError,
-        UnidentifiedImageError,
-        library.DecompressionBombError,
-    ) as error:
-        given = f"{len(source)} bytes" if isinstance(source, bytes) else str(source)
-        refuse(
-            IMAGE_FILE,
-            call,
-            f"{given}: {error}",
-            "what Pillow reads, such as PNG, JPEG, WebP and DDS; not KTX2",
-        )
+        dtype = _DATA.get(image.mode)
+        texels = decode_colors(image, call=call) if dtype is None else np.array(image, dtype)
+        turn = _TURNS.get(image.getexif().get(_ORIENTATION, 1))
+    except RhiError:
+        raise
+    except Exception as error:
+        refuse_image(call, source, error)
+    return texels if turn is None else np.ascontiguousarray(turn(texels))
 
 
 def as_texels(source: Any) -> NDArray[Any]:
     """Return an array-like as an array of texels; Pillow's images as `load_image` returns them."""
     library = sys.modules.get("PIL.Image")
     if library is None or not isinstance(source, library.Image):
-        return np.asarray(source)
+        return to_array(source)
     dtype = _DATA.get(source.mode)
     return np.array(source if dtype else source.convert("RGBA"), dtype)
 
@@ -122,20 +135,15 @@ def convert_to_image(format: Format, texels: NDArray[Any]) -> NDArray[Any] | Non
 def write_image(image: NDArray[Any], target: str | Path | BinaryIO, kind: str | None = None) -> None:
     """Write an image file in the format `kind`, or in that of the file's ending. Formats without alpha get
     the colors only."""
-    library = _import_pillow("Texture.save")
-    pillow_image = library.fromarray(image)
+    call = "Texture.save"
+    pillow_image = import_pillow(call).fromarray(image)
     suffix = "" if kind else Path(str(target)).suffix.lower()
     if suffix in (".jpg", ".jpeg", ".bmp"):
         pillow_image = pillow_image.convert("RGB")
     try:
         pillow_image.save(target, kind)
-    except ValueError as error:
-        refuse(IMAGE_FILE, "Texture.save", f"{target}: {error}", "a name with a known ending, such as .png")
-
-
-def _import_pillow(call: str) -> Any:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise DeviceError(IMAGE_LIBRARY, call, "Pillow is missing") from error
-    return Image
+    except Exception as error:
+        reason = str(error) if isinstance(error, OSError | ValueError) else f"{type(error).__name__}: {error}"
+        refuse(
+            IMAGE_FILE, call, f"{target}: {reason}", "a file in a folder, with a known ending such as .png"
+        )

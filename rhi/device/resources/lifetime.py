@@ -12,9 +12,10 @@ from typing import Protocol, Self
 
 from rhi.contract.descriptors import Id
 from rhi.device.core.core import Core, Owner, describe_object
+from rhi.errors.device_objects import DeviceObject
 
 
-class Resource:
+class Resource(DeviceObject):
     """A resource of the device, destroyed by `destroy` or at the end of a `with` block."""
 
     __slots__ = ()

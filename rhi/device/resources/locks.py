@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Access
 from rhi.device.core.core import Owner, describe_object
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
 
 
-class Lock:
+class Lock(DeviceObject):
     """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is
     read-only."""
 

@@ -30,14 +30,15 @@ from rhi.contract.descriptors import (
     VertexStream,
 )
 from rhi.contract.formats import IndexFormat
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.layout import VectorType
 from rhi.contract.limits import vertex_faults
 from rhi.device.core.core import Core, Owner
-from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.resources.buffers import Buffer, StorageBuffer
 from rhi.device.resources.lifetime import Resource
 from rhi.errors import Rule
 from rhi.errors.arguments import ArgumentChecker, to_integer
+from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
 VertexSource: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike] | Buffer
@@ -49,7 +50,7 @@ _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat
 
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
-class DrawableData:
+class DrawableData(DeviceObject):
     """The vertices that a `Drawable` and all its views share.
 
     Attributes:
@@ -287,7 +288,7 @@ def _format_text(form: VertexFormat) -> str:
     return f"{form.components}×{form.code}{' normalised' if form.normalized else ''}"
 
 
-class Drawable:
+class Drawable(DeviceObject):
     """Vertices that a draw can read: a `Mesh`, or a `TransientMesh`.
 
     A draw whose numbers reach beyond the vertices or instances is refused. Indices in a buffer, and arguments
@@ -686,7 +687,10 @@ def _has_finite_words(vertices: NDArray[Any]) -> bool:
 def _interleave(core: Core, arrays: Mapping[str, ArrayLike], rule: Rule, call: str) -> NDArray[Any]:
     check = ArgumentChecker(call, core.refuse, rule)
     columns = {check.text("attribute", name): check.array(name, values) for name, values in arrays.items()}
-    lengths = {len(values) if values.ndim else 0 for values in columns.values()}
+    for name, values in columns.items():
+        if not values.ndim:
+            check.fail(name, arrays[name], "an array with an element for each vertex")
+    lengths = set(map(len, columns.values()))
     if len(lengths) != 1:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
         core.refuse(rule, call, shapes or "no arrays", "arrays of equal length")
@@ -737,7 +741,8 @@ def match_indices(core: Core, source: ArrayLike, vertices: int, call: str) -> ND
     """Return indices of any integer dtype as (n,) uint16 or uint32.
 
     Raises:
-        ValidationError: `mesh-index` for an index that is neither below `vertices` nor restarts a strip.
+        ValidationError: `mesh-index` for an index that is neither below `vertices` nor restarts a strip, a
+            fan or quads.
     """
     array = ArgumentChecker(call, core.refuse).array("indices", source)
     if array.dtype.kind not in "iu" or not array.size:
@@ -756,6 +761,6 @@ def match_indices(core: Core, source: ArrayLike, vertices: int, call: str) -> ND
             MESH_INDEX,
             call,
             f"index {array[bad]} at {bad}",
-            f"0 to {vertices - 1}, or {restart} to restart a strip",
+            f"0 to {vertices - 1}, or {restart} to restart a strip, a fan or quads",
         )
     return np.ascontiguousarray(array, code)

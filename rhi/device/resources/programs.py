@@ -12,13 +12,15 @@ import keyword
 import warnings
 from collections.abc import Callable, Iterable
 from types import CodeType
-from typing import Any, Final, Generic, Protocol
+from typing import Any, Final, Generic, NoReturn, Protocol
 
 from typing_extensions import ParamSpec
 
+from rhi.contract.alternatives import ALTERNATIVES
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.limits import program_faults, range_faults, show_stages
+from rhi.contract.states import BlendFunction
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.timeline import Timeline
 from rhi.device.core.uniform_ring import UniformRing
@@ -30,6 +32,7 @@ from rhi.device.resources.textures import Texture
 from rhi.errors import ShaderWarning, ValidationError, rules
 from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.call_sites import CallSite, find_call_site
+from rhi.errors.device_objects import DeviceObject
 from rhi.shading import Precision, Shader, Struct
 from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
 
@@ -45,7 +48,7 @@ class DrawFunction(Protocol[P]):
         """Draw `mesh` with the program's bindings as keywords."""
 
 
-class Program(Generic[P]):
+class Program(DeviceObject, Generic[P]):
     """A shader on the device; created by `device.program`.
 
     Attributes:
@@ -99,10 +102,18 @@ class Program(Generic[P]):
         self._install_code(self._compile_code())
 
     def _compile_code(self) -> CodeType:
-        more = bool(self._left_out)
         return compile_draw_code(
-            self.name, self.descriptor.bindings, validates=self.core.validates, takes_more=more
+            self.name,
+            self.descriptor.bindings,
+            validates=self.core.validates,
+            takes_more=bool(self._left_out),
+            checks_aliases=self.must_check_aliases,
         )
+
+    @property
+    def must_check_aliases(self) -> bool:
+        """Whether the program writes memory that it may use only once."""
+        return self.descriptor.writes_memory and not self.core.capabilities.aliased_writes
 
     def _install_code(self, code: CodeType) -> None:
         functions = make_draw_code(code, self, self.descriptor.bindings)
@@ -168,13 +179,33 @@ class Program(Generic[P]):
             core.refuse(rules.DRAW_OUTSIDE_PASS, call, "no open pass")
         for buffer in mesh.buffers:
             core.check_usable(buffer, call)
-        for output, kind in zip(self.descriptor.outputs, core.target_kinds, strict=False):
+        targets = zip(core.target_kinds, core.target_channels, strict=True)
+        for output, (kind, channels) in zip(self.descriptor.outputs, targets, strict=False):
+            if output.components < channels and output.kind == kind:
+                core.refuse(
+                    rules.PROGRAM_OUTPUT,
+                    call,
+                    f"{output.name}: {output.components} components",
+                    f"{channels} or more, as target {output.location} has",
+                    "return a vec4: what the target lacks is dropped",
+                )
             if output.kind != kind:
                 core.refuse(
                     rules.PROGRAM_OUTPUT,
                     call,
                     f"{output.name}: {output.kind}",
                     f"{kind}, as target {output.location} is",
+                )
+
+        for index in core.unblendable_targets:
+            blends: Any = core.states.requested[BlendFunction]
+            blend = blends[index]
+            if not blend.is_off:
+                core.refuse(
+                    rules.DEVICE_CAPABILITY,
+                    call,
+                    f"{blend!r} on target {index}",
+                    "a format outside of capabilities.unblendable_formats, or no blending",
                 )
 
     def check_can_dispatch(self, subject: object = None) -> None:
@@ -191,10 +222,11 @@ class Program(Generic[P]):
             core.refuse(rules.PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
-        """Bind this program and make it the current one; while a resource is locked, none is current."""
+        """Bind this program and make it the current one; none is current while a resource is locked, or while
+        a pass has targets that can't blend, as each draw then checks everything."""
         core = self.core
         core.backend.bind_program(self.id)
-        core.program = None if core.locked else self
+        core.program = None if core.locked or core.unblendable_targets else self
 
     def prepare_draw(self, mesh: Drawable, instances: int) -> Callable[[int], object]:
         """Prepare the draw of a mesh that this program has not drawn yet, and keep it for the next one.
@@ -364,8 +396,40 @@ class Program(Generic[P]):
             self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {kind.name}", _expected_text(binding))
 
     def _check_feedback(self, texture: Texture, call: str) -> None:
-        if texture.id in self.core.targets:
-            self.core.refuse(rules.PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
+        core = self.core
+        if texture.id in core.targets:
+            core.refuse(rules.PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
+        resolved = (
+            [color.resolve for color in core.render_pass.colors] if core.render_pass is not None else []
+        )
+        if texture.id in resolved and not core.capabilities.resolve_feedback:
+            allowed = "another texture, without capabilities.resolve_feedback"
+            tip = ALTERNATIVES["resolve_feedback"]
+            core.refuse(
+                rules.PASS_FEEDBACK, call, f"{texture!r}, to which the open pass resolves", allowed, tip
+            )
+
+    def check_aliases(self, values: tuple[Any, ...], mesh: Drawable | None) -> None:
+        """Refuse memory that this program writes and uses a second time; `mesh` is None for a dispatch."""
+        bindings = self.descriptor.bindings
+        for binding, value in zip(bindings, values, strict=True):
+            if not binding.writes:
+                continue
+            for other, used in zip(bindings, values, strict=True):
+                if other is not binding and _is_alias(binding, value, other, used):
+                    self._refuse_alias(f"{binding.name}= and {other.name}=", value)
+            vertices = mesh.buffers if mesh is not None and binding.kind is BindingKind.STORAGE else ()
+            if any(buffer is value.owner for buffer in vertices):
+                self._refuse_alias(f"{binding.name}= and the mesh", value)
+
+    def _refuse_alias(self, uses: str, value: Any) -> NoReturn:
+        self.core.refuse(
+            rules.DEVICE_CAPABILITY,
+            f"draw or dispatch of program {self.name!r}",
+            f"{describe_object(value.owner)} as {uses}",
+            "memory that is written once, without capabilities.aliased_writes",
+            ALTERNATIVES["aliased_writes"],
+        )
 
     def explain(self, error: Exception, values: tuple[Any, ...], *meshes: object) -> Exception:
         """Return the refusal for the argument that caused a Python error in a generated function; without
@@ -419,6 +483,21 @@ class Program(Generic[P]):
         if mesh.instance_fields and instances:
             self._check_instance_end(mesh, instances)
         return int(instances)
+
+
+def _is_alias(written: Binding, value: Any, other: Binding, used: Any) -> bool:
+    """Whether two values of a program's bindings, of which the first is written, share memory."""
+    if written.kind is BindingKind.IMAGE:
+        if other.kind is not BindingKind.IMAGE or used.texture != value.texture or used.level != value.level:
+            return False
+        return value.layer is None or used.layer is None or value.layer == used.layer
+    if other.kind not in _RANGES or not isinstance(used, UniformRange | StorageRange):
+        return False
+    if used.buffer != value.buffer:
+        return False
+    return not other.writes or (
+        value.offset < used.offset + used.size and used.offset < value.offset + value.size
+    )
 
 
 def check_program(core: Core, program: object, call: str) -> None:

@@ -1,4 +1,4 @@
-"""Readbacks: futures of reads from textures and buffers.
+"""Readbacks: futures of reads from textures and buffers, to be polled, waited for or awaited.
 
 `Texture.read_async` and `Buffer.read_async` copy on the device, in the order of the commands, and return at
 once. So what is changed or destroyed afterwards doesn't affect the result.
@@ -6,17 +6,23 @@ once. So what is changed or destroyed afterwards doesn't affect the result.
 
 from __future__ import annotations
 
-from typing import Any
+import sys
+from collections.abc import Generator
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Id
 from rhi.device.core.core import Core
+from rhi.errors.device_objects import DeviceObject
+
+_FIRST_PAUSE: Final = 0.0002  # seconds
+_LONGEST_PAUSE: Final = 0.002
 
 
-class Readback:
-    """The future of a read: `done` polls, `result` waits.
+class Readback(DeviceObject):
+    """The future of a read: `done` polls, `result` waits, and `await` waits beside other tasks of asyncio.
 
     Attributes:
         fence: the fence value after which the result is available, as in `device.completed` and
@@ -28,6 +34,7 @@ class Readback:
         "_array",
         "_core",
         "_dtype",
+        "_lowest",
         "_memory",
         "_row_bytes",
         "_rows",
@@ -36,14 +43,22 @@ class Readback:
     )
 
     def __init__(
-        self, core: Core, dtype: np.dtype[Any], shape: tuple[int, ...], rows: int = 1, row_bytes: int = 0
+        self,
+        core: Core,
+        dtype: np.dtype[Any],
+        shape: tuple[int, ...],
+        rows: int = 1,
+        row_bytes: int = 0,
+        lowest: int | None = None,
     ) -> None:
-        """Prepare a read of an array, whose `rows` rows begin `row_bytes` apart."""
+        """Prepare a read of an array, whose `rows` rows begin `row_bytes` apart. Numbers below `lowest` are
+        read as `lowest`."""
         self._core = core
         self._dtype = dtype
         self._shape = shape
         self._rows = rows
         self._row_bytes = row_bytes
+        self._lowest = lowest
         self._array: NDArray[Any] | None = None
         self._memory: Id = 0
         self.fence = core.timeline.signalled
@@ -70,6 +85,23 @@ class Readback:
         assert self._array is not None
         return self._array
 
+    def __await__(self) -> Generator[Any, None, NDArray[Any]]:
+        """Wait for the array without blocking the event loop: `texels = await texture.read_async()`.
+
+        Under asyncio other tasks run meanwhile; without its loop, this waits as `result` does. The loop runs
+        on the device's thread.
+
+        Raises:
+            ValidationError: as `result`.
+        """
+        asyncio = sys.modules.get("asyncio")  # which runs no loop if nobody has imported it
+        if asyncio is not None and asyncio._get_running_loop() is not None:
+            pause = 0.0
+            while not self.done:
+                yield from asyncio.sleep(pause).__await__()
+                pause = min(pause + _FIRST_PAUSE, _LONGEST_PAUSE)
+        return self.result()
+
     def take_memory(self) -> Id:
         """Return the buffer that the device copies into."""
         self._memory = self._core.readbacks.take(self, self._rows * self._row_bytes)
@@ -81,6 +113,8 @@ class Readback:
 
     def complete(self, array: NDArray[Any]) -> None:
         """Set the result."""
+        if self._lowest is not None:
+            array = np.maximum(array, self._dtype.type(self._lowest))
         self._array = array.reshape(self._shape)
 
     def fetch(self) -> None:

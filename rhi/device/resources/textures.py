@@ -28,7 +28,7 @@ from rhi.contract.descriptors import (
     TextureDescriptor,
     TextureKind,
 )
-from rhi.contract.formats import Format
+from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.images import convert_to_image, write_image
@@ -37,6 +37,7 @@ from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors import rules
 from rhi.errors.arguments import ArgumentChecker, FieldChecker
+from rhi.errors.device_objects import DeviceObject
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 
 _LINEAR = SamplerDescriptor()
@@ -44,7 +45,7 @@ _NEAREST = SamplerDescriptor(minify=Filter.NEAREST, magnify=Filter.NEAREST, mip=
 
 
 @dataclass(frozen=True, slots=True)
-class Sampler:
+class Sampler(DeviceObject):
     """A sampler: filtering, wrapping and comparison of texture reads. Equal descriptors share one id."""
 
     id: Id
@@ -254,7 +255,7 @@ class Texture(TextureBinding, Resource):
         if self.format.components > 1:
             shape = (*shape, self.format.components)
         row_bytes = self._tight_row(where)
-        readback = Readback(core, self.format.dtype, shape, where.height, row_bytes)
+        readback = Readback(core, self.format.dtype, shape, where.height, row_bytes, _lowest(self.format))
         core.check_ready()
         if core.capabilities.texture_buffer_copies:
             core.backend.copy_texture_to_buffer(self.id, level, where, readback.take_memory(), 0, row_bytes)
@@ -341,7 +342,10 @@ class Texture(TextureBinding, Resource):
         self.core.backend.write_texture(self.id, level, region, data.reshape(-1).view(np.uint8).data)
 
     def generate_mipmaps(self) -> None:
-        """Generate mip levels 1… from level 0 (2×2 box filter, sRGB in linear light)."""
+        """Generate mip levels 1…, each from the one above, by a box filter in linear light.
+
+        A texel is the mean of all that it covers: 2 texels along an even axis, 3 along an odd one.
+        """
         self._generate_mipmaps(self.core)
 
     def _generate_mipmaps(self, core: Core) -> None:
@@ -566,7 +570,15 @@ class Texture(TextureBinding, Resource):
         self._check(call)
         self.core.require(call, limits.read_faults(self.requested, level, region, stencil))
         self.core.check_ready()
-        return self.core.backend.read_texture(self.id, level, region, stencil)
+        texels = self.core.backend.read_texture(self.id, level, region, stencil)
+        lowest = _lowest(self.format)
+        return texels if lowest is None else np.maximum(texels, texels.dtype.type(lowest))
+
+
+def _lowest(format: Format) -> int | None:
+    """Return the number that means −1 in a signed normalised format. The one below means it too, and some
+    drivers store that, so it is read as this one."""
+    return 1 - (1 << format.channel_bits[0] - 1) if format.kind is ChannelKind.SNORM else None
 
 
 def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rhi.contract import layout
 from rhi.contract.descriptors import Stage
 from rhi.errors import refuse
+from rhi.errors.arguments import to_little_endian
 from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
@@ -262,7 +263,7 @@ def storage_words(element: layout.HostType, value: Any, call: str) -> tuple[Arra
     if isinstance(value, int):
         whole = np.zeros((value, *shape), base)
     else:
-        whole = np.array(value, order="C")
+        whole = np.array(to_little_endian(np.asarray(value)), order="C")
         if whole.dtype != base or whole.shape[1:] != shape or whole.ndim < 1:
             refuse(
                 rules.WRONG_ARGUMENTS,

@@ -16,6 +16,10 @@ output filter sizeof cast namespace using main row_major packed hvec2 hvec3 hvec
 dvec3 dvec4 dmat2 dmat3 dmat4 vec2 vec3 vec4 ivec2 ivec3 ivec4 uvec2 uvec3 uvec4 bvec2 bvec3 bvec4 uint mat2
 mat3 mat4 mat2x2 mat2x3 mat2x4 mat3x2 mat3x3 mat3x4 mat4x2 mat4x3 mat4x4
 """
+_VULKAN: Final = """
+VULKAN sampler samplerShadow texture1D texture2D texture3D textureCube texture1DArray texture2DArray textureCubeArray
+texture2DMS textureBuffer subpassInput
+"""
 _FUNCTIONS: Final = """
 texture textureLod textureGrad textureGather texelFetch textureSize textureQueryLevels textureQueryLod
 textureProj textureOffset imageLoad imageStore imageSize imageAtomicAdd barrier memoryBarrier
@@ -50,3 +54,7 @@ RESERVED: Final = frozenset(
         ),
     ]
 )
+VULKAN_RESERVED: Final = RESERVED | {
+    f"{prefix}{word}" for prefix in ("", "i", "u") for word in _VULKAN.split()
+}
+"""Those of GLSL for Vulkan."""

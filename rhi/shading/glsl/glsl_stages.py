@@ -19,6 +19,7 @@ from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.text.names import Names
+from rhi.shading.text.stage_names import name_bindings, name_structs
 from rhi.shading.text.text_writer import constant_key, output_type
 
 _PACKED_IMAGES: Final = {
@@ -28,9 +29,13 @@ _PACKED_IMAGES: Final = {
 }
 
 
-def write_stage(stage: tree.StageTree, interface: Interface) -> StageText:
-    """Return the stage's complete GLSL 4.30 source."""
-    return StageWriter(stage, interface).write()
+def write_stage(stage: tree.StageTree, interface: Interface, exact: bool = False) -> StageText:
+    """Return the stage's complete GLSL 4.30 source.
+
+    Args:
+        exact: whether each operation of floats is rounded by itself (`rhi.shading.glsl.precise`).
+    """
+    return StageWriter(stage, interface, exact).write()
 
 
 class StageWriter:
@@ -38,15 +43,18 @@ class StageWriter:
 
     version = "#version 430 core"
     writer_type = Writer
+    reserved = RESERVED
 
-    def __init__(self, stage: tree.StageTree, interface: Interface) -> None:
+    def __init__(self, stage: tree.StageTree, interface: Interface, exact: bool = False) -> None:
         self.stage = stage
         self.interface = interface
-        self.names = Names(reserved=RESERVED)
-        for declaration in stage.bindings:
-            # Bindings are named first, because native code uses their Python names.
-            self.names.get(("binding", declaration.name), declaration.name)
+        self.names = Names(reserved=self.reserved)
+        # Bindings are named first, because native code uses their Python names.
+        name_bindings(self.names, stage, interface)
         self.writer = self.writer_type(self.names)
+        for declaration in stage.bindings:
+            self.name_parts(declaration)
+        self.writer.exact = exact
         if not any("glsl" in function.native for function in stage.functions):
             buffers = [
                 (each.name, each.type) for each in stage.bindings if isinstance(each.type, StorageType)
@@ -61,12 +69,10 @@ class StageWriter:
         """Return the stage's source."""
         stage, writer, add = self.stage, self.writer, self.lines.add
         # File-level names are assigned before those inside functions, which must not hide them.
-        for struct in stage.structs:
-            writer.type(struct)
+        name_structs(self.names, stage, self.interface)
         for constant in stage.constants:
             writer.expression(constant)
-        for function in stage.functions:
-            self.names.get(function, function.name)
+        self.names.get_all({function: function.name for function in stage.functions})
         for function in stage.functions:
             if function is not stage.entry or not self.whole:
                 writer.function(function)
@@ -129,7 +135,7 @@ class StageWriter:
     def _struct(self, struct: StructType) -> None:
         with self.lines.braces(f"struct {self.writer.type(struct)}", end="};"):
             for field in struct.fields:
-                self.lines.add(f"{self.writer.type(field.type)} {self.writer.field(field.name)};")
+                self.lines.add(f"{self.writer.type(field.type)} {self.writer.field(struct, field.name)};")
 
     def extension_of(self, builtin: Builtin) -> str:
         """Return the extension that a built-in needs, or ""."""
@@ -138,6 +144,12 @@ class StageWriter:
     def location(self, declaration: Declaration) -> str:
         """Return the layout qualifier with a binding's location."""
         return f"binding = {self.interface.bindings[declaration.name].slot}"
+
+    def name_parts(self, declaration: Declaration) -> None:
+        """Name what a binding consists of besides its name."""
+        if declaration.storage_class in (StorageClass.UNIFORM, StorageClass.STORAGE):
+            name = self.names.get(("binding", declaration.name), declaration.name)
+            self.names.get(("block", name), f"{name}_block")
 
     def binding(self, declaration: Declaration) -> None:
         """Write the declaration of a binding or of shared memory."""
@@ -189,6 +201,7 @@ class StageWriter:
         """Declare the stage's inputs. Return their GLSL names by field."""
         names: dict[str, str] = {}
         if self.stage.stage is Stage.VERTEX:
+            self.name_interface("in", "in_", [attribute.name for attribute in self.interface.attributes])
             for attribute in self.interface.attributes:
                 name = names[attribute.name] = self.interface_name("in", "in_", attribute.name)
                 self.lines.add(f"layout(location = {attribute.location}) in {attribute.type} {name};")
@@ -199,6 +212,7 @@ class StageWriter:
                 if isinstance(parameter.type, StructType)
                 for field in parameter.type.fields
             }
+            self.name_interface("in", "v_", [varying.name for varying in self.interface.varyings])
             for varying in self.interface.varyings:
                 if varying.name in used:
                     name = names[varying.name] = self.interface_name("in", "v_", varying.name)
@@ -212,10 +226,12 @@ class StageWriter:
         if self.stage.stage is Stage.VERTEX:
             # The same position code in two programs must give the same depth: a depth pre-pass relies on it.
             self.lines.add("invariant gl_Position;")
+            self.name_interface("out", "v_", [varying.name for varying in interface.varyings])
             for varying in interface.varyings:
                 name = names[varying.name] = self.interface_name("out", "v_", varying.name)
                 self._varying(varying, "out", name)
         elif self.stage.stage is Stage.FRAGMENT:
+            self.name_interface("out", "out_", [output.name for output in interface.outputs])
             for output in interface.outputs:
                 name = names[output.name] = self.interface_name("out", "out_", output.name)
                 self.lines.add(f"layout(location = {output.location}) out {output_type(output)} {name};")
@@ -225,6 +241,11 @@ class StageWriter:
         role = f"{varying.role.value} " if varying.role in (Role.FLAT, Role.NO_PERSPECTIVE) else ""
         type = self.writer.type(varying.type)
         self.lines.add(f"layout(location = {varying.location}) {role}{direction} {type} {name};")
+
+    def name_interface(self, direction: str, prefix: str, names: list[str]) -> None:
+        """Name all inputs or outputs, so that varyings have the same names in both stages."""
+        prefix = "" if self.whole else prefix
+        self.names.get_all({(direction, name): f"{prefix}{name}" for name in names})
 
     def interface_name(self, direction: str, prefix: str, name: str) -> str:
         """Return the GLSL name of an input or output. A whole native stage uses the names of the fields."""
@@ -266,23 +287,19 @@ class StageWriter:
                 return
             result = self.names.get("result", "result")
             self.lines.add(f"{self.writer.type(entry.result)} {result} = {call};")
-            field = (
-                (lambda name: f".{self.writer.field(name)}")
-                if isinstance(entry.result, StructType)
-                else _no_field
-            )
             if self.stage.stage is Stage.VERTEX:
-                self.lines.add(f"gl_Position = {result}{field(interface.position)};")
+                self.lines.add(f"gl_Position = {self._part(result, interface.position)};")
                 if interface.point_size:
-                    self.lines.add(f"gl_PointSize = max(1.0, {result}{field(interface.point_size)});")
+                    self.lines.add(f"gl_PointSize = max(1.0, {self._part(result, interface.point_size)});")
             elif interface.depth:
-                self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
+                self.lines.add(f"gl_FragDepth = {self._part(result, interface.depth)};")
             for name, output in outputs.items():
-                self.lines.add(f"{output} = {result}{field(name)};")
+                self.lines.add(f"{output} = {self._part(result, name)};")
 
-
-def _no_field(name: str) -> str:
-    return ""
+    def _part(self, result: str, name: str) -> str:
+        """Return a field of the stage's result, or the result itself if it is no struct."""
+        type = self.stage.entry.result
+        return f"{result}.{self.writer.field(type, name)}" if isinstance(type, StructType) else result
 
 
 def image_format(type: ImageType) -> str:

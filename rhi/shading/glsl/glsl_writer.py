@@ -12,16 +12,21 @@ import math
 from typing import Final
 
 from rhi.contract import layout
+from rhi.contract.descriptors import TextureKind
+from rhi.shading.glsl.precise import precise_locals, store_values
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.names import Names
-from rhi.shading.text.text_writer import TextWriter, int_text, is_plain, unknown_indices
+from rhi.shading.text.text_writer import TextWriter, int_text, is_nonzero, is_plain, unknown_indices
 
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {layout.FLOAT: "", layout.INT: "i", layout.UINT: "u"}
+_LAYER: Final = "vec3 rhi_layer(vec3 at) { return vec3(at.xy, clamp(floor(at.z + 0.5), 0.0, 65535.0)); }"
+_LEVELS: Final = {"sample_bias": 2, "sample_lod": 2, "sample_compare_lod": 3}
+"""The argument of a texture's method that is a level of detail, or is added to it."""
 _CONVERSIONS: Final = {
     layout.INT: "int rhi_to_int(float x) { return x >= 2147483648.0 ? 2147483647 : x > -2147483648.0 ? int(x) : "
     "isnan(x) ? 0 : (-2147483647 - 1); }",
@@ -43,10 +48,14 @@ class Writer(TextWriter):
     """Writer of the functions of one stage."""
 
     language = "glsl"
+    precise_parameters = True
+    """Whether parameters may be `precise`, so that what a call computes for them is exact."""
 
     def __init__(self, names: Names) -> None:
         super().__init__(names)
         self.by_columns: set[str] = set()  # storage buffers whose matrices are declared as their transposes
+        self.exact = False  # whether each operation of floats is rounded by itself
+        self._precise: set[tree.Local] = set()  # the variables of the current function that say so
 
     def expression(self, node: Expression) -> str:
         """Return an expression as text that needs no parentheses around it."""
@@ -59,7 +68,9 @@ class Writer(TextWriter):
                 return f"transpose({text})"
             case layout.StructType(fields=fields):
                 names = [
-                    self.field(field.name) for field in fields if isinstance(field.type, layout.MatrixType)
+                    self.field(node.type, field.name)
+                    for field in fields
+                    if isinstance(field.type, layout.MatrixType)
                 ]
                 body = " ".join(f"x.{name} = transpose(x.{name});" for name in names)
                 return f"{self.helper('rhi_rows', self.type(node.type), 'x', f'{body} return x;')}({text})"
@@ -69,7 +80,7 @@ class Writer(TextWriter):
         """Return the path to a part of a binding, a local or a value."""
         match node:
             case tree.Member(base=base, name=name):
-                return f"{self.path(base)}.{self.field(name)}"
+                return f"{self.path(base)}.{self.member(base, name)}"
             case tree.Index(base=base):
                 return f"{self.path(base)}[{self.index_text(node)}]"
         return super().expression(node)
@@ -114,15 +125,37 @@ class Writer(TextWriter):
         if unknown and name.startswith("atomic_"):
             return self.atomic(node, unknown)
         texts = [self.expression(argument) for argument in arguments]
+        if arguments and isinstance(arguments[0].type, TextureType):
+            self.bound_sample(node, texts)
         if name in _FIELDS:
             type = self.type(node.type)
             self.helpers[f"{name} {type}"] = f"{type} rhi_{name}({_FIELDS[name].replace('TYPE', type)}"
             return f"rhi_{name}({', '.join(texts)})"
+        if name == "pow":
+            return self.float_power(node.type, texts[0], texts[1], arguments[1])
+        if name == "atan2":
+            return f"{self.angle(node.type)}({', '.join(texts)})"
         if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
             return self.columns(arguments[0])
         if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
             return overload.glsl.format(*texts)
         return f"{overload.glsl}({', '.join(texts)})"
+
+    def bound_sample(self, node: tree.BuiltinCall, texts: list[str]) -> None:
+        """Bound what drivers convert to integers when they sample: the layer of a position, and the level of
+        detail.
+
+        They round layers as they like, and llvmpipe takes the first layer or level for numbers beyond 2³¹.
+        """
+        name, type = node.builtin.name, node.arguments[0].type
+        if not name.startswith(("sample", "gather")):
+            return
+        if isinstance(type, TextureType) and type.kind is TextureKind.D2_ARRAY:
+            self.helpers["rhi_layer"] = _LAYER
+            texts[1] = f"rhi_layer({texts[1]})"
+        level = _LEVELS.get(name)
+        if level is not None and not isinstance(node.arguments[level], tree.Constant):
+            texts[level] = f"min({texts[level]}, 1000.0)"
 
     def atomic(self, node: tree.BuiltinCall, unknown: list[tree.Index]) -> str:
         """Return a call of an atomic under the condition that its indices are inside, else 0.
@@ -148,7 +181,7 @@ class Writer(TextWriter):
 
     def outside(self, node: Expression) -> str:
         """Declare a variable of an expression's type outside all functions, and return its name."""
-        name = self.globals.get((node, "hoisted"), "rhi_hoisted")
+        name = self.names.get_outer((node, "hoisted"), "rhi_hoisted")
         self.helpers[name] = f"{self.type(node.type)} {name};"
         return name
 
@@ -170,7 +203,19 @@ class Writer(TextWriter):
 
     def parameter(self, local: tree.Local) -> str:
         """Return a parameter's declaration."""
-        return f"{self.type(local.type)} {self.names.get(local, local.name)}"
+        is_precise = self.exact and self.precise_parameters and scalar_of(local.type) is layout.FLOAT
+        precise = "precise " if is_precise else ""
+        return f"{precise}{self.type(local.type)} {self.names.get(local, local.name)}"
+
+    def prepare(self, node: tree.Function) -> tree.Block:
+        """Return the statements to write for a function, and note which variables are precise."""
+        body = store_values(node.body) if self.exact else node.body
+        self._precise = precise_locals(body) if self.exact else set()
+        return body
+
+    def local_type(self, local: tree.Local) -> str:
+        """Return the type of a local variable, with qualifiers."""
+        return f"{'precise ' if local in self._precise else ''}{self.type(local.type)}"
 
     def constant(self, node: tree.Constant) -> str:
         """Return a scalar literal."""
@@ -188,6 +233,27 @@ class Writer(TextWriter):
             return f"uintBitsToFloat({'0x7F800000u' if number > 0 else '0xFF800000u'})"
         text = repr(number)
         return text if math.copysign(1.0, number) > 0 else f"({text})"
+
+    def float_power(self, type: Type, base: str, text: str, exponent: Expression) -> str:
+        if is_nonzero(exponent):
+            return f"pow({base}, {text})"
+        name = self.type(type)
+        zeros = "y == 0.0 ? 1.0 : pow(x, y)"
+        if isinstance(type, layout.VectorType):
+            zeros = f"mix(pow(x, y), {name}(1.0), equal(y, {name}(0.0)))"
+        return f"{self.helper('rhi_pow', name, 'x y', f'return {zeros};')}({base}, {text})"
+
+    def angle(self, type: Type) -> str:
+        """Return the name of the function that computes the angle of (y, x), as C does for two zeros."""
+        body = (
+            "return x == 0.0 && y == 0.0 ? uintBitsToFloat((floatBitsToUint(y) & 0x80000000u) | "
+            "(floatBitsToUint(x) >> 31) * 0x40490FDBu) : atan(y, x);"
+        )
+        name = self.helper("rhi_atan2", "float", "y x", body)
+        if isinstance(type, layout.VectorType):
+            parts = ", ".join(f"{name}(y.{axis}, x.{axis})" for axis in "xyzw"[: type.size])
+            self.helper(name, self.type(type), "y x", f"return {self.type(type)}({parts});")
+        return name
 
     def integer_helper(self, node: tree.Binary, divide: bool) -> str:
         name = "rhi_floor_divide" if divide else "rhi_modulo"
@@ -236,7 +302,7 @@ class Writer(TextWriter):
 
     def declare(self, local: tree.Local, value: Expression | None, span: SourceSpan) -> None:
         """Write the declaration of a local variable."""
-        name, type = self.names.get(local, local.name), self.type(local.type)
+        name, type = self.names.get(local, local.name), self.local_type(local)
         if (
             isinstance(value, tree.Zeros)
             and isinstance(local.type, layout.ArrayType)

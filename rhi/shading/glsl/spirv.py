@@ -43,7 +43,12 @@ def compile_spirv(text: StageText, stage: Stage, name: str) -> StageText:
         path = Path(folder) / "stage.spv"
         arguments = ["-V", "--target-env", TARGET, "--stdin", "-S", _STAGES[stage], "-o", str(path)]
         done = subprocess.run(
-            [tool, *arguments], input=text.text, capture_output=True, text=True, env=environment_of(tool)
+            [tool, *arguments],
+            input=text.text,
+            capture_output=True,
+            text=True,
+            env=environment_of(tool),
+            encoding="utf-8",
         )
         if done.returncode == 0 and path.exists():
             return StageText(text.text, text.origins, path.read_bytes())

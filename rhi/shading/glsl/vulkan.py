@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.contract.descriptors import BindingKind, StageText
+from rhi.shading.glsl.glsl_names import VULKAN_RESERVED
 from rhi.shading.glsl.glsl_stages import StageWriter
 from rhi.shading.glsl.glsl_writer import Writer
 from rhi.shading.ir import tree
@@ -33,12 +34,14 @@ SETS: Final = {
 _INDICES: Final = {"vertex_index": "gl_VertexIndex", "instance_index": "gl_InstanceIndex"}
 
 
-def write_vulkan_stage(stage: tree.StageTree, interface: Interface) -> StageText:
-    """Return the stage's complete source in GLSL 4.50 for Vulkan."""
-    return _VulkanStageWriter(stage, interface).write()
+def write_vulkan_stage(stage: tree.StageTree, interface: Interface, exact: bool = False) -> StageText:
+    """Return the stage's complete source in GLSL 4.50 for Vulkan; see `write_stage`."""
+    return _VulkanStageWriter(stage, interface, exact).write()
 
 
 class _VulkanWriter(Writer):
+    precise_parameters = False  # glslang warns that it has no effect
+
     def builtin(self, node: tree.BuiltinCall) -> str:
         return _INDICES.get(node.builtin.name) or super().builtin(node)
 
@@ -84,7 +87,13 @@ class _VulkanWriter(Writer):
 class _VulkanStageWriter(StageWriter):
     version = "#version 450"
     writer_type = _VulkanWriter
+    reserved = VULKAN_RESERVED
     writer: _VulkanWriter
+
+    def name_parts(self, declaration: Declaration) -> None:
+        super().name_parts(declaration)
+        if declaration.storage_class is StorageClass.TEXTURE:
+            self.writer.texture_and_sampler_names(declaration.name, ("binding", declaration.name))
 
     def extension_of(self, builtin: Builtin) -> str:
         return "" if builtin.name in _INDICES else builtin.extension

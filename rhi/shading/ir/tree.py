@@ -313,7 +313,10 @@ Block: TypeAlias = list[Statement]
 
 @dataclass(slots=True, eq=False)
 class Function:
-    """A function with concrete types. A `native` body replaces `body` in its language."""
+    """A function with concrete types. A `native` body replaces `body` in its language.
+
+    `has_effect`: whether a call has side effects. `evaluates_effects`: whether an expression of the body has.
+    """
 
     name: str
     file: str
@@ -323,6 +326,7 @@ class Function:
     body: Block = field(default_factory=list)
     native: dict[str, Native] = field(default_factory=dict)
     has_effect: bool = False
+    evaluates_effects: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -408,11 +412,53 @@ def _returns(statement: Statement) -> bool:
     return any(isinstance(part, Return) for part in nodes.walk([statement]))
 
 
+def returns_everywhere(body: Block) -> bool:
+    """Return whether every path through a function's body ends in a `return`."""
+    match body:
+        case [*_, Return()]:
+            return True
+        case [*_, If(then=then, otherwise=otherwise)]:
+            return returns_everywhere(then) and returns_everywhere(otherwise)
+    return False
+
+
+def is_left(statement: Statement) -> bool:
+    """Return whether what follows a statement is never reached, because each path through it leaves the
+    block."""
+    match statement:
+        case Return() | Break() | Continue() | Discard():
+            return True
+        case If(then=then, otherwise=otherwise):
+            return any(map(is_left, then)) and any(map(is_left, otherwise))
+        case While(condition=Constant(value=value), body=body):
+            return bool(value) and not has_break(body)
+    return False
+
+
+def has_break(body: Block) -> bool:
+    """Return whether a loop with this body has a `break` of its own."""
+    return any(
+        isinstance(statement, Break)
+        or (isinstance(statement, If) and (has_break(statement.then) or has_break(statement.otherwise)))
+        for statement in body
+    )
+
+
 def root_of(lvalue: Expression) -> Expression:
     """Return the variable or binding that an lvalue belongs to."""
     while isinstance(lvalue, Member | Swizzle | Index):
         lvalue = lvalue.base
     return lvalue
+
+
+def indices_of(lvalue: Expression) -> list[Index]:
+    """Return the indices of an lvalue, in the order in which they are evaluated: innermost first."""
+    indices = []
+    while isinstance(lvalue, Member | Swizzle | Index):
+        if isinstance(lvalue, Index):
+            indices.append(lvalue)
+        lvalue = lvalue.base
+    return indices[::-1]
 
 
 def walk(block: Block) -> Iterator[Statement | Expression]:

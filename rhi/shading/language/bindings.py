@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from rhi.errors.device_objects import DeviceObject
 from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ReadOnlyArray
 
@@ -20,7 +21,7 @@ LANGUAGE_NAMES.update(("Storage", "StorageRW", "Uniform"))
 T = TypeVar("T")
 
 
-class UniformRange(Generic[T]):
+class UniformRange(DeviceObject, Generic[T]):
     """A range of a buffer that holds one `T` in std140 layout.
 
     Attributes:
@@ -44,7 +45,7 @@ class UniformRange(Generic[T]):
         return f"UniformRange({getattr(self.type, '__name__', self.type)}, {text})"
 
 
-class StorageRange(Generic[T]):
+class StorageRange(DeviceObject, Generic[T]):
     """A range of a buffer that holds `count` elements of type `T` in std430 layout; otherwise like
     `UniformRange`."""
 
@@ -65,7 +66,7 @@ class StorageRange(Generic[T]):
         return f"StorageRange({self.count} × {getattr(self.type, '__name__', self.type)}, {text})"
 
 
-class TextureBinding:
+class TextureBinding(DeviceObject):
     """The ids of a texture and of the sampler that reads it."""
 
     __slots__ = ("_owner", "sampler", "texture")
@@ -87,7 +88,7 @@ class TextureBinding:
         return f"TextureBinding({self._owner!r}, sampler {self.sampler})"
 
 
-class ImageBinding:
+class ImageBinding(DeviceObject):
     """A mip level of a texture, bound as an image: one layer of it, or all layers if `layer` is None."""
 
     __slots__ = ("layer", "level", "owner", "texture")

@@ -5,19 +5,25 @@
   and bases of a shader class, the body of a `@function`, the fields of a struct. Modules that imported a
   class, classes derived from it and programs made from it see the change, and types stay identical.
 - Constants and imports at the top level change in this module only: a number that another module imported
-  stays. Plain Python functions and classes stay, since their objects and callbacks are in use.
+  stays. Plain Python functions and classes stay, since their objects and callbacks are in use, with the
+  imports that they use.
 - A struct can't change once buffers or meshes use it, because their memory has the old layout.
+- A text that lacks all definitions, or a class that something uses, is refused: it was cut off, or saved
+  empty. Definitions that nothing uses may go. They are remembered, and are the same objects when they come
+  back.
 - `Edit.undo` restores everything, for an edit that doesn't compile.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from importlib.machinery import ModuleSpec
-from types import CellType, FunctionType, ModuleType
-from typing import Any, Final, NoReturn, TypeVar, cast, get_args, get_origin
+from types import CellType, CodeType, FunctionType, ModuleType
+from typing import Any, Final, NoReturn, TypeAlias, TypeVar, cast, get_args, get_origin
+from weakref import WeakKeyDictionary
 
 from rhi.contract.layout import ArrayType, HostType, StructType
 from rhi.errors import ShaderError
@@ -43,6 +49,11 @@ _UNEDITED: Final = frozenset(
 )
 """Attributes of a class that aren't part of its text, or are derived from the others."""
 
+_Definition: TypeAlias = "type[Shader] | type[Struct] | ShadingFunction[..., Any]"
+
+_removed: Final[WeakKeyDictionary[ModuleType, dict[tuple[str, str], Any]]] = WeakKeyDictionary()
+"""Definitions that the text of a module has lost, by their name and kind."""
+
 Undo = Callable[[], object]
 C = TypeVar("C")
 
@@ -57,13 +68,18 @@ class Edit:
         structs: the earlier types of changed structs.
     """
 
-    def __init__(self, module: ModuleType, text: str) -> None:
+    def __init__(
+        self, module: ModuleType, text: str, is_used: Callable[[type[Shader]], bool] = lambda _: False
+    ) -> None:
         """Execute the text and put it into the module.
+
+        Args:
+            is_used: whether programs use a shader class. Those of derived classes count, too.
 
         Raises:
             ShaderError: `shading-text`: the text isn't Python or raises an exception; `shading-reload`: the
-                text changes what can't change; or a class of the language refuses it. Nothing has changed
-                then.
+                text changes what can't change, or lacks what is in use; or a class of the language refuses
+                it. Nothing has changed then.
         """
         self.module = module
         self.file = file_of(module)
@@ -75,6 +91,7 @@ class Edit:
         try:
             beside = self._execute(text)
             self._exchanges = self._pair(beside)
+            self._check_removed(beside, is_used)
             self._put(beside)
         except BaseException:
             self.undo()
@@ -100,17 +117,58 @@ class Edit:
 
     def _pair(self, beside: ModuleType) -> dict[int, Any]:
         """Return the existing class or function for each new one, by the id of the new one."""
-        pairs: dict[int, Any] = {}
-        for name, new in vars(beside).items():
-            old = vars(self.module).get(name)
-            if old is None or not is_own(new, self.module) or not is_own(old, self.module):
-                continue
-            for kind in (Shader, Struct):
-                if _is_kind(new, kind) and _is_kind(old, kind):
-                    pairs[id(new)] = old
-            if isinstance(new, ShadingFunction) and isinstance(old, ShadingFunction):
-                pairs[id(new)] = old
-        return pairs
+        existing = {**_removed.get(self.module, {}), **_list_definitions(self.module)}
+        new = _list_definitions(beside)
+        aliases_first = sorted(new, key=lambda key: key[0] == _name_of(new[key]))
+        return {id(new[key]): existing[key] for key in aliases_first if key in existing}
+
+    def _check_removed(self, beside: ModuleType, is_used: Callable[[type[Shader]], bool]) -> None:
+        """Refuse a text without a definition that is in use, or without any; remember what else it lacks."""
+        before, after = _list_definitions(self.module), _list_definitions(beside)
+        paired = {id(value) for value in self._exchanges.values()}
+        lost = {key: value for key, value in before.items() if id(value) not in paired}
+        if before and not after:
+            self._refuse_removal("the text", "no shader, struct or function")
+        importers = self._list_importers(lost.values()) if lost else {}
+        for (name, _), value in lost.items():
+            user = importers.get(id(value), "")
+            if not user and isinstance(value, type) and issubclass(value, Shader):
+                user = self._describe_shader_use(value, is_used)
+            if user:
+                self._refuse_removal(name, f"it is gone; {user}")
+        remembered = _removed.setdefault(self.module, {})
+        self._undo.append(partial(_restore_dict, remembered, dict(remembered)))
+        remembered.update(lost)
+        for key, value in list(remembered.items()):
+            if id(value) in paired:
+                del remembered[key]
+
+    def _list_importers(self, values: Iterable[_Definition]) -> dict[int, str]:
+        """Return which definitions other modules have imported, by id, with the module."""
+        ids = set(map(id, values))
+        return {
+            id(value): f"{module.__name__} has imported it"
+            for module in list(sys.modules.values())
+            if isinstance(module, ModuleType) and module is not self.module
+            for value in list(vars(module).values())
+            if id(value) in ids
+        }
+
+    def _describe_shader_use(self, shader: type[Shader], is_used: Callable[[type[Shader]], bool]) -> str:
+        if is_used(shader):
+            return "programs are made of it"
+        for derived in _subclasses(shader):
+            if derived.__module__ != self.module.__name__:
+                return f"{derived.__module__}.{derived.__qualname__} is derived from it"
+            if is_used(derived) and self._is_current(derived):
+                return f"programs are made of {derived.__qualname__}, which is derived from it"
+        return ""
+
+    def _is_current(self, cls: type) -> bool:
+        """Whether a class isn't left over from a text that was refused, or that was copied into another."""
+        is_nested = "." in cls.__qualname__
+        is_elsewhere = cls.__module__ != self.module.__name__
+        return is_nested or is_elsewhere or any(value is cls for value in vars(self.module).values())
 
     def _translate(self, value: Any) -> Any:
         """Return an annotation or constant in which new classes are replaced by the existing ones."""
@@ -151,13 +209,15 @@ class Edit:
         for name, new in after.items():
             if name.startswith("__") and name.endswith("__") and name != "__doc__":
                 continue
-            plain = isinstance(new, FunctionType | type) and not _is_kind(new, (Shader, Struct))
-            if plain and is_own(new, module):
-                new = before.get(name, new)  # plain Python
+            old = before.get(name, new)
+            if self._is_plain(new) and not isinstance(old, ShadingFunction):
+                new = old
             self._set_name(name, self._exchanges.get(id(new), new))
+        used_names = _list_names_used(value for value in before.values() if self._is_plain(value))
         for name, old in before.items():
-            plain = isinstance(old, ModuleType | FunctionType | type) and not _is_kind(old, (Shader, Struct))
-            if name not in after and not name.startswith("__") and not plain:
+            is_submodule = isinstance(old, ModuleType) and old.__name__ == f"{module.__name__}.{name}"
+            stays = self._is_plain(old) or is_submodule or name in used_names or name.startswith("__")
+            if name not in after and not stays:
                 self._set_name(name, None, gone=True)
         exchanged = exchange_source(self._file)
         self._undo.append(lambda: exchange_source(exchanged, str(self._file)))
@@ -176,6 +236,11 @@ class Edit:
                 self._put_function(self._exchanges.get(id(new), new), new)
             elif _is_kind(new, Shader):
                 self._put_shader(self._exchanges.get(id(new), new), new)
+
+    def _is_plain(self, value: object) -> bool:
+        """Whether a value is a function or class of Python that the module defines: these stay."""
+        is_python = isinstance(value, FunctionType | type) and not _is_kind(value, (Shader, Struct))
+        return is_python and is_own(value, self.module)
 
     def _set_name(self, name: str, value: object, gone: bool = False) -> None:
         names = vars(self.module)
@@ -227,7 +292,7 @@ class Edit:
         changed = [(old, new) for old, new in pairs if old.shading_type != new.shading_type]
         types = [old.shading_type for old, _ in changed]
         for old, _ in changed:
-            user = _describe_use(old.shading_type, types)
+            user = self._describe_use(old.shading_type, types)
             if user:
                 self._refuse(f"struct {old.__name__}", f"other fields; {user}")
         self.structs.update(types)
@@ -238,6 +303,28 @@ class Edit:
             before = {name: vars(old)[name] for name in names if name in vars(old)}
             self._undo.append(partial(_set_members, old, before, names))
             _set_members(old, {name: vars(new)[name] for name in names if name in vars(new)}, names)
+
+    def _describe_use(self, type: StructType, changed: list[StructType]) -> str:
+        """Return a description of the memory that has the layout of a struct, or ""."""
+        for shader in filter(self._is_current, _subclasses(Shader)):
+            for declaration in shader._declared.values():
+                if _contains(declaration.type, type):
+                    return f"{shader.__name__}.{declaration.name} is a binding of it"
+            vertex = shader.__dict__.get("vertex")
+            annotations = getattr(vertex, "__annotations__", {})
+            for name, host in annotations.items():
+                if name != "return" and _is_kind(host, Struct) and _contains(host.shading_type, type):
+                    return f"{shader.__name__}.vertex reads vertices of it"
+        for struct in filter(self._is_current, _subclasses(Struct)):
+            if struct.shading_type not in changed and _contains(struct.shading_type, type):
+                return f"the struct {struct.__name__} contains it"
+        return ""
+
+    def _refuse_removal(self, call: str, actual: str) -> NoReturn:
+        """Refuse a text because of what it lacks, at its last line: there it may have been cut off."""
+        site = CallSite(str(self._file), max(len(self._file.lines), 1))
+        tip = "save the file whole again, or start the program again; until then the earlier text draws on"
+        raise ShaderError(rules.RELOAD, call, actual, tip=tip, site=site)
 
     def _refuse(self, call: str, actual: str) -> NoReturn:
         site = find_call_site()
@@ -268,6 +355,45 @@ def defines_shaders(module: ModuleType) -> bool:
         ) and python.__module__ == module.__name__:
             return True
     return False
+
+
+def _list_definitions(module: ModuleType) -> dict[tuple[str, str], Any]:
+    """Return the shaders, structs and functions of the language that a module itself defines, by their name
+    and kind."""
+    definitions: dict[tuple[str, str], Any] = {}
+    for name, value in list(vars(module).items()):
+        if is_own(value, module):
+            for kind in (Shader, Struct):
+                if _is_kind(value, kind):
+                    definitions[name, kind.__name__] = value
+            if isinstance(value, ShadingFunction):
+                definitions[name, "function"] = value
+    return definitions
+
+
+def _list_names_used(values: Iterable[object]) -> set[str]:
+    """Return the names that functions, and those of classes, look up: globals and attributes."""
+    names: set[str] = set()
+    waiting: list[object] = list(values)
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, type):
+            waiting += [getattr(member, "__func__", member) for member in vars(value).values()]
+        elif isinstance(value, FunctionType):
+            waiting.append(value.__code__)
+        elif isinstance(value, CodeType):
+            names.update(value.co_names)
+            waiting += value.co_consts
+    return names
+
+
+def _name_of(value: _Definition) -> str:
+    return value.python.__name__ if isinstance(value, ShadingFunction) else value.__name__
+
+
+def _restore_dict(target: dict[Any, Any], before: dict[Any, Any]) -> None:
+    target.clear()
+    target.update(before)
 
 
 def _is_kind(value: object, kind: type | tuple[type, ...]) -> bool:
@@ -322,23 +448,6 @@ def _recollect_bindings(cls: type[Shader], names: dict[str, Any]) -> None:
         for base in reversed(derived.__mro__[1:]):
             inherited.update(base.__dict__.get("_declared", {}))
         derived._declared = {**inherited, **own}
-
-
-def _describe_use(type: StructType, changed: list[StructType]) -> str:
-    """Return a description of the memory that has the layout of a struct, or ""."""
-    for shader in _subclasses(Shader):
-        for declaration in shader._declared.values():
-            if _contains(declaration.type, type):
-                return f"{shader.__name__}.{declaration.name} is a binding of it"
-        vertex = shader.__dict__.get("vertex")
-        annotations = getattr(vertex, "__annotations__", {})
-        for name, host in annotations.items():
-            if name != "return" and _is_kind(host, Struct) and _contains(host.shading_type, type):
-                return f"{shader.__name__}.vertex reads vertices of it"
-    for struct in _subclasses(Struct):
-        if struct.shading_type not in changed and _contains(struct.shading_type, type):
-            return f"the struct {struct.__name__} contains it"
-    return ""
 
 
 def _contains(type: Any, part: HostType) -> bool:

@@ -101,6 +101,7 @@ LANGUAGE: Final = Rule("shading-language", "the name of a device language is tak
 SPIRV: Final = Rule("shading-spirv", "a stage can't be compiled to SPIR-V")
 STRUCT: Final = Rule("shading-struct", "a struct is not valid here")
 STRUCT_VALUE: Final = Rule("shading-struct-value", "a value doesn't match the field of a struct")
+VECTOR_VALUE: Final = Rule("shading-vector-value", "these numbers don't form this vector or matrix")
 DEVICE_ONLY: Final = Rule(
     "shading-device-only",
     "shading functions run on the device, inside shaders",

@@ -90,7 +90,7 @@ class Shader:
 
     Attributes:
         work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
-        precision: accuracy of some functions on OpenCL. Other backends compute them in one way only.
+        precision: accuracy of some functions on OpenCL, and of sums of several operations in GLSL.
         checked: test every index and every `uniform(x)` on the device where it is used, and raise an error
             with the Python line for a fault. Works on NumPy and on OpenCL, where it waits for each dispatch
             and each batch of draws. Costs nothing when off. `RHI_SHADING_CHECKED=1` in the environment turns

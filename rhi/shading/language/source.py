@@ -18,6 +18,7 @@ import ast
 import builtins
 import contextlib
 import linecache
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -52,6 +53,7 @@ class SourceFile(str):
             tree = ast.parse("".join(self.lines), self)
         except SyntaxError:
             return {}
+        mangle_private_names(tree, "".join(self.lines))
         functions: dict[int, ast.FunctionDef] = {}
         stack: list[ast.AST] = [tree]
         while stack:
@@ -61,6 +63,39 @@ class SourceFile(str):
                 functions[first] = node
             stack.extend(child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt))
         return functions
+
+
+_PRIVATE: Final = re.compile(r"(?<!\w)__(?!\w*__(?!\w))\w")
+"""The beginning of a name that Python mangles in classes."""
+
+
+def mangle_name(name: str, cls: str) -> str:
+    """Return the name that Python gives a private name (`__x`) in the body of a class; other names as they
+    are."""
+    owner = cls.lstrip("_")
+    return f"_{owner}{name}" if owner and name.startswith("__") and not name.endswith("__") else name
+
+
+def mangle_private_names(tree: ast.AST, text: str) -> None:
+    """Mangle the private names in all classes of a syntax tree, as Python's compiler does.
+
+    Names of keyword arguments and of functions stay, as in Python's code objects.
+    """
+    if not _PRIVATE.search(text):
+        return
+    stack = [(tree, "")]
+    while stack:
+        node, cls = stack.pop()
+        match node:
+            case ast.Name():
+                node.id = mangle_name(node.id, cls)
+            case ast.Attribute():
+                node.attr = mangle_name(node.attr, cls)
+            case ast.arg():
+                node.arg = mangle_name(node.arg, cls)
+        for child in ast.iter_child_nodes(node):
+            inside = isinstance(node, ast.ClassDef) and child in node.body
+            stack.append((child, node.name if inside and isinstance(node, ast.ClassDef) else cls))
 
 
 INVALIDATION_CALLBACKS: Final[list[Callable[[], object]]] = []

@@ -19,11 +19,14 @@ from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Final, NoReturn, get_args, get_origin
 
 import numpy as np
+from numpy.typing import NDArray
 from typing_extensions import dataclass_transform
 
 from rhi.contract.layout import (
     BOOL,
     FLOAT,
+    INT,
+    UINT,
     ArrayType,
     Field,
     HostType,
@@ -38,7 +41,8 @@ from rhi.contract.layout import (
     scalar_offsets,
     shape_of,
 )
-from rhi.errors import RhiError, ShaderError, refuse
+from rhi.errors import RhiError, ShaderError, describe_value, refuse
+from rhi.errors.array_likes import TOO_LARGE, check_order, to_real, to_real_array
 from rhi.errors.call_sites import find_call_site
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
@@ -49,8 +53,8 @@ from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
 LANGUAGE_NAMES.add("Struct")
 
-_TOO_LARGE: Final = 3.4028235677973366e38
-"""Smallest magnitude that rounds to infinity in a 32-bit float."""
+_MAX_TEXT: Final = 80
+"""Characters of a refused value in a message."""
 
 MAX_DEPTH: Final = 32
 """The maximum nesting of structs."""
@@ -266,19 +270,22 @@ def _convert_field(owner: str, field: Field, value: Any) -> Any:
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, RhiError):
             raise
-        refuse(
-            rules.STRUCT_VALUE,
-            f"{owner}({field.name}=…)",
-            f"{type(value).__name__} of shape {np.shape(value)}" if not np.isscalar(value) else repr(value),
-            f"{field.type}, shape {shape_of(field.type)}",
-        )
+        allowed = f"{field.type}, shape {shape_of(field.type)}: {error}"
+        refuse(rules.STRUCT_VALUE, f"{owner}({field.name}=…)", _describe(value), allowed)
+
+
+def _describe(value: Any) -> str:
+    """Describe a refused value by its shape, or by what it is."""
+    if isinstance(value, np.ndarray):
+        return f"{type(value).__name__} of {value.dtype}, shape {value.shape}"
+    text = describe_value(value)
+    return text if len(text) <= _MAX_TEXT else f"{type(value).__name__} {text[:_MAX_TEXT]}…"
 
 
 def _converted(type: HostType, value: Any) -> Any:
     match type:
         case ScalarType(name=name):
-            if not isinstance(value, int | float) and np.ndim(value):
-                raise ValueError("expected a scalar")
+            value = value if value.__class__ is str else to_real(value)  # float parses text
             if name in ("int", "uint"):
                 number = int(value)
                 if number != value:
@@ -288,32 +295,53 @@ def _converted(type: HostType, value: Any) -> Any:
             if type is BOOL:
                 return bool(value)
             real = float(value)
-            if math.isfinite(real) and abs(real) >= _TOO_LARGE:
+            if math.isfinite(real) and abs(real) >= TOO_LARGE:
                 raise OverflowError("out of range for a 32-bit float")
             return real
         case VectorType(scalar=scalar, size=size):
+            check_order(value)
+            if isinstance(value, (str, bytes, bytearray)):
+                raise TypeError("text has no numbers")
             if len(value) != size:
                 raise ValueError("wrong shape")
-            return CLASSES[scalar, size](*[_converted(scalar, component) for component in value])
+            return CLASSES[scalar, size](*[_converted(scalar, to_real(component)) for component in value])
         case MatrixType(size=size):
-            if np.shape(value) != (size, size):
+            matrix = to_real_array(value)
+            if matrix.shape != (size, size):
                 raise ValueError("wrong shape")
-            return CLASSES[size](np.asarray(value, "f4"))
+            return CLASSES[size](_convert_numbers(matrix, FLOAT))
         case StructType():
             if not isinstance(value, Struct) or value.shading_type != type:
                 raise TypeError(f"expected a {type.name}")
             return value
         case ArrayType(element=element, length=length):
+            check_order(value)
             if isinstance(_innermost(type), StructType):
                 if len(value) != length:
                     raise ValueError("wrong length")
                 return tuple(_converted(element, part) for part in value)
-            array = np.asarray(value)
+            array = to_real_array(value)
             if array.shape != shape_of(type):
                 raise ValueError("wrong shape")
             inner = _innermost(type)
-            component = FLOAT if isinstance(inner, MatrixType) else scalar_of(inner)
-            return np.array(array, (component.code if component is not None else "") or "?")
+            return _convert_numbers(array, FLOAT if isinstance(inner, MatrixType) else scalar_of(inner))
+
+
+def _convert_numbers(array: NDArray[Any], scalar: ScalarType | None) -> NDArray[Any]:
+    """Convert real numbers to a scalar type, whole ones exactly; raise OverflowError or ValueError if it
+    can't hold one."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        numbers = np.array(array, (scalar.code if scalar is not None else "") or "?")
+        if scalar is FLOAT and (np.isinf(numbers) & np.isfinite(array)).any():
+            raise OverflowError("out of range for a 32-bit float")
+        if (
+            scalar in (INT, UINT)
+            and not (
+                (numbers == array) & ((numbers < 0) == (array < 0))  # a sign may be lost on the way
+            ).all()
+        ):
+            raise ValueError(f"expected whole numbers in the range of {scalar}")
+    return numbers
 
 
 def _innermost(type: HostType) -> HostType:

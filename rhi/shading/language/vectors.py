@@ -18,6 +18,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
+from rhi.errors import ShaderError, describe_value
+from rhi.errors.array_likes import TOO_LARGE, to_real, to_real_array
+from rhi.shading.language.rules import VECTOR_VALUE
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS
 
 __all__ = sorted(
@@ -43,12 +46,22 @@ class Composite:
     convert: ClassVar[Callable[[Any], Any]]
 
     def __init__(self, *parts: object) -> None:
+        try:
+            self.components = self._read(parts)
+        except (TypeError, ValueError, OverflowError) as error:
+            call = f"{type(self).__name__}({', '.join(map(describe_value, parts))})"
+            raise ShaderError(VECTOR_VALUE, call, str(error)) from None
+
+    def _read(self, parts: tuple[object, ...]) -> tuple[Any, ...]:
+        """Return the components that these numbers and sequences have together."""
         flat: list[Any] = []
         for part in parts:
             if isinstance(part, int | float):
                 flat.append(part)
+            elif hasattr(part, "__len__"):
+                flat.extend(to_real_array(part).ravel().tolist())
             else:
-                flat.extend(np.ravel(np.asarray(part)).tolist())
+                flat.append(to_real(part))
         size, count = self.shape[0], math.prod(self.shape)
         if len(flat) == 1:
             # A single number is copied to all components, or to a matrix's diagonal.
@@ -58,7 +71,10 @@ class Composite:
             )
         if len(flat) != count:
             raise TypeError(f"{type(self).__name__} has {count} components, not {len(flat)}")
-        self.components = tuple(map(self.convert, flat))
+        components = tuple(map(self.convert, flat))
+        if self.convert is float and any(TOO_LARGE <= abs(number) < math.inf for number in components):
+            raise OverflowError("out of range for a 32-bit float")
+        return components
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
         code = getattr(self.shading_type, "scalar", FLOAT).code or "?"

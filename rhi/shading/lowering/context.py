@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -29,6 +30,16 @@ from rhi.shading.lowering.lvalues import Home, Slot
 R = TypeVar("R")
 
 _UNKNOWN: Final = (lanes.Uniformity.DISPATCH, 0)
+
+_MACROS: Final = (
+    "M_PI_2",
+    "M_PI_4",
+    "M_SQRT1_2",
+    *(f"CL_VERSION_{n}" for n in ("1_0", "1_1", "1_2", "2_0", "3_0")),
+)
+"""Macros of OpenCL C whose names end like those of variables."""
+_HELPER: Final = re.compile(r"rhi_(power|(load|store|scatter)_(global|local|constant|private)(_\d+|_of)*)")
+"""The beginnings of the names of helper functions in OpenCL C that end like those of variables."""
 
 HEAVY: Final = 24
 """A masked block with more statements than this is skipped if no lane is active, even if it accesses no
@@ -85,6 +96,7 @@ class Lowering:
         joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and
             strides found so far, in all runs.
         memories: the memory that the code accesses, by the names of bindings; constant arrays by a key.
+        reserved: names that variables must not have.
         assumptions: the first assumption of this run about each key. Later ones, and the result, are never
             below it.
     """
@@ -119,6 +131,7 @@ class Lowering:
         self.may_discard = may_discard
         self.joined: dict[object, tuple[lanes.Uniformity, int]] = {}
         self.memories: dict[object, lanes.MemoryRegion] = {}
+        self.reserved = set(_MACROS)
         self.start()
 
     def run_to_fixpoint(self, run: Callable[[], R]) -> R:
@@ -136,6 +149,7 @@ class Lowering:
         self.assumptions: dict[object, tuple[lanes.Uniformity, int]] = {}
         self.block: lanes.Block = []
         self.count = 0
+        self.names: set[str] = set()  # of variables and private memory
         self.span = SourceSpan(0)
         self.jump_pending = False  # a jump narrowed masks: test whether a lane is still active
         self.returns = 0  # the number of returns that narrowed masks
@@ -227,8 +241,16 @@ class Lowering:
 
     def variable(self, name: str, kind: ScalarType, uniformity: lanes.Uniformity) -> lanes.Variable:
         """Return a new variable with a unique name."""
+        return lanes.Variable(self.new_name(name), kind, uniformity)
+
+    def new_name(self, name: str) -> str:
+        """Return a unique name for a variable or for private memory."""
+        name = f"x_{name}" if _HELPER.fullmatch(name) else name
         self.count += 1
-        return lanes.Variable(f"{name}_{self.count}", kind, uniformity)
+        while f"{name}_{self.count}" in self.reserved:
+            self.count += 1
+        self.names.add(f"{name}_{self.count}")
+        return f"{name}_{self.count}"
 
     def let(self, value: lanes.Value, name: str = "t") -> lanes.Value:
         """Return the value as a named variable, unless it is a constant or a name already."""

@@ -13,7 +13,7 @@ from rhi.contract.layout import BOOL, INT, ScalarType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.faults import ENDLESS
 from rhi.shading.language import rules
-from rhi.shading.language.types import VOID, TextureType
+from rhi.shading.language.types import VOID, TextureType, VoidType
 from rhi.shading.lowering import expressions
 from rhi.shading.lowering.builtins import lanes_from, lower_builtin
 from rhi.shading.lowering.components import all_kinds
@@ -146,6 +146,9 @@ def inline(
         results = [read_home(lowering, slot, None) for slot in frame.results]
     else:
         lowering.block.extend(block)
+        if not results and not isinstance(function.result, VoidType):
+            # Each path ends in a discard or an endless loop: nothing sees the value.
+            results = [lanes.literal(0, kind) for kind in all_kinds(function.result)]  # type: ignore[arg-type]
     if lowering.discards > discards:  # these lanes leave the caller, too
         lowering.jump_pending = True
         lowering.frame.return_uniformity = max(lowering.frame.return_uniformity, lowering.discarded)

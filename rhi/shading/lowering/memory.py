@@ -202,7 +202,10 @@ def constant_region(lowering: Lowering, node: tree.ConstantArray) -> MemoryRegio
     if key not in lowering.memories:
         values = [value for element in node.elements for value in lowering.lower(element)]
         numbers = tuple(value.value for value in values if isinstance(value, Literal))
-        name = f"constant_{len(lowering.memories)}"
+        count = len(lowering.memories)
+        while (name := f"constant_{count}") in lowering.names or name in lowering.reserved:
+            count += 1
+        lowering.reserved.add(name)
         lowering.memories[key] = MemoryRegion(
             name, AddressSpace.CONSTANT, 1, len(values), kind=values[0].kind, values=numbers
         )
@@ -299,9 +302,9 @@ def declare(lowering: Lowering, local: tree.Local, values: list[Value] | None, z
         key = (path, id(local), i)
         if count:
             uniformity = private_uniformity(lowering, key)
-            lowering.count += 1
-            name = f"{local.name}_{lowering.count}"
-            memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, uniformity)
+            memory = MemoryRegion(
+                lowering.new_name(local.name), AddressSpace.PRIVATE, 1, count, True, kind, uniformity
+            )
             lowering.private[id(memory)] = (key, lowering.scope)
             lowering.emit(lanes.DeclareMemory(lowering.line, memory, zeros))
             homes.append(memory)

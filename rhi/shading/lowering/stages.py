@@ -71,6 +71,8 @@ def lower_stage(
         arguments, words = _vertex_arguments(stage, interface), _vertex_words(stage, interface, varyings)
     else:
         arguments, words = _fragment_arguments(stage, varyings), _fragment_words(stage, interface)
+    if not width:  # in OpenCL C they are elements of arrays
+        lowering.reserved |= {value.name for value in arguments if isinstance(value, lanes.Argument)}
     results = lowering.run_to_fixpoint(lambda: _lower(lowering, stage.entry, arguments))
     outputs = [(word, value) for word, value in zip(words, results, strict=True) if word is not None]
     depth = [value for word, value in outputs if word == _DEPTH]

@@ -18,6 +18,7 @@ from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
 from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import refuse
+from rhi.errors.arguments import to_little_endian
 from rhi.shading.ir.texture_words import anisotropy_of, border_color, has_fixed_depth
 from rhi.shading.language import rules
 from rhi.shading.numpy.runtime import clamp
@@ -391,7 +392,7 @@ class HostTexture:
 
 
 def _layered(level: Array, format: Format) -> Array:
-    array = np.array(level, order="C")
+    array = np.array(to_little_endian(np.asarray(level)), order="C")
     if array.ndim == 2 and format.components == 1:
         array = array[None, :, :, None]
     elif array.ndim == 3:

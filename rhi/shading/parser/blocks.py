@@ -98,6 +98,6 @@ def finish(block: BlockBuilder) -> tree.Block:
                 statement.body = finish(body)
         if not isinstance(statement, Splice):
             result.append(statement)
-        if result and isinstance(result[-1], tree.Return | tree.Break | tree.Continue):
+        if result and tree.is_left(result[-1]):
             break  # the statements behind it are unreachable
     return result

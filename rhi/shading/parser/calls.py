@@ -105,7 +105,7 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
     types = tuple(argument.type for argument in arguments)
     function = parser.stage.instance(callee, types, node, parser.source)
     if function.has_effect:
-        parser.mark_effect()
+        parser.mark_effect(is_evaluated=True)
     return tree.Call(function.result, span_of(node), function, arguments)
 
 
@@ -195,7 +195,7 @@ def _call_builtin(
                 rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant"
             )
     if row.effect is SideEffect.BARRIER or row.effect is SideEffect.WRITE:
-        parser.mark_effect()
+        parser.mark_effect(is_evaluated=True)
     return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 
 

@@ -374,9 +374,10 @@ class FunctionParser:
     def append(self, statement: tree.Statement) -> None:
         self.blocks[-1].append(statement)
 
-    def mark_effect(self) -> None:
-        """Record that the function has side effects."""
+    def mark_effect(self, is_evaluated: bool = False) -> None:
+        """Record that the function has side effects, and whether an expression has one."""
         self.function.has_effect = True
+        self.function.evaluates_effects |= is_evaluated
 
 
 def _conversion_tip(source: Type, target: Type) -> str:

@@ -21,6 +21,7 @@ from rhi.shading.language.source import refuse_at, source_of
 from rhi.shading.language.types import StorageType, Type, count_scalars, has_array
 from rhi.shading.parser.context import StageParser
 from rhi.shading.parser.dispatch import PARSERS
+from rhi.shading.parser.operand_order import order_operands
 from rhi.shading.parser.ranges import prove_indices
 from rhi.shading.parser.signatures import Callee, UnsizedArray
 
@@ -39,6 +40,7 @@ def parse_stage(shader: type[Shader], stage: Stage, entry: Callee) -> tree.Stage
         types.append(parameter.type)
     parser = StageParser(shader, stage, PARSERS)
     function = parser.parse_entry(entry, tuple(types))
+    order_operands(parser.finished)
     prove_indices(parser.finished, work_group_size(shader))
     return _collect(stage, function, parser.finished, shader)
 
@@ -53,6 +55,7 @@ def parse_function(function: FunctionType) -> tree.Function:
         types.append(parameter.type)
     parser = StageParser(Shader, Stage.COMPUTE, PARSERS)
     parsed = parser.parse_entry(callee, tuple(types))
+    order_operands(parser.finished)
     prove_indices(parser.finished)
     return parsed
 

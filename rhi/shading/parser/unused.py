@@ -21,7 +21,7 @@ from rhi.errors.call_sites import CallSite
 from rhi.shading.language import rules
 from rhi.shading.language.function import NATIVE
 from rhi.shading.language.shader import Shader
-from rhi.shading.language.source import SourceSpan, show, source_of, span_of
+from rhi.shading.language.source import SourceSpan, mangle_name, show, source_of, span_of
 
 _warned: dict[Any, Any] = {}
 """The registry in which `warnings` records the lines that it has warned of."""
@@ -90,6 +90,6 @@ def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple
                     if isinstance(statement, ast.Assign)
                     else [getattr(statement, "target", None)]
                 )
-                if any(isinstance(target, ast.Name) and target.id == name for target in targets):
+                if any(isinstance(t, ast.Name) and mangle_name(t.id, node.name) == name for t in targets):
                     return file, span_of(statement)
     return file, SourceSpan(method.__code__.co_firstlineno)

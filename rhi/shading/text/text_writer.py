@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import ClassVar, Final
 
 from rhi.contract.descriptors import FragmentOutput
-from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ArrayType, HostType, MatrixType
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ArrayType, HostType, MatrixType, StructType
 from rhi.shading.ir import tree
 from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.ir.tree import Expression, Operator
@@ -90,6 +90,10 @@ class TextWriter:
         """Return a value of this type whose components are all zero."""
         raise NotImplementedError
 
+    def float_power(self, type: Type, base: str, text: str, exponent: Expression) -> str:
+        """Return `pow` of floats, which is 1 where the exponent is 0. `text` is that of the exponent."""
+        raise NotImplementedError
+
     def integer_helper(self, node: tree.Binary, divide: bool) -> str:
         """Return the name of the function that divides ints, rounding towards minus infinity."""
         raise NotImplementedError
@@ -107,6 +111,7 @@ class TextWriter:
     def __init__(self, names: Names) -> None:
         self.globals = names
         self.names = Names(names)
+        self._fields: dict[int, tuple[StructType, dict[str, str]]] = {}  # by identity: hashes take longer
         self.helpers: dict[str, str] = {}
         self.lines = Lines()
         self.file = ""
@@ -116,10 +121,19 @@ class TextWriter:
             tree.Index, str
         ] = {}  # the texts of a write's indices, which are inside where they are used
 
-    def field(self, name: str) -> str:
-        """Return a struct field's name. Each struct is its own namespace, so the name only needs to be
-        legal."""
-        return self.globals.legal(name)
+    def field(self, struct: StructType, name: str) -> str:
+        """Return the name of a struct's field, unique in the struct, which is a namespace of its own."""
+        entry = self._fields.get(id(struct))
+        if entry is None:
+            fields = [field.name for field in struct.fields]
+            texts = self.globals.apart().get_all(dict(zip(fields, fields, strict=True)))
+            entry = self._fields[id(struct)] = struct, dict(zip(fields, texts, strict=True))
+        return entry[1][name]
+
+    def member(self, base: Expression, name: str) -> str:
+        """Return the name of a field of a struct's value."""
+        assert isinstance(base.type, StructType)
+        return self.field(base.type, name)
 
     def expression(self, node: Expression) -> str:
         """Return an expression as text that needs no parentheses around it."""
@@ -135,7 +149,7 @@ class TextWriter:
             case tree.ConstantArray(name=name):
                 return self.globals.get(("constant", constant_key(node)), name)
             case tree.Member(base=base, name=name):
-                return f"{self.expression(base)}.{self.field(name)}"
+                return f"{self.expression(base)}.{self.member(base, name)}"
             case tree.Swizzle(base=base, components=components):
                 return f"{self.expression(base)}.{''.join('xyzw'[index] for index in components)}"
             case tree.Index():
@@ -273,7 +287,8 @@ class TextWriter:
         """Return `**`: multiplications for a constant integer exponent, else pow."""
         exponent = node.right
         if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
-            return f"pow({base}, {self.widened(node, exponent, self.expression(exponent))})"
+            text = self.widened(node, exponent, self.expression(exponent))
+            return self.float_power(node.type, base, text, exponent)
         count, type = int(exponent.value), self.type(node.type)
         unit = {FLOAT: "1.0", INT: "1", UINT: "1u"}[scalar_of(node.type) or FLOAT]
         if count == 1:
@@ -319,9 +334,9 @@ class TextWriter:
                 self.condition(node, "")
             case tree.For():
                 self.loop(node)
-            case tree.While(condition=condition, body=body):
+            case tree.While(condition=condition):
                 with self.lines.braces(f"while ({self.expression(condition)})", self.file, span.line):
-                    self.loop_body(body)
+                    self.loop_body(node)
             case tree.Break():
                 self.line("break;", span)
             case tree.Continue():
@@ -353,7 +368,11 @@ class TextWriter:
     def declare(self, local: tree.Local, value: Expression | None, span: SourceSpan) -> None:
         """Write the declaration of a local variable."""
         name, text = self.names.get(local, local.name), self.expression(value) if value is not None else ""
-        self.line(f"{self.variable(self.type(local.type), name, text)};", span)
+        self.line(f"{self.variable(self.local_type(local), name, text)};", span)
+
+    def local_type(self, local: tree.Local) -> str:
+        """Return the type of a local variable, with qualifiers."""
+        return self.type(local.type)
 
     def condition(self, node: tree.If, before: str) -> None:
         """Write `if`, `else if` and `else`."""
@@ -392,12 +411,12 @@ class TextWriter:
     def repeat(self, node: tree.For, start: str, test: str, advance: str) -> None:
         """Write a loop with its variable, its condition, and the step after each iteration."""
         with self.lines.braces(f"for ({start}; {test}; {advance})", self.file, node.span.line):
-            self.loop_body(node.body)
+            self.loop_body(node)
 
-    def loop_body(self, body: tree.Block) -> None:
+    def loop_body(self, loop: tree.For | tree.While) -> None:
         """Write the body of a loop, where `break` leaves the loop and not the function."""
         break_result, self.break_result = self.break_result, ""
-        self.block(body)
+        self.block(loop.body)
         self.break_result = break_result
 
     def guard(
@@ -444,6 +463,8 @@ class TextWriter:
         """Write a function's definition."""
         self.file = node.file
         self.names = Names(self.globals)
+        values = [local for local in node.parameters if not isinstance(local.type, TextureType)]
+        self.names.get_all({local: local.name for local in values})  # native code uses their Python names
         with self.lines.braces(self.header(node), node.file, node.span.line):
             native = node.native.get(self.language)
             if native is not None:
@@ -456,19 +477,26 @@ class TextWriter:
                 refuse_at(rules.NATIVE, node.name, node.file, node.span, actual, tip=tip)
             else:
                 self.begin(node)
-                if count_returns(node.body) > _MAX_RETURNS:
-                    self.write_with_breaks(node)
+                body = self.prepare(node)
+                if count_returns(body) > _MAX_RETURNS:
+                    self.write_with_breaks(node, body)
                 else:
-                    self.block(node.body)
-                self.end(node)
+                    self.block(body)
+                    self.end(node)
 
     def begin(self, node: tree.Function) -> None:
         """Write what precedes the statements of a function."""
 
-    def end(self, node: tree.Function) -> None:
-        """Write what follows the statements of a function."""
+    def prepare(self, node: tree.Function) -> tree.Block:
+        """Return the statements to write for a function."""
+        return node.body
 
-    def write_with_breaks(self, node: tree.Function) -> None:
+    def end(self, node: tree.Function) -> None:
+        """Write a return where a path ends in a `discard` or an endless loop: compilers require it."""
+        if not isinstance(node.result, VoidType) and not tree.returns_everywhere(node.body):
+            self.line(f"return {self.zero(node.result)};", node.span)  # type: ignore[arg-type]
+
+    def write_with_breaks(self, node: tree.Function, body: tree.Block) -> None:
         """Write a body with many returns as a loop of one iteration that a `break` leaves.
 
         Drivers nest the code after each return as a branch; Mesa's llvmpipe computes nonsense beyond 80 of
@@ -476,13 +504,13 @@ class TextWriter:
         """
         void = isinstance(node.result, VoidType)
         self.break_result = result = self.names.get((node, "result"), "result")
-        self.tails = tails_of(node.body)  # a break there would let Mesa take the loop apart
+        self.tails = tails_of(body)  # a break there would let Mesa take the loop apart
         if not void:
             self.line(f"{self.variable(self.type(node.result), result)};", node.span)
         turn = self.names.get((node, "iteration"), "iteration")
         header = f"for ({self.variable(self.type(INT), turn, '0')}; {turn} < 1; {turn}++)"
         with self.lines.braces(header, self.file, node.span.line):
-            self.block(node.body)
+            self.block(body)
         self.break_result = ""
         if not void:
             self.line(f"return {result};", node.span)
@@ -517,6 +545,18 @@ def is_constant(node: Expression) -> bool:
     return False
 
 
+def is_nonzero(node: Expression) -> bool:
+    """Return whether all components of an expression are constants other than 0."""
+    match node:
+        case tree.Constant(value=value):
+            return bool(value)
+        case tree.Construct(parts=parts):
+            return all(map(is_nonzero, parts))
+        case tree.Convert(value=value):
+            return is_nonzero(value)
+    return False
+
+
 def count_returns(body: tree.Block) -> int:
     """Return how many returns a body has outside loops."""
     count = 0
@@ -548,9 +588,9 @@ def tails_of(body: tree.Block) -> set[tree.Return]:
 def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:
     """Return a key that is equal for constant arrays of the same name, type and values."""
     values = tuple(
-        part.value
+        repr(part.value)  # not equality: 0.0 equals -0.0
         if isinstance(part, tree.Constant)
-        else tuple(getattr(p, "value", 0) for p in tree.parts_of(part))
+        else tuple(repr(getattr(p, "value", 0)) for p in tree.parts_of(part))
         for part in node.elements
     )
     return (node.name, node.type, values)

@@ -98,4 +98,4 @@ def update(page: str) -> str:
 if __name__ == "__main__":
     for name in sys.argv[1:]:
         path = Path(name)
-        path.write_text(update(path.read_text()))
+        path.write_text(update(path.read_text(encoding="utf-8")), encoding="utf-8")

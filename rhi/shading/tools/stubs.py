@@ -41,6 +41,7 @@ def _vectors() -> Iterator[str]:
     yield _HEADER
     yield "from collections.abc import Iterator, Sequence"
     yield "from typing import Any, ClassVar, Generic, TypeVar, overload\n"
+    yield "from typing_extensions import Never\n"
     yield "import numpy as np"
     yield "import numpy.typing as npt"
     yield "from rhi.contract.layout import HostType, MatrixType, ScalarType, VectorType\n"
@@ -149,6 +150,9 @@ def _vector(name: str, scalar: ScalarType, size: int) -> Iterator[str]:
     yield f"    def __setitem__(self, index: int | uint, value: {accepted}) -> None: ..."
     yield f"    def __iter__(self) -> Iterator[{part}]: ..."
     if scalar is not BOOL:
+        # Python's `min` and `max` ask for an order; `v < w` itself is refused, since nothing is of type
+        # Never.
+        yield "    def __lt__(self, other: Never, /) -> bool: ..."
         yield from _vector_operators(name, scalar, size)
     yield ""
 
@@ -318,4 +322,4 @@ def _texture(name: str, base: str, handle: str, methods: dict[str, Builtin]) -> 
 
 if __name__ == "__main__":
     for path, text in stub_texts().items():
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")

@@ -40,8 +40,8 @@ inverse."""
 
 TEXTURE_CALLS: Final = {
     "sample": "textureSample({texture_and_sampler}, {at})",
-    "sample_bias": "textureSampleBias({texture_and_sampler}, {at}, {2})",
-    "sample_lod": "textureSampleLevel({texture_and_sampler}, {at}, {2})",
+    "sample_bias": "textureSampleBias({texture_and_sampler}, {at}, min({2}, 1000.0))",
+    "sample_lod": "textureSampleLevel({texture_and_sampler}, {at}, min({2}, 1000.0))",
     "sample_grad": "textureSampleGrad({texture_and_sampler}, {at}, {2}, {3})",
     "sample_compare": "textureSampleCompare({texture_and_sampler}, {at}, {2})",
     "sample_compare_lod": "textureSampleCompareLevel({texture_and_sampler}, {at}, {2})",
@@ -49,7 +49,7 @@ TEXTURE_CALLS: Final = {
     "levels": "i32(textureNumLevels({texture}))",
 }
 """Calls with a texture: `{texture_and_sampler}` stands for both names, `{at}` for the coordinates, a layer
-included."""
+included. Levels of detail are bounded, since llvmpipe takes the first level for numbers beyond 2³¹."""
 
 OUTSIDE_FRAGMENTS: Final = {
     "sample": "textureSampleLevel({texture_and_sampler}, {at}, 0.0)",

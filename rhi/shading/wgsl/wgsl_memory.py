@@ -38,7 +38,7 @@ class MemoryTypes:
     def __init__(
         self,
         type: Callable[[HostType], str],
-        field: Callable[[str], str],
+        field: Callable[[StructType, str], str],
         name: Callable[[object, str], str],
         atomics: AtomicWords,
     ) -> None:
@@ -102,7 +102,7 @@ class MemoryTypes:
                         f"@align({memory_layout(field.type, Layout.STD140).alignment}) @size({end - start}) "
                     )
                 inner = self.type(field.type, space, self.is_atomic(space, type, field.name))
-                lines.append(f"{marks}{self._field(field.name)}: {inner},")
+                lines.append(f"{marks}{self._field(type, field.name)}: {inner},")
             self.structs[name] = lines  # after the structs that it contains
         return name
 
@@ -151,7 +151,11 @@ class MemoryTypes:
                 yield type.element, f"{path}[{number}]{self.element(type, space)}", atomic
         elif isinstance(type, StructType):
             for field in type.fields:
-                yield field.type, f"{path}.{self._field(field.name)}", self.is_atomic(space, type, field.name)
+                yield (
+                    field.type,
+                    f"{path}.{self._field(type, field.name)}",
+                    self.is_atomic(space, type, field.name),
+                )
 
 
 def _is_narrow(element: HostType) -> bool:

@@ -23,30 +23,17 @@ thread_local throw trait try type typedef typeid typename typeof union unless un
 virtual volatile wgsl where with writeonly yield
 array atomic bool f16 f32 f64 i32 i64 u32 u64 ptr vec2 vec3 vec4 vec2f vec3f vec4f vec2i vec3i vec4i vec2u vec3u vec4u
 sampler sampler_comparison texture_1d texture_2d texture_2d_array texture_3d texture_cube texture_multisampled_2d
-function private workgroup uniform storage read write read_write bitcast select main main_1 arrayLength
+function private workgroup uniform storage read write read_write bitcast select main main_1 arrayLength RhiOutputs
 """
 _FUNCTIONS: Final = """
 acos all any asin atan atan2 ceil clamp cos cross degrees determinant distance dot exp exp2 floor fma fract length log
 log2 max min mix normalize pow radians reflect refract round saturate sign sin smoothstep sqrt step tan transpose trunc
 dpdx dpdy fwidth countOneBits reverseBits extractBits insertBits firstLeadingBit firstTrailingBit faceForward modf frexp
-ldexp inverseSqrt quantizeToF16
+ldexp inverseSqrt quantizeToF16 atomicLoad atomicStore atomicCompareExchangeWeak storageBarrier workgroupBarrier
+textureDimensions textureNumLayers textureNumLevels textureLoad textureStore textureGather textureGatherCompare
+textureSample textureSampleBias textureSampleLevel textureSampleGrad textureSampleCompare textureSampleCompareLevel
 """
-RESERVED: Final = frozenset(
-    [
-        *_WORDS.split(),
-        *_FUNCTIONS.split(),
-        *BUILTINS,
-        *(row.wgsl.partition("(")[0] for row in BUILTINS.values() if isinstance(row.wgsl, str)),
-        *(
-            f"mat{columns}x{rows}{suffix}"
-            for columns in (2, 3, 4)
-            for rows in (2, 3, 4)
-            for suffix in ("", "f", "h")
-        ),
-    ]
-)
-"""Words that can't be identifiers, and the names of functions, which an identifier would hide."""
-
+_SHAPES: Final = ("1d", "2d", "2d_array", "3d", "cube", "cube_array", "multisampled_2d")
 _DEPTHS: Final = {
     Format.D16: "depth16unorm",
     Format.D24: "depth24plus",
@@ -73,3 +60,22 @@ def texel_format(format: Format) -> str:
     base = re.match(r"RGB10A2|[A-Z]+\d+", format.name)
     assert base is not None
     return base[0].lower() + _KINDS[format.kind]
+
+
+RESERVED: Final = frozenset(
+    [
+        *_WORDS.split(),
+        *_FUNCTIONS.split(),
+        *BUILTINS,
+        *(row.wgsl.partition("(")[0] for row in BUILTINS.values() if isinstance(row.wgsl, str)),
+        *(
+            f"mat{columns}x{rows}{suffix}"
+            for columns in (2, 3, 4)
+            for rows in (2, 3, 4)
+            for suffix in ("", "f", "h")
+        ),
+        *(f"texture_{kind}{shape}" for kind in ("", "depth_", "storage_") for shape in _SHAPES),
+        *map(texel_format, Format),
+    ]
+)
+"""Words that can't be identifiers, and the names of functions, which an identifier would hide."""

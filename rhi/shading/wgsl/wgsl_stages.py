@@ -23,6 +23,7 @@ from rhi.shading.language.annotations import Role
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VOID, ImageType, StorageType, TextureType, scalar_of
 from rhi.shading.text.names import Names
+from rhi.shading.text.stage_names import name_bindings, name_structs
 from rhi.shading.text.text_writer import constant_key, output_type
 from rhi.shading.wgsl.wgsl_builtins import EXTENSIONS, INPUTS
 from rhi.shading.wgsl.wgsl_memory import UNIFORM
@@ -89,8 +90,8 @@ class _WgslStageWriter:
         self.stage = stage
         self.interface = interface
         self.names = Names(reserved=RESERVED)
-        for declaration in stage.bindings:
-            self.names.get(("binding", declaration.name), declaration.name)
+        name_bindings(self.names, stage, interface)
+        self.main_names = Names(self.names)
         self.writer = WgslWriter(self.names, stage)
         self.lines = Lines()
         self.inputs = sorted(row.name for row in stage.builtins if row.name in INPUTS)
@@ -98,12 +99,10 @@ class _WgslStageWriter:
     def write(self) -> StageText:
         stage, writer = self.stage, self.writer
         # Names of modules are assigned before those inside functions, which must not hide them.
-        for struct in stage.structs:
-            writer.type(struct)
+        name_structs(self.names, stage, self.interface)
         for constant in stage.constants:
             writer.expression(constant)
-        for function in stage.functions:
-            self.names.get(function, function.name)
+        self.names.get_all({function: function.name for function in stage.functions})
         bindings = [self._binding(declaration) for declaration in stage.bindings]
         for function in stage.functions:
             writer.function(function)
@@ -115,7 +114,7 @@ class _WgslStageWriter:
         for struct in stage.structs:
             with self.lines.braces(f"struct {writer.type(struct)}"):
                 for field in struct.fields:
-                    add(f"{writer.field(field.name)}: {writer.type(field.type)},")
+                    add(f"{writer.field(struct, field.name)}: {writer.type(field.type)},")
         for name, fields in writer.memory.structs.items():
             with self.lines.braces(f"struct {name}"):
                 for line in fields:
@@ -174,8 +173,12 @@ class _WgslStageWriter:
 
     def _main(self) -> None:
         stage, entry, lines = self.stage.stage, self.stage.entry, self.lines
-        parameters = [f"@builtin({INPUTS[name][2]}) in_{name}: {INPUTS[name][1]}" for name in self.inputs]
-        starts = [f"rhi_{name} = {INPUTS[name][3].format(f'in_{name}')};" for name in self.inputs]
+        parameters, starts = [], []
+        for name in self.inputs:
+            _, passed, builtin, conversion = INPUTS[name]
+            parameter = self.main_names.get_legal(("built-in", name), f"in_{name}")
+            parameters.append(f"@builtin({builtin}) {parameter}: {passed}")
+            starts.append(f"rhi_{name} = {conversion.format(parameter)};")
         arguments = self._arguments(parameters)
         outputs = self._outputs()
         tested = self._alpha_tested_output()
@@ -206,8 +209,8 @@ class _WgslStageWriter:
                 lines.add(f"return RhiOutputs({', '.join(value for _, _, value in outputs)});")
 
     def _result(self, name: str) -> str:
-        whole = not isinstance(self.stage.entry.result, StructType)
-        return "rhi_result" if whole else f"rhi_result.{self.writer.field(name)}"
+        type = self.stage.entry.result
+        return f"rhi_result.{self.writer.field(type, name)}" if isinstance(type, StructType) else "rhi_result"
 
     def _arguments(self, parameters: list[str]) -> list[str]:
         """Return the arguments of the stage's function, and add the parameters of `main` that they need."""
@@ -219,8 +222,9 @@ class _WgslStageWriter:
             assert isinstance(parameter.type, StructType)
             parts = []
             for field in parameter.type.fields:
-                name, type = f"in_{writer.field(field.name)}", writer.type(field.type)
+                name, type = f"in_{writer.field(parameter.type, field.name)}", writer.type(field.type)
                 if stage is Stage.VERTEX and field.name in attributes:
+                    name = self.main_names.get_legal(field.name, name)
                     parameters.append(f"@location({attributes[field.name].location}) {name}: {type}")
                     parts.append(name)
                 elif stage is Stage.FRAGMENT:
@@ -242,9 +246,9 @@ class _WgslStageWriter:
             marks = _ROLES[Role.FLAT]
         if isinstance(type, MatrixType):
             form = f"vec{type.size}<f32>"
-            return [
-                (f"@location({varying.location + i}){marks}", f"{name}_{i}", form) for i in range(type.size)
-            ]
+            names = [self.main_names.get_legal((varying.name, i), f"{name}_{i}") for i in range(type.size)]
+            return [(f"@location({varying.location + i}){marks}", row, form) for i, row in enumerate(names)]
+        name = self.main_names.get_legal(varying.name, name)
         return [(f"@location({varying.location}){marks}", name, self.writer.type(type))]
 
     def _outputs(self) -> list[tuple[str, str, str]]:

@@ -12,20 +12,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import Final, NoReturn
 
 from rhi.contract import layout
 from rhi.contract.descriptors import Stage, TextureKind
 from rhi.shading.ir import tree
+from rhi.shading.ir.nodes import within
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import BUILTINS, POLYFILL, Polyfill, Refused, SideEffect, check_polyfills
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.language.textures import METHOD_NAMES
-from rhi.shading.language.types import ImageType, StorageType, TextureType, Type, VoidType, scalar_of
+from rhi.shading.language.types import VOID, ImageType, StorageType, TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.names import Names
-from rhi.shading.text.text_writer import TextWriter, int_text, is_constant, unknown_indices
+from rhi.shading.text.text_writer import TextWriter, int_text, is_constant, is_nonzero, unknown_indices
 from rhi.shading.wgsl.wgsl_builtins import (
     BARRIER,
     CONVERSIONS,
@@ -64,6 +66,14 @@ class WgslWriter(TextWriter):
             for node in tree.walk(function.body)
             if isinstance(node, tree.BuiltinCall) and node.builtin.name.startswith("atomic_")
         }
+        self.function_result: Type = VOID  # of the function that is being written
+        self.discarding = _discarding_functions(stage)
+        self.loops_discard = any(
+            self.discards(node)
+            for function in stage.functions
+            for node in tree.walk(function.body)
+            if isinstance(node, tree.While)
+        )
         self.memory = MemoryTypes(self.type, self.field, names.get, frozenset(atomic_words))
 
     def refuse(self, node: Expression, construct: str, tip: str = "") -> NoReturn:
@@ -126,6 +136,10 @@ class WgslWriter(TextWriter):
             case tree.BuiltinCall(builtin=builtin, arguments=arguments) if builtin.name.startswith("atomic_"):
                 if builtin.name == "atomic_compare_exchange" or unknown_indices(arguments[0]):
                     return True
+            case tree.Construct(type=layout.MatrixType(), parts=(part,)) if tree.has_effect(part):
+                return True
+            case tree.Member() | tree.Index() if tree.has_effect(node) and self._is_loaded_in_parts(node):
+                return True
             case tree.Binary():
                 chain = tree.left_chain(node)
                 return self.needs_statements(chain[0].left) or any(
@@ -138,6 +152,31 @@ class WgslWriter(TextWriter):
         name = self.names.get((node, what), what)
         self.line(f"let {name} = {text};", node.span)
         return name
+
+    def _is_loaded_in_parts(self, node: Expression) -> bool:
+        """Return whether a read repeats the path to what is read."""
+        declaration = _declaration_of(node)
+        return (
+            declaration is not None
+            and declaration.storage_class in _IN_MEMORY
+            and not isinstance(node.type, layout.ScalarType | StorageType)
+            and self.memory.differs(node.type, _space_of(declaration), self.is_atomic(node))  # type: ignore[arg-type]
+        )
+
+    def _evaluate_indices(self, node: Expression) -> None:
+        """Evaluate here, once, the indices of a path that is repeated: those with side effects, and those
+        that mention what is stored in parts."""
+        root = tree.root_of(node)
+        owner = getattr(root, "local", getattr(root, "declaration", None))
+        for index in tree.indices_of(node):
+            mentioned = [
+                getattr(part, "local", getattr(part, "declaration", None))
+                for part in within(index.index, "Expression")
+                if isinstance(part, tree.Read | tree.BindingRead)
+            ]
+            if index not in self.hoisted and (owner in mentioned or tree.has_effect(index.index)):
+                text = self.clamp_index(index, self.expression(index.index))
+                self.hoisted[index] = self.hoist(index.index, text, "at")
 
     def sequence(self, nodes: Sequence[Expression]) -> list[str]:
         """Return the texts of expressions that are evaluated in this order."""
@@ -168,6 +207,8 @@ class WgslWriter(TextWriter):
                 if declaration is not None and declaration.storage_class in _IN_MEMORY:
                     if isinstance(node.type, StorageType):
                         return self.path(node)
+                    if tree.has_effect(node) and self._is_loaded_in_parts(node):
+                        self._evaluate_indices(node)
                     return self.memory.load(
                         node.type,  # type: ignore[arg-type]
                         _space_of(declaration),
@@ -176,6 +217,13 @@ class WgslWriter(TextWriter):
                     )
             case tree.Select() if self.needs_statements(node):
                 return self.write_select(node)
+            case tree.Unary(operator=Operator.NEGATE, operand=operand) if scalar_of(node.type) is layout.UINT:
+                type = self.type(node.type)
+                return f"{self.helper('rhi_negate', type, 'x', f'return {type}() - x;')}({self.expression(operand)})"
+            case tree.Unary(operator=Operator.NEGATE, operand=operand, type=layout.MatrixType()):
+                return f"({self.expression(operand)} * -1.0)"
+            case tree.Unary(operator=Operator.NEGATE, operand=operand) if _is_constant_expression(operand):
+                return f"(-{self.variable_value(operand, self.expression(operand))})"
             case tree.Call(function=function, arguments=arguments):
                 return f"{self.globals.get(function, function.name)}({', '.join(self.sequence(arguments))})"
         return super().expression(node)
@@ -184,7 +232,7 @@ class WgslWriter(TextWriter):
         """Return the path to a part of a binding, a local or a value."""
         match node:
             case tree.Member(base=base, name=name):
-                return f"{self.path(base)}.{self.field(name)}"
+                return f"{self.path(base)}.{self.member(base, name)}"
             case tree.Swizzle(base=base, components=components):
                 return f"{self.path(base)}.{''.join('xyzw'[index] for index in components)}"
             case tree.Index(base=base):
@@ -215,6 +263,8 @@ class WgslWriter(TextWriter):
     def construct(self, node: tree.Construct) -> str:
         type, parts = node.type, self.sequence(node.parts)
         if isinstance(type, layout.MatrixType) and len(parts) == 1:
+            if tree.has_effect(node.parts[0]):
+                parts = [self.hoist(node.parts[0], parts[0])]
             size, source = type.size, node.parts[0].type
             if isinstance(source, layout.ScalarType):
                 cells = [parts[0] if i == j else "0.0" for i in range(size) for j in range(size)]
@@ -249,16 +299,24 @@ class WgslWriter(TextWriter):
                 return selected
             left = self.hoist(node, left, "first")
         op, types = node.operator, (node.left.type, node.right.type)
+        if _is_constant_expression(node.left) and _is_constant_expression(node.right):
+            left = self.variable_value(node.left, left)
         match op:
             case Operator.POWER | Operator.FLOOR_DIVIDE | Operator.MODULO:
                 return super().operation(node, left)
             case Operator.MATRIX_MULTIPLY:
                 return f"({self.expression(node.right)} * {left})"
+            case Operator.NOT_EQUAL if scalar_of(types[0]) is layout.FLOAT:
+                # Compilers take WGSL's `!=` of floats as "less or greater", which isn't true of NaN.
+                return f"!{self.operation(replace(node, operator=Operator.EQUAL), left)}"
             case Operator.EQUAL | Operator.NOT_EQUAL if isinstance(types[0], layout.VectorType):
                 return f"{'all' if op is Operator.EQUAL else 'any'}{super().operation(node, left)}"
             case Operator.SHIFT_LEFT | Operator.SHIFT_RIGHT:
-                form = "u32" if not isinstance(node.type, layout.VectorType) else f"vec{node.type.size}<u32>"
-                count = f"{form}({self.expression(node.right)})"
+                count, form = self.expression(node.right), "u32"
+                if isinstance(node.type, layout.VectorType):
+                    form = f"vec{node.type.size}<u32>"
+                    count = f"u32({count})" if isinstance(types[1], layout.ScalarType) else count
+                count = f"{form}({count})"
                 count = count if is_constant(node.right) else f"({count} & {form}(31u))"
                 return f"({self.widened(node, node.left, left)} {op.sign} {count})"
             case Operator.BIT_AND | Operator.BIT_OR | Operator.BIT_XOR if types[0] != types[1]:
@@ -271,6 +329,34 @@ class WgslWriter(TextWriter):
             case Operator.DIVIDE if isinstance(types[0], layout.MatrixType):
                 return f"({left} * (1.0 / {self.expression(node.right)}))"
         return super().operation(node, left)
+
+    def variable_value(self, node: Expression, text: str) -> str:
+        """Return a constant as a value that isn't constant to WGSL, which refuses constant results out of
+        range."""
+        if not isinstance(node.type, layout.ScalarType | layout.VectorType | layout.MatrixType):
+            return text
+        return f"{self.helper('rhi_value', self.type(node.type), 'x', 'return x;')}({text})"
+
+    def float_power(self, type: Type, base: str, text: str, exponent: Expression) -> str:
+        if is_nonzero(exponent):
+            return f"pow({base}, {text})"
+        name = self.type(type)
+        body = f"return select(pow(x, y), {name}(1.0), y == {name}());"
+        return f"{self.helper('rhi_pow', name, 'x y', body)}({base}, {text})"
+
+    def pow(self, node: tree.BuiltinCall) -> str:
+        base, exponent = self.sequence(node.arguments)
+        return self.float_power(node.type, base, exponent, node.arguments[1])
+
+    def atan2(self, node: tree.BuiltinCall) -> str:
+        texts, name = self.sequence(node.arguments), self.type(node.type)
+        bits = name.replace("f32", "u32")
+        zeros = (
+            f"bitcast<{name}>((bitcast<{bits}>(y) & {bits}(0x80000000u)) | "
+            f"(bitcast<{bits}>(x) >> {bits}(31u)) * 0x40490FDBu)"
+        )
+        body = f"return select(atan2(y, x), {zeros}, (x == {name}()) & (y == {name}()));"
+        return f"{self.helper('rhi_atan2', name, 'y x', body)}({', '.join(texts)})"
 
     def power(self, node: tree.Binary, base: str) -> str:
         exponent = node.right
@@ -348,6 +434,8 @@ class WgslWriter(TextWriter):
             case Polyfill():
                 return f"rhi_{name}" if name in INPUTS else _POLYFILLS[name](self, node)
         texts = self.sequence(arguments)
+        if arguments and all(map(_is_constant_expression, arguments)):
+            texts[0] = self.variable_value(arguments[0], texts[0])
         types = [argument.type for argument in arguments]
         widest = next((type for type in types if isinstance(type, layout.VectorType)), None)
         wide_texts = {
@@ -500,22 +588,46 @@ class WgslWriter(TextWriter):
                 is_call = isinstance(value, tree.Call | tree.BuiltinCall)
                 void = is_call and isinstance(value.type, VoidType)
                 self.line(f"{text};" if void else f"_ = {text};", node.span)
-            case tree.While(condition=condition, body=body) if self.needs_statements(condition):
+            case tree.Discard():
+                if self.loops_discard:
+                    self.helpers["rhi_discarded"] = "var<private> rhi_discarded: bool;"
+                    self.line("rhi_discarded = true;", node.span)
+                self.line("discard;", node.span)
+            case tree.While(condition=condition) if self.needs_statements(condition):
                 with self.lines.braces("loop", self.file, node.span.line):
                     self.line(f"if (!({self.expression(condition)})) {{ break; }}", node.span)
-                    self.loop_body(body)
+                    self.loop_body(node)
             case _:
                 super().statement(node)
+
+    def discards(self, loop: tree.While) -> bool:
+        """Return whether a loop may discard the fragment, itself or by a call."""
+        return any(
+            isinstance(part, tree.Discard)
+            or (isinstance(part, tree.Call) and part.function in self.discarding)
+            for part in tree.walk([loop])
+        )
+
+    def loop_body(self, loop: tree.For | tree.While) -> None:
+        if isinstance(loop, tree.While) and self.discards(loop):
+            # A discarded fragment runs on, as a helper of its neighbours, and might never leave the loop.
+            void = isinstance(self.function_result, VoidType)
+            value = "" if void else f" {self.zero(self.function_result)}"  # type: ignore[arg-type]
+            self.line(f"if (rhi_discarded) {{ return{value}; }}", loop.span)
+        super().loop_body(loop)
 
     def store(self, target: Expression, value: str, span: SourceSpan) -> None:
         """Write the assignment of a value."""
         if isinstance(target, tree.Swizzle) and len(target.components) > 1:
+            self._evaluate_indices(target)
             base, new = self.path(target.base), self.names.get((target, "new"), "new")
             self.line(f"let {new} = {value};", span)
             for number, component in enumerate(target.components):
                 self.line(f"{base}.{'xyzw'[component]} = {new}.{'xyzw'[number]};", span)
             return
         declaration, type = _declaration_of(target), target.type
+        if declaration is not None and self._is_loaded_in_parts(target):
+            self._evaluate_indices(target)
         path, space = self.path(target), "local" if declaration is None else _space_of(declaration)
         if declaration is None or not self.memory.differs(type, space, self.is_atomic(target)):  # type: ignore[arg-type]
             self.line(f"{path} = {value};", span)
@@ -534,7 +646,7 @@ class WgslWriter(TextWriter):
             self.line(f"{start};", node.span)
             with self.lines.braces("loop", self.file, node.span.line):
                 self.line(f"if (!({test})) {{ break; }}", node.span)
-                self.loop_body(node.body)
+                self.loop_body(node)
                 self.line(f"continuing {{ {more}; {step}; }}", node.span)
 
     def header(self, node: tree.Function) -> str:
@@ -554,21 +666,13 @@ class WgslWriter(TextWriter):
         return self.names.get((local, "parameter"), f"{name}_parameter") if _is_variable(local) else name
 
     def begin(self, node: tree.Function) -> None:
+        self.function_result = node.result
         for local in node.parameters:
             if _is_variable(local) and not isinstance(local.type, TextureType):
                 variable = self.variable(
                     self.type(local.type), self.names.get(local, local.name), self._parameter_name(local)
                 )
                 self.line(f"{variable};", node.span)
-
-    def end(self, node: tree.Function) -> None:
-        """Write a return after an endless loop, which WGSL requires although it is never reached."""
-        if (
-            not isinstance(node.result, VoidType)
-            and node.body
-            and isinstance(node.body[-1], tree.While | tree.For)
-        ):
-            self.line(f"return {self.type(node.result)}();", node.span)
 
     def helper(self, name: str, type: str, parameters: str, body: str) -> str:
         name = f"{name}_{''.join(filter(str.isalnum, type))}"
@@ -578,9 +682,11 @@ class WgslWriter(TextWriter):
 
 
 _POLYFILLS: Final[dict[str, Callable[[WgslWriter, tree.BuiltinCall], str]]] = {
+    "atan2": WgslWriter.atan2,
     "barrier": WgslWriter.barrier,
     "inverse": WgslWriter.inverse,
     "mix": WgslWriter.mix,
+    "pow": WgslWriter.pow,
 }
 _WRITTEN: Final = {
     *_POLYFILLS,
@@ -597,9 +703,29 @@ def sampler_type(type: TextureType) -> str:
     return "sampler_comparison" if type.compare else "sampler"
 
 
+def _discarding_functions(stage: tree.StageTree) -> set[tree.Function]:
+    """Return the functions that may discard the fragment, themselves or by a call."""
+    functions: set[tree.Function] = set()
+    for function in stage.functions:  # callees come first
+        for node in tree.walk(function.body):
+            if isinstance(node, tree.Discard) or (isinstance(node, tree.Call) and node.function in functions):
+                functions.add(function)
+    return functions
+
+
 def _is_variable(local: tree.Local) -> bool:
     """Return whether a parameter needs a variable: the function assigns it, or indexes it."""
     return bool(local.writes) or isinstance(local.type, layout.ArrayType)
+
+
+def _is_constant_expression(node: Expression) -> bool:
+    """Return whether WGSL evaluates an expression when it compiles it."""
+    match node:
+        case tree.Constant():
+            return True
+        case tree.Construct() | tree.Convert() | tree.Swizzle() | tree.Index() | tree.Unary():
+            return all(map(_is_constant_expression, tree.parts_of(node)))
+    return False  # other operations on constants are written as calls
 
 
 def _is_selected(type: Type) -> bool:

@@ -6,14 +6,13 @@ without a GPU, a driver or a display. Both pass ruff and `mypy --strict` as they
 
 from __future__ import annotations
 
-import keyword
-import sys
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
+from rhi.testing.projects.names import describe_fault
 
 KINDS: Final = {
     "game": ("a window, a camera that flies, fixed time steps, and a score", "rhi[viewer]"),
@@ -79,9 +78,9 @@ def write_project(kind: str, name: str, folder: Path) -> Path:
     call = f"rhi new {kind} {name}"
     if kind not in KINDS:
         refuse(DEVICE_ARGUMENT, call, kind, ", ".join(KINDS))
-    taken = name in sys.stdlib_module_names or name in ("rhi", "rhi_screen", "renderer", "numpy", "test")
-    if not name.isidentifier() or not name.islower() or keyword.iskeyword(name) or taken:
-        refuse(DEVICE_ARGUMENT, call, name, "a name for a module, in lower case, that no other module has")
+    fault = describe_fault(name)
+    if fault:
+        refuse(DEVICE_ARGUMENT, call, f"{name!r}: {fault}", "a name that no module, package or tool has")
     words, needs = KINDS[kind]
     root = folder / name
     root.mkdir(parents=True)

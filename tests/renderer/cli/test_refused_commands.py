@@ -118,9 +118,9 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("RHI_BACKEND", raising=False)
     for name in ("nan", "inf"):
-        Path(f"{name}.obj").write_text(f"v {name} 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        Path(f"{name}.obj").write_text(f"v {name} 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", encoding="utf-8")
     Path("empty.ply").touch()
-    Path("file").write_text("not a folder")
+    Path("file").write_text("not a folder", encoding="utf-8")
     before = sorted(tmp_path.iterdir())
     with pytest.raises(SystemExit) as end:
         main(shlex.split(command))

@@ -75,7 +75,7 @@ def check(
     expected = lights.relative_to(position)
     for array, packed in zip(read(local_lights, eye), expected.values(), strict=True):
         assert np.abs(array["position"] - packed["position"].astype(np.float64)).max() <= error
-        own_fields = ("cos_outer", "direction") if packed is expected["spot"] else ()
+        own_fields = ("outer_versine", "direction") if packed is expected["spot"] else ()
         for name in ("range", "color", "intensity", *own_fields):
             assert np.array_equal(array[name], packed[name]), name
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer.light_kinds.arrays import LightArrays
-from renderer.light_kinds.incidence import Incidence, safe_normalize
+from renderer.light_kinds.incidence import MIN_SQUARED_DISTANCE, Incidence, safe_normalize
 from renderer.light_kinds.kind import LOCAL_FIELDS, LightKind, LocalLightKind
 from renderer.light_kinds.volumes import FARTHEST_CORNER, LightVolume, VolumeCorner, VolumeVarying
 from rhi.math import Floats
@@ -41,9 +41,9 @@ def tube_incidence(position: vec3, light: TubeLight) -> Incidence:
     to_middle = light.position - position
     along = clamp(-dot(to_middle, light.direction), -light.half_length, light.half_length)
     to_light = to_middle + light.direction * along
-    fraction = dot(to_middle, to_middle) / max(light.range * light.range, 1e-20)
+    fraction = dot(to_middle, to_middle) / max(light.range * light.range, MIN_SQUARED_DISTANCE)
     window = saturate(1.0 - fraction * fraction)
-    falloff = window * window / max(dot(to_light, to_light), 1e-4)
+    falloff = window * window / max(dot(to_light, to_light), MIN_SQUARED_DISTANCE)
     return Incidence(direction=safe_normalize(to_light), irradiance=light.color * (light.intensity * falloff))
 
 

@@ -184,8 +184,8 @@ def test_lights_are_packed_relative_to_the_eye():
     assert (scenes.RELATIVE_POINT.itemsize, scenes.RELATIVE_SPOT.itemsize) == (32, 64)
     assert packed["point"]["position"].tolist() == [[0.0, 2.0, 0.0]]
     assert lights.directional["direction"].tolist() == [[0.0, -1.0, 0.0]]
-    assert packed["spot"]["cos_inner"][0] == 1.0
-    assert packed["spot"]["cos_outer"][0] == -1.0
+    assert packed["spot"]["inner_versine"][0] == 0.0
+    assert packed["spot"]["outer_versine"][0] == 2.0
     assert len(lights) == 3
 
 

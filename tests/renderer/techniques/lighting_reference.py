@@ -96,8 +96,9 @@ def shade(scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floa
         irradiance = light["color"] * light["intensity"] * window / distance**2
         if "outer" in light.dtype.names:
             away = -(way / distance) @ light["direction"]
-            inner, outer = np.cos(light["inner"]), np.cos(light["outer"])
-            irradiance = irradiance * np.clip((away - outer) / (inner - outer), 0, 1)[..., None] ** 2
+            inner, outer = np.cos(float(light["inner"])), np.cos(float(light["outer"]))
+            share = (away - outer) / (inner - outer) if inner != outer else np.where(away >= outer, 1.0, 0.0)
+            irradiance = irradiance * np.clip(share, 0, 1)[..., None] ** 2
         color = color + reflect(way / distance, irradiance)
     return np.asarray(color)
 

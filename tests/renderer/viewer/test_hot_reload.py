@@ -276,7 +276,7 @@ def model(tmp_path: Path, null: rhi.Device) -> Iterator[tuple[Path, Viewer]]:
 
 
 def edit(path: Path, change: Callable[[Any], None]) -> None:
-    document = json.loads(path.read_text())
+    document = json.loads(path.read_text(encoding="utf-8"))
     change(document)
     save(path, json.dumps(document))
 

@@ -11,9 +11,9 @@ from rhi.conformance.reference import linear_to_srgb
 from rhi.contract.texels import decode
 
 
-@pytest.mark.parametrize(("backend", "most"), [("gl", 0.9), ("cl", 0.501)])
+@pytest.mark.parametrize(("backend", "most"), [("gl", 0.8), ("cl", 0.501)])
 def test_levels_are_means_of_the_ones_before(backend: str, most: float) -> None:
-    """Averages in linear light are rounded to nearest on cl; llvmpipe's curve is off by up to 0.4 more."""
+    """Averages in linear light are rounded to nearest. On gl llvmpipe's curve adds up to 0.3."""
     texels = np.random.default_rng(3).integers(0, 256, (64, 64, 4), np.uint8)
     with (
         rhi.create_device(backend) as device,

@@ -149,7 +149,7 @@ def test_two_calls_on_one_line_of_a_loop_and_several_lines_of_one_call_are_told_
     for value in range(2):
         recorder.signal(value)
     lines = [command.site.line for command in recorder.stream]
-    assert lines == [first, first + 1, first + 7, first + 7]
+    assert lines == [first, first + 1, first + 9, first + 9]
 
 
 def test_a_call_from_no_user_code_has_no_site():

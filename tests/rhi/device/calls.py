@@ -164,6 +164,8 @@ INTERNAL: Final = {
         "bind_current",
         "build",
         "check",
+        "check_aliases",
+        "must_check_aliases",
         "check_can_dispatch",
         "check_can_draw",
         "check_instances",
@@ -194,6 +196,7 @@ INTERNAL: Final = {
         "write_begin",
         "write_end",
     },
+    "Scissor": {"clamp"},
     "QuerySet": {
         "check_conditions",
         "check_ended",

@@ -102,7 +102,7 @@ def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
 
 def save(reloader: Reloader, path: Path, text: str) -> bool:
     """Save a file, and exchange it."""
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     reloader._note([{(None, str(path))}])
     return reloader.update()
 

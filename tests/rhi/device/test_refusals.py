@@ -87,5 +87,6 @@ def test_the_front_end_refuses_through_its_device() -> None:
         "reloading.py",
         "core/containers.py",
         "core/refusals.py",
+        "resources/image_decoding.py",
         "resources/images.py",
     }

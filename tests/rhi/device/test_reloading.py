@@ -435,7 +435,7 @@ def save(path: Path, text: str, replaces: bool) -> None:
         beside.write_text(text)
         os.replace(beside, path)
     else:
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
 
 
 @pytest.mark.parametrize("replaces", [True, False])

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ import rhi
 from rhi.__main__ import main
 from rhi.errors import ValidationError
 from rhi.testing.projects import KINDS, write_project
+from rhi.testing.projects.names import describe_fault
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -31,13 +33,37 @@ def test_a_project_has_the_name_that_it_is_given(kind: str, tmp_path: Path) -> N
     assert "from kite import" in (root / "test_kite.py").read_text()
 
 
-@pytest.mark.parametrize("name", ["two words", "Kite", "class", "numpy", "json", "../kite", ""])
+REFUSED = (
+    """
+two words|Kite|class|numpy|json|../kite||kite.py|kite-1|1kite|_kite|kite_|κite|a b|setup|pytest|conftest|test
+tests|test_kite|kite_test|setuptools|pip|wheel|mypy|ruff|pillow|moderngl|glfw|imgui_bundle|rendercanvas|hypothesis|site
+sitecustomize|build|dist|noxfile|con|nul|com1|rhi|rhi_screen|renderer|typing_extensions|requests|torch|antigravity|this
+""".strip()
+    .replace("\n", "|")
+    .split("|")
+)
+
+
+@pytest.mark.parametrize("name", [*REFUSED, "k" * 100, "kite\n"])
 def test_a_name_that_is_no_modules_or_anothers_is_refused_and_nothing_is_written(
     name: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ValidationError, match="device-argument"):
         write_project("tool", name, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_names_of_all_that_is_installed_are_refused(tmp_path: Path) -> None:
+    names = {each for each in packages_distributions() if each.isidentifier() and each.islower()}
+    assert [name for name in sorted(names) if not describe_fault(name)] == []
+    assert [name for name in sorted(sys.stdlib_module_names) if not describe_fault(name)] == []
+
+
+@pytest.mark.parametrize(
+    "name", ["kite", "k", "kite2", "my_kite", "contest", "setup_kite", "protest", "match"]
+)
+def test_a_name_that_only_resembles_anothers_is_taken(name: str, tmp_path: Path) -> None:
+    assert write_project("tests", name, tmp_path) == tmp_path / name
 
 
 def test_the_command_writes_a_project_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,12 +51,13 @@ class LitSurfaces:
         strength = (
             float(local_light["intensity"])
             * window**2
-            / np.maximum(distance, max(0.01, local_light["source_radius"])) ** 2
+            / np.maximum(distance, max(1e-12, local_light["source_radius"])) ** 2
         )
         if "outer" in local_light.dtype.names:
-            cosine = -to_light @ local_light["direction"].astype(np.float64)
-            outer, inner = (np.cos(float(local_light[name])) for name in ("outer", "inner"))
-            strength *= np.clip((cosine - outer) / max(inner - outer, 1e-4), 0.0, 1.0) ** 2
+            chord = to_light + local_light["direction"].astype(np.float64)
+            outer, inner = (2.0 * np.sin(0.5 * float(local_light[name])) ** 2 for name in ("outer", "inner"))
+            share = (outer - 0.5 * (chord * chord).sum(1)) / max(outer - inner, 1e-14)
+            strength *= np.clip(share, 0.0, 1.0) ** 2
         return self._reflect(seen, to_light, np.where(distance < reach, strength, 0.0), distance, local_light)
 
     def _reflect(

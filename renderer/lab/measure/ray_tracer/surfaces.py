@@ -160,7 +160,7 @@ class Geometry:
             return normal
         mapped_hits, rows = hits.take(mapped), rows[mapped]
         texel = self._read(mapped_hits, material["normal_texture"][mapped])[:, :3] * 2.0 - 1.0
-        tangent = self._mix(mapped_hits, "tangent")
+        tangent = self._turn_tangents(mapped_hits, material["normal_texture"][mapped])
         hand = np.where(tangent[:, 3] < 0.0, -1.0, 1.0) * np.sign(np.linalg.det(self._linear[rows]))
         along = normalize(np.einsum("tij,tj->ti", self._linear[rows], tangent[:, :3]))
         up = np.cross(normal[mapped], along) * hand[:, None]
@@ -170,6 +170,18 @@ class Geometry:
         normal = normal.copy()
         normal[mapped] = np.where(has_direction[:, None], normalize(bent), normal[mapped])
         return normal
+
+    def _turn_tangents(self, hits: Hits, textures: Indices) -> Floats:
+        """Tangents (k, 4) along which the coordinates of normal maps grow, in mesh space: the mesh's own,
+        turned back by the transform of each texture."""
+        tangent = self._mix(hits, "tangent")
+        (uu, uv), (vu, vv) = self._scene.textures["transform"][textures][:, :, :2].transpose(1, 2, 0)
+        area = uu * vv - uv * vu
+        along = normalize(tangent[:, :3])
+        rising = np.cross(normalize(self._mix(hits, "normal")), along) * tangent[:, 3:]
+        turned = (along * vv[:, None] + rising * vu[:, None]) * np.sign(area)[:, None]
+        result = np.column_stack([turned, tangent[:, 3] * np.sign(area)])
+        return np.where((area == 0.0)[:, None], tangent, result)
 
     def _read(self, hits: Hits, textures: Indices) -> Floats:
         """The texels (k, 4) of textures (k,), colours as linear light; 1 where there is no texture."""

@@ -18,6 +18,10 @@ SMALL_GRID: Final = "1-1-1-goffs0-smallgrid"
 """The folder of a kernel's machine code for work-groups of one item, of which there are fewer than
 `LARGE_GRID`."""
 LARGE_GRID: Final = 65535
+LINKS: Final = "RH"
+"""The folder of all processes' links. PoCL's own names have letters up to P."""
+PROCESS_CHARACTERS: Final = 12
+_FOLDER_CHARACTERS: Final = 40
 _HEADER: Final = 20  # bytes: "poclbin" and a zero, the device's number, the version
 _VERSION: Final = 9
 _EXECUTABLE: Final = 4 << 32
@@ -31,9 +35,9 @@ def read_header(binary: bytes) -> bytes:
     return binary[:_HEADER]
 
 
-def folder_name(key: str) -> str:
-    """Return the folder of a binary's machine code. PoCL's own names have letters up to P."""
-    return f"RH/{key.upper():_<37}"
+def folder_name(key: str, process: str) -> str:
+    """Return the folder of a binary's machine code, which belongs to a process (`leases`): 40 characters."""
+    return f"{LINKS}/{process}/{key.upper():_<{_FOLDER_CHARACTERS - len(LINKS) - len(process) - 2}}"
 
 
 def write(header: bytes, folder: str, kernels: Sequence[str]) -> bytes | None:

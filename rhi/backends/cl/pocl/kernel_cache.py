@@ -20,8 +20,9 @@
   doesn't take code, programs are built from their sources.
 - LLVM code is of no use to a program whose machine code is there. So one that draws is made of a binary of
   PoCL's own format that names its kernels and contains no code (`rhi.backends.cl.pocl.binaries`): 1.8 ms
-  instead of 11, and 0.3 MB of memory instead of 2.4. Its folder is one of our own with links to the machine
-  code, because PoCL reads LLVM code from a folder that has some.
+  instead of 11, and 0.3 MB of memory instead of 2.4. Its folder is the process's own with links to the
+  machine code, because PoCL reads LLVM code from a folder that has some, and looks for machine code again
+  later (`rhi.backends.cl.pocl.leases`).
 - When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT`
   bytes, and after a day those without a record.
 - Other drivers have no such folder. pyopencl caches their kernels.
@@ -46,7 +47,7 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
-from rhi.backends.cl.pocl import binaries
+from rhi.backends.cl.pocl import binaries, leases
 from rhi.backends.cl.pocl.declarations import GUARD, declare
 from rhi.contract import trust
 
@@ -66,8 +67,12 @@ _FOLDER_PATTERN: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
 _USE_MARK: Final = "last_accessed"
 """An empty file that PoCL touches whenever it builds a program that it has."""
+_USE_LOCK: Final = "use.lock"
 _TEMPORARY_FILES: Final = "tempfile_*"
 """Empty files that PoCL leaves in the folder, one a process."""
+_REMEMBERED: Final = 96
+"""Kernels of which PoCL surely remembers the machine code: its table has 128 places, and others use it,
+too."""
 _TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
 PATIENCE: Final = 20.0
 """Seconds to wait for a lock; a process that holds it for longer may be stopped."""
@@ -75,6 +80,8 @@ _IMPATIENCE: Final = 0.5  # once a wait for a lock has timed out
 LOGGER: Final = logging.getLogger("rhi.kernels")
 _replaced: Final[dict[str, Path]] = {}
 """Temporary folders, by the folder that each replaces."""
+_linked: Final[set[str]] = set()
+"""The links that this process has made for the driver, which remembers its machine code by process."""
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are abandoned
 
 
@@ -181,6 +188,7 @@ class KernelCache:
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
+        self._links: dict[tuple[str, str], str] = {}  # by key and kernel, of bare binaries
         self._patience = PATIENCE
         self._secret = b"" if folder is None else trust.read_key()
         self.takes_code = folder is not None
@@ -227,14 +235,22 @@ class KernelCache:
     def watch_use(self, key: str) -> Iterator[None]:
         """Check whether the driver uses the folder: whether it marks a program that is built inside.
 
-        If not, the folder isn't used from then on."""
+        If not, the folder isn't used from then on. One process at a time checks, since each removes the mark
+        first."""
         if self._folder is None:
             yield
             return
-        with suppress(OSError):
-            self._mark_path(key).unlink()
-        yield
-        if not self._mark_path(key).exists():
+        try:
+            lock = trust.lock(str(self._folder / _RECORDS / _USE_LOCK), self._patience)
+        except TimeoutError:  # a process that is stopped holds it; nearly always the driver uses the folder
+            yield
+            return
+        with lock or nullcontext():
+            with suppress(OSError):
+                self._mark_path(key).unlink()
+            yield
+            is_used = self._mark_path(key).exists()
+        if not is_used:
             LOGGER.info("PoCL keeps kernels in another folder than %s: it was begun before rhi", self._folder)
             self._folder, self.takes_code = None, False
 
@@ -319,17 +335,43 @@ class KernelCache:
         ]
         if program is None or not built:
             return None
-        name = binaries.folder_name(request.key)
+        process = leases.take(self._folder)
+        if process is None:
+            return None
+        name = binaries.folder_name(request.key, process)
         try:
             for kernel in built:
                 link, target = self._folder / name / codes[kernel], program / codes[kernel]
                 link.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
                 if not link.exists() or not link.samefile(target):  # it was built again
-                    link.unlink(missing_ok=True)
-                    link.hardlink_to(target)
-        except OSError:  # no links there, or another process makes them just now
+                    new = link.with_suffix(f".{make_mark()}")
+                    new.hardlink_to(target)
+                    new.replace(link)  # at once, since PoCL may be looking for it
+                self._links[request.key, kernel] = str(link)
+                _linked.add(str(link))
+        except OSError:  # no links there
             return None
         return binaries.write(header, name, built)
+
+    def has_code(self, key: str, kernel: str) -> bool:
+        """Whether the driver finds machine code of a kernel that it may look for; True if it needs none.
+
+        A kernel of a bare binary (`make_binary`) needs it, and ends the process without. Somebody may have
+        emptied the folder. Then the folder is made again, so that the driver can write there.
+        """
+        link = self._links.get((key, kernel))
+        if link is None or os.path.isfile(link):
+            return True
+        if self._folder is not None:
+            with suppress(OSError):
+                (self._folder / _RECORDS).mkdir(mode=0o700, parents=True, exist_ok=True)
+        return False
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether the driver may look for machine code at any launch: it remembers that of so many
+        kernels."""
+        return len(_linked) > _REMEMBERED
 
     def drop_code(self, key: str) -> None:
         """Remove LLVM code that the driver doesn't take."""
@@ -366,9 +408,8 @@ class KernelCache:
         for path in (self._folder / _RECORDS / key, self._code_path(key)):
             with suppress(OSError):
                 path.unlink()
-        for folder in (program_folder, self._folder / binaries.folder_name(key)):
-            if folder is not None:
-                shutil.rmtree(folder, ignore_errors=True)
+        if program_folder is not None:
+            shutil.rmtree(program_folder, ignore_errors=True)
 
     def lock_path(self, key: str) -> str:
         """Return the path of the file that is locked while a program is built for the first time; empty for
@@ -437,7 +478,10 @@ class KernelCache:
         if self._folder is None or not self._written:
             return
         for key in list(self._written):
-            self.record(key)
+            path = self.lock_path(key)
+            path = path if os.path.exists(path) else ""  # nobody has ever locked it
+            with suppress(TimeoutError), trust.lock(path, 0.0) or nullcontext():
+                self.record(key)  # unless another process is just writing, which records it, too
         self._written.clear()
         with suppress(OSError):
             self._trim(self._folder)
@@ -455,7 +499,8 @@ class KernelCache:
                 ):
                     record.unlink()
         recorded = {program for *_, program in entries}
-        recorded.update(folder / binaries.folder_name(record.name) for _, _, record, _ in entries)
+        leases.remove_stale(folder)
+        recorded.update((folder / binaries.LINKS).glob("*"))  # which belong to processes
         for program in (
             set(folder.glob(_FOLDER_PATTERN)) - recorded
         ):  # nobody finds these: processes ended before they recorded them
@@ -516,6 +561,7 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str
         checksum = None if code is None else str(code)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None, {}, None, 0
-    if ".." in name.parts or not name.match(_FOLDER_PATTERN) or len(name.parts) != 2:
+    is_program = name.match(_FOLDER_PATTERN) and name.parts[0] != binaries.LINKS
+    if ".." in name.parts or not is_program or len(name.parts) != 2:
         return None, {}, None, 0
     return folder / name, files, checksum, size

@@ -23,7 +23,9 @@ from typing import Any, Final
 
 import pyopencl as cl
 
+from rhi.backends.cl.pocl.binaries import LARGE_GRID
 from rhi.backends.cl.pocl.kernel_cache import Request
+from rhi.backends.cl.pocl.memory_maps import COUNTER
 
 LIMIT: Final = 32
 """Number of programs in memory up to which none is released."""
@@ -44,8 +46,10 @@ class EvictableProgram:
     __slots__ = (
         "__weakref__",
         "_build",
+        "_has_code",
         "_is_whole",
         "_kernels",
+        "_most_items",
         "_owner",
         "_program",
         "_types",
@@ -59,10 +63,17 @@ class EvictableProgram:
         program: cl.Program,
         build: Callable[[bool], cl.Program],
         types: Sequence[type] | None,
+        has_code: Callable[[str], bool] = lambda name: True,
     ) -> None:
-        """`build`: builds the program again, with LLVM code if its argument is True. `types`: the types of
-        each kernel's arguments, if they are scalars."""
+        """
+        Args:
+            build: builds the program again, with LLVM code if its argument is True.
+            types: the types of each kernel's arguments, if they are scalars.
+            has_code: whether the driver finds machine code of a kernel, or needs none.
+        """
         self._is_whole = False
+        self._has_code = has_code
+        self._most_items: dict[str, int] = {}  # of a launch of each kernel
         self._owner = owner
         self._program: cl.Program | None = program
         self._build = build
@@ -92,10 +103,26 @@ class EvictableProgram:
         kernel = self._kernels.get(name)
         return kernel if kernel is not None else self._make(name)
 
+    def prepare(self, name: str, items: int) -> cl.Kernel:
+        """Return a kernel for a launch of `items` work-items, as `find` does.
+
+        PoCL looks for machine code on disk if a launch has more items than all before. Without that, it would
+        end the process; so the program is built with its LLVM code first.
+        """
+        if not self._is_whole and (items > self._most_items.get(name, -1) or self._owner.is_crowded):
+            if items >= LARGE_GRID or not self._has_code(name):
+                self.complete()
+            if name not in self._kernels:
+                self._make(name)  # which may build it again, and then forgets the number
+            self._most_items[name] = max(items, self._most_items.get(name, 0))
+        self.last_used = self._owner.now
+        return self._kernels.get(name) or self._make(name)
+
     def _make(self, name: str) -> cl.Kernel:
         if self._program is None:
             self._program = self._build(self._is_whole)
             self.builds += 1
+        COUNTER.note_kernel()
         try:
             kernel = cl.Kernel(self._program, name)
         except cl.Error:  # there is no machine code of it
@@ -118,6 +145,7 @@ class EvictableProgram:
     def release(self) -> None:
         """Release the program's memory. Enqueued launches keep what they need."""
         self._kernels.clear()
+        self._most_items.clear()
         self._program = None
 
 
@@ -126,10 +154,12 @@ class ProgramResidency:
 
     Attributes:
         now: the latest value of the fence.
+        is_crowded: whether the driver may look for machine code at any launch (`KernelCache.is_crowded`).
     """
 
     def __init__(self, releases: bool) -> None:
         """`releases`: whether programs are found again on disk, so that they can be released."""
+        self.is_crowded = False
         self._releases = releases
         self._programs: weakref.WeakSet[EvictableProgram] = weakref.WeakSet()
         self._lock = threading.Lock()  # programs are optimised in other threads
@@ -146,11 +176,12 @@ class ProgramResidency:
         request: Request,
         build: Callable[[Request], cl.Program],
         types: Sequence[type] | None = None,
+        has_code: Callable[[str], bool] = lambda name: True,
     ) -> EvictableProgram:
         """Add a program that was built, and that `build` builds again.
 
         Args:
-            types: see `EvictableProgram`.
+            types, has_code: see `EvictableProgram`.
         """
         packed = zlib.compress(request.source.encode(), _PACKING)
         rest = replace(request, source="")
@@ -159,7 +190,7 @@ class ProgramResidency:
             kernels = () if whole else rest.kernels
             return build(replace(rest, source=zlib.decompress(packed).decode(), kernels=kernels))
 
-        evictable = EvictableProgram(self, program, build_again, types)
+        evictable = EvictableProgram(self, program, build_again, types, has_code)
         with self._lock:
             self._programs.add(evictable)
         return evictable

@@ -9,8 +9,7 @@
   are kept until the buffer changes.
 - Once the device may have written a buffer, its contents are unknown. Lists don't need them: their vertices
   are then transformed once per index. For strips, fans and quads the buffer is read back, which waits.
-- The restart index ends a primitive of any topology, as in OpenGL. The first vertex is the provoking one; the
-  order of corners preserves it and the winding.
+- The restart index ends a primitive of any topology (`rhi.contract.topology`).
 """
 
 from __future__ import annotations
@@ -25,20 +24,12 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.formats import IndexFormat
+from rhi.contract.topology import CORNERS, list_primitives
 
 T = TypeVar("T")
 _Indices: TypeAlias = "NDArray[Any]"
 _ListKey: TypeAlias = tuple[Primitive, IndexFormat, int, int]
 
-CORNERS: Final = {
-    Primitive.POINTS: 1,
-    Primitive.LINES: 2,
-    Primitive.LINE_STRIP: 2,
-    Primitive.TRIANGLES: 3,
-    Primitive.TRIANGLE_STRIP: 3,
-    Primitive.TRIANGLE_FAN: 3,
-    Primitive.QUADS: 3,
-}
 LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
 _MAX_SCANNED: Final = 1 << 16  # indices of many draws that are scanned at once
@@ -222,39 +213,6 @@ class Assembler(Generic[T]):
             return Assembly(corners, 0, 0)
         low, high = int(listed.min()), int(listed.max())
         return Assembly(corners, len(listed), 0, 0, True, self._upload(listed), low, high)
-
-
-def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart: int) -> NDArray[np.uint32]:
-    """Return the corners of all primitives, one after the other. An index equal to `restart` ends a
-    primitive."""
-    positions = np.arange(len(indices))
-    restarts = indices == restart
-    begins = np.maximum.accumulate(
-        np.where(restarts, positions + 1, 0)
-    )  # the first position of each index's run
-    size = 4 if primitive is Primitive.QUADS else CORNERS[primitive]
-    ends = np.flatnonzero(restarts)
-    stops = np.append(ends, len(indices))[
-        np.searchsorted(ends, positions)
-    ]  # one past the last position of its run
-    if primitive is Primitive.TRIANGLE_FAN:
-        a = positions[(positions > begins) & (positions + 1 < stops)]
-        corners = np.stack([a, a + 1, begins[a]], axis=1)
-    elif primitive in (Primitive.TRIANGLE_STRIP, Primitive.LINE_STRIP):
-        a = positions[(positions >= begins) & (positions + size <= stops)]
-        if primitive is Primitive.LINE_STRIP:
-            corners = np.stack([a, a + 1], axis=1)
-        else:
-            odd = (a - begins[a]) & 1
-            corners = np.stack([a, a + 1 + odd, a + 2 - odd], axis=1)
-    else:
-        a = positions[
-            ((positions - begins) % size == 0) & (positions >= begins) & (positions + size <= stops)
-        ]
-        order = (0, 1, 2, 0, 2, 3) if primitive is Primitive.QUADS else range(size)
-        corners = a[:, None] + np.array(order)
-    listed: NDArray[np.uint32] = indices[corners.reshape(-1)].astype(np.uint32)
-    return listed
 
 
 def _list_size(primitive: Primitive, count: int) -> int:

@@ -225,7 +225,7 @@ class SampleQueries:
         else:
             segments = state.segments
             is_available = segments and self.is_done(segments[-1].batch)
-            answer = sum([segment.read() for segment in segments]) if is_available else None
+            answer = sum(segment.read() for segment in segments) if is_available else None
         if answer is None:
             self._flush()
         return answer

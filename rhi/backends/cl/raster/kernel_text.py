@@ -16,7 +16,7 @@ _TYPES: Final = {"u8": "ulong", "i4": "int", "u4": "uint", "f4": "float"}
 @cache
 def read_kernels(name: str) -> str:
     """Return the text of a file in kernels/, without comments."""
-    return strip_comments(files(__package__).joinpath("kernels", f"{name}.cl").read_text())
+    return strip_comments(files(__package__).joinpath("kernels", f"{name}.cl").read_text(encoding="utf-8"))
 
 
 def declare_struct(name: str, struct: np.dtype[Any]) -> str:

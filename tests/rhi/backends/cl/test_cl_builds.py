@@ -26,7 +26,7 @@ from rhi.backends.cl import builds, cl_context
 from rhi.backends.cl.cl_backend import ClBackend
 from rhi.backends.cl.cl_context import KERNELS_ENVIRONMENT
 from rhi.backends.cl.cl_programs import ComputeProgram
-from rhi.backends.cl.pocl import compiler, kernel_cache
+from rhi.backends.cl.pocl import compiler, kernel_cache, program_residency
 from rhi.backends.cl.pocl.compiler import Compiler, Job
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import corners, rectangle
@@ -299,7 +299,10 @@ def test_heat_is_the_time_of_launches(monkeypatch: pytest.MonkeyPatch, device: D
 def test_of_launches_in_flight_one_is_timed_and_stands_for_all() -> None:
     event = SimpleNamespace(status=3, profile=SimpleNamespace(start=1_000, end=4_000))
     event.get_info = lambda _: event.status
-    program, other = SimpleNamespace(find=lambda name: SimpleNamespace(set_args=lambda batch: None)), object()
+    program, other = (
+        SimpleNamespace(prepare=lambda *_: SimpleNamespace(set_args=lambda batch: None)),
+        object(),
+    )
     seconds: list[float] = []
     optimisation = SimpleNamespace(program=None, warm=lambda items, more: seconds.append(more))
     kernel = builds.Kernel(program, "raster", optimisation)  # type: ignore[arg-type]
@@ -338,11 +341,11 @@ def test_kernels_from_disk_are_not_reported(
     assert not caplog.records
 
 
-@pytest.mark.parametrize("limit", [builds.LARGE_GRID, 1])
+@pytest.mark.parametrize("limit", [program_residency.LARGE_GRID, 1])
 def test_launches_that_there_is_no_machine_code_of_are_compiled(
     monkeypatch: pytest.MonkeyPatch, expected: NDArray[Any], optimised_kernels: None, limit: int
 ) -> None:
-    monkeypatch.setattr(builds, "LARGE_GRID", limit)
+    monkeypatch.setattr(program_residency, "LARGE_GRID", limit)
     with rhi.create_device("cl") as device:
         np.testing.assert_array_equal(draw(device, device.program(Colored)), expected)
         used = [program for program in get_builds(device)._context.programs.list_resident() if program._types]

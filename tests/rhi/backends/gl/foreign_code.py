@@ -81,7 +81,7 @@ def main(arguments: list[str]) -> None:
         GlBackend.resume = lambda self: False  # type: ignore[method-assign]
     plugin = ForeignCode()
     options = ["-q", "-p", "no:cacheprovider", "-p", "rhi.conformance.plugin", "-c", os.devnull]
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
         pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *arguments], [plugin])
     print(json.dumps({"taken": plugin.taken, "passed": plugin.passed, "failed": plugin.failed}))
 

@@ -25,6 +25,7 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.gl_host import Egl, _describe_version
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
+from rhi.contract.texels import halve
 from rhi.shading import Shader, Texture2D, fragment_coordinate, vec2, vec4, vertex_index
 
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
@@ -272,6 +273,27 @@ def test_levels_and_layers_of_the_hosts_textures_are_known(host: Host, device: D
         (Format.RG16F, 1, 3),
         (Format.RGBA8, 1, 6),
     ]
+
+
+def test_levels_of_the_hosts_textures_are_generated(host: Host, device: Device) -> None:
+    """Their storage isn't immutable, so they have no views."""
+    device.present()
+    random = np.random.default_rng(2)
+    flat = host.context.texture((7, 5), 4, random.integers(0, 256, (5, 7, 4), np.uint8).tobytes())
+    layered = host.context.texture_array(
+        (3, 5, 2), 1, random.random((2, 5, 3), np.float32).tobytes(), dtype="f4"
+    )
+    cube = host.context.texture_cube((7, 7), 2, random.integers(0, 256, (6, 7, 7, 2), np.uint8).tobytes())
+    for each in (flat, layered, cube):
+        each.build_mipmaps()
+    host.context.finish()
+    for texture in (device.adopt_texture(each) for each in (flat, layered, cube)):
+        assert texture.levels > 1
+        texture.generate_mipmaps()
+        level = texture.read_layers(0)
+        for number in range(1, texture.levels):
+            level = np.concatenate([halve(texture.format, layer[None], 1) for layer in level])
+            np.testing.assert_allclose(texture.read_layers(number), level, rtol=1e-6, atol=1.0)
 
 
 def test_the_host_reads_a_texture_of_the_device(host: Host, device: Device) -> None:

@@ -82,7 +82,7 @@ def test_indexed_quads_become_two_triangles_each(index_format: IndexFormat) -> N
     indices = np.array([5, 6, 7, 8, 3, 2, 1, 0], index_format.dtype)
     expanded = expand_indices(indices.tobytes(), index_format)
     assert expanded.dtype == index_format.dtype
-    assert expanded.tolist() == [[5, 6, 7, 5, 7, 8], [3, 2, 1, 3, 1, 0]]
+    assert expanded.tolist() == [5, 6, 7, 5, 7, 8, 3, 2, 1, 3, 1, 0]
 
 
 @pytest.fixture

@@ -120,7 +120,7 @@ def test_what_naga_refuses_is_told_with_its_python_line(device: Device) -> None:
         device.program(Broken)
     assert "WGSL line 5: out[i] = sqrt(true);" in caught.value.given
     assert caught.value.site is not None
-    line = Path(__file__).read_text().splitlines()[caught.value.site.line - 1]
+    line = Path(__file__).read_text(encoding="utf-8").splitlines()[caught.value.site.line - 1]
     assert "sqrt(true)" in line
 
 

@@ -27,6 +27,8 @@ ELSEWHERE = {
     rules.QUERY_UNFINISHED: "depends on the device's speed: asserted on where it shows",
     rules.RELOAD_WATCH: "of files, not of a device: asserted on in tests of reloading",
     rules.CAMERA_VALUE: "no device is needed",
+    rules.ASSERTION_ARGUMENT: "of assertions: asserted on in test_misuse",
+    rules.DEVICE_COPY: "of copies and pickles: asserted on in test_device_copies",
     rules.IMAGE_FILE: "of files: asserted on in test_image_files",
     rules.IMAGE_LIBRARY: "needs a machine without Pillow: asserted on in test_image_files",
     rules.NULL_SAMPLES: "a rule of the null device",

@@ -97,7 +97,7 @@ def test_lines_of_the_text_keep_their_origins():
     at = next(i for i, line in enumerate(lines) if "twice(in_uv)" in line)
     file, number = text.origins[at]
     assert file == __file__
-    assert "twice(in_uv)" in Path(__file__).read_text().splitlines()[number - 1]
+    assert "twice(in_uv)" in Path(__file__).read_text(encoding="utf-8").splitlines()[number - 1]
     assert lines[0] == "#version 430 core"
     assert sum("#version" in line for line in lines) == 1
 

@@ -379,7 +379,7 @@ def test_lines_of_a_stage_lead_back_to_python(language, called):
     at = next(i for i, line in enumerate(lines) if called in line and "inline" not in line)
     file, number = emitted.origins[at]
     assert file == __file__
-    with open(file) as text:
+    with open(file, encoding="utf-8") as text:
         assert "ddy(squared)" in text.read().splitlines()[number - 1]
 
 

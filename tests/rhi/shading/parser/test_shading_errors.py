@@ -578,6 +578,7 @@ def test_a_shader_without_source_is_refused():
 
 
 TESTED_ELSEWHERE = {
+    "shading-vector-value",  # test_hostile_values.py
     *("shading-text", "shading-spirv", "shading-language"),
     *("shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"),
     *("shading-index", "shading-nonuniform", "shading-endless"),  # checked shaders

@@ -126,9 +126,8 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
     text = text_of(ChoosesEffects)
     assert "select(" not in text
     lines = [line.strip() for line in text.splitlines()]
-    first_line = next(
-        i for i, line in enumerate(lines) if line.startswith("let first = ") and "out[clamp(i32(2), " in line
-    )
+    first_line = lines.index("let first = operand;")
+    assert lines[first_line - 1].startswith("var operand: i32 = atomicLoad(&out[clamp(i32(2), ")
     assert lines[first_line + 2] == "if ((i > i32(3))) {"
     assert lines[first_line + 3] == "selected = atomicAdd(&out[i32(0)], i32(1));"
     assert text.count("atomicCompareExchangeWeak") == 3
@@ -189,7 +188,7 @@ def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[sl.Shader], 
         text_of(shader)
     assert caught.value.given == f"{construct}, which WGSL lacks"
     assert caught.value.site is not None
-    line = Path(__file__).read_text().splitlines()[caught.value.site.line - 1]
+    line = Path(__file__).read_text(encoding="utf-8").splitlines()[caught.value.site.line - 1]
     assert construct.split()[-1].split("(")[0][:6] in line
 
 
@@ -210,7 +209,7 @@ def test_each_line_knows_the_python_line_that_it_comes_from() -> None:
     lines = written.text.splitlines()
     number = next(i for i, line in enumerate(lines) if "return (value * 2.0f);" in line)
     file, line = written.origins[number]
-    assert "return value * 2.0" in Path(file).read_text().splitlines()[line - 1]
+    assert "return value * 2.0" in Path(file).read_text(encoding="utf-8").splitlines()[line - 1]
     assert len(written.origins) == len(lines)
 
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 from nightly_reasons import CHEAPER_TEST
 
-from rhi.backends.cl.pocl import binaries, kernel_cache
+from rhi.backends.cl.pocl import kernel_cache
 from rhi.backends.cl.pocl.kernel_cache import KernelCache
 from rhi.contract import trust
 
@@ -332,12 +333,12 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     """Code, locks and programs without records, and the empty files that PoCL leaves."""
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
-    remaining = {"AB/key", "AB/new", "AB/used", binaries.folder_name("key")}
-    for name in (*remaining, "AB/gone", binaries.folder_name("gone")):
+    remaining = {"AB/key", "AB/new", "AB/used", "RH/BEGINNING"}
+    for name in (*remaining, "AB/gone", "RH/OLDER_VERSION"):
         (tmp_path / name).mkdir(parents=True, exist_ok=True)
         if name == "AB/used":
             (tmp_path / name / "last_accessed").touch()
-        if name != "AB/new":
+        if name not in ("AB/new", "RH/BEGINNING"):
             os.utime(tmp_path / name, (1e9, 1e9))
     old, new = (
         ("rhi/key.code", "rhi/key.1.2", "rhi/gone.code", "rhi/gone.lock", "tempfile_a", "tempfile_full"),
@@ -600,3 +601,52 @@ def test_the_driver_s_own_variable_is_respected(tmp_path: Path, monkeypatch: pyt
     assert kernel_cache.choose_folder() == tmp_path
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "mine"))
     assert kernel_cache.choose_folder() == tmp_path / "mine" / "pocl"
+
+
+def test_two_processes_that_look_for_the_driver_s_mark_take_turns(tmp_path: Path) -> None:
+    """The second removes the mark only when the first has seen it."""
+    (tmp_path / "rhi").mkdir()
+    first, second = KernelCache(tmp_path, "driver"), KernelCache(tmp_path, "driver")
+    has_looked, ends = threading.Event(), threading.Event()
+
+    def look() -> None:
+        with second.watch_use("key"):
+            has_looked.set()
+            ends.wait(20)
+            (tmp_path / "last_accessed").touch()
+
+    thread = threading.Thread(target=look)
+    with first.watch_use("key"):
+        (tmp_path / "last_accessed").touch()
+        thread.start()
+        has_looked.wait(0.5)
+    ends.set()
+    thread.join()
+    assert (first.works, second.works) == (True, True)
+
+
+def test_a_driver_that_leaves_no_mark_uses_another_folder(tmp_path: Path) -> None:
+    (tmp_path / "rhi").mkdir()
+    kernels = KernelCache(tmp_path, "driver")
+    with kernels.watch_use("key"):
+        pass
+    assert not kernels.works
+
+
+def test_a_program_that_another_process_writes_is_not_recorded(tmp_path: Path) -> None:
+    """Its files may be half written. Closing the device doesn't wait for it."""
+    (tmp_path / "rhi").mkdir()
+    make(tmp_path, "key", 10, 0.0)
+    kernels = KernelCache(tmp_path, "driver")
+    kernels.record("key")
+    record = tmp_path / "rhi" / "key"
+    before = record.read_bytes()
+    (tmp_path / "AB" / "key" / "program.bc").write_bytes(b"rhi_built_key half")
+    lock = trust.lock(kernels.lock_path("key"), 0.0)
+    assert lock is not None
+    with lock:
+        kernels.finish()
+        assert record.read_bytes() == before
+    kernels.record("key")
+    kernels.finish()
+    assert record.read_bytes() != before

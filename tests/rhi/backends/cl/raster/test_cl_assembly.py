@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster import assembly
-from rhi.backends.cl.raster.assembly import Assembler, Assembly, list_primitives
+from rhi.backends.cl.raster.assembly import Assembler, Assembly
 from rhi.contract.descriptors import Primitive
 from rhi.contract.formats import IndexFormat
+from rhi.contract.topology import list_primitives
 
 Lists = NDArray[np.uint32]
 

@@ -1,6 +1,5 @@
 """Merging that the kit can't ask of every platform: llvmpipe doesn't clamp the factors of signed targets, and
-OpenGL leaves open what becomes of components that a shader doesn't give, and how alpha is rounded to
-samples."""
+OpenGL leaves open how alpha is rounded to samples."""
 
 from __future__ import annotations
 
@@ -10,10 +9,9 @@ import pytest
 from rhi import AlphaToCoverage, BlendColor, BlendFactor, BlendFunction, Device, Format
 from rhi.conformance.compare import assert_near
 from rhi.conformance.reference import blend_factor, channels_of, decode, encode
-from rhi.conformance.shaders import Colored, Shade
+from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.single_draws import draw_once
-from rhi.shading import vec2, vec3
 
 
 @pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda f: f.name)
@@ -35,32 +33,6 @@ def test_factors_of_signed_normalised_targets_are_clamped(
     factors = np.clip(blend_factor(factor, np.broadcast_to(new, stored.shape), stored, constant), -1.0, 1.0)
     expected = encode(format, (new if of_source else stored) * factors)
     assert_near(back, expected, 0.51, "rounding to the nearest stored number")
-
-
-class OneComponent(Colored):
-    def fragment(self, v: Shade) -> float:  # type: ignore[override]
-        return v.color.x
-
-
-class TwoComponents(Colored):
-    def fragment(self, v: Shade) -> vec2:  # type: ignore[override]
-        return v.color.xy
-
-
-class ThreeComponents(Colored):
-    def fragment(self, v: Shade) -> vec3:  # type: ignore[override]
-        return v.color.xyz
-
-
-@pytest.mark.parametrize(
-    ("shader", "components"), [(OneComponent, 1), (TwoComponents, 2), (ThreeComponents, 3)]
-)
-def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
-    device: Device, shader: type[Colored], components: int
-) -> None:
-    rows = rectangle(color=(0.5, 0.25, 0.75, 2))
-    drawn = draw_once(device, (2, 2), Format.RGBA32F, rows, shader=shader, clear=(9, 9, 9, 9))
-    assert_near(drawn, [0.5, 0.25, 0.75][:components] + [0.0] * (3 - components) + [1.0], 0, "exact numbers")
 
 
 @pytest.mark.parametrize("samples", [4, 8])

@@ -1,0 +1,83 @@
+"""Haze and fog that change nothing: no channel of an 8-bit pixel differs by more than half a level without
+them.
+
+It follows from their density, and from how far the scene reaches from the eye. Fog also covers the
+background, to infinity: where its color is another, it matters unless all rays leave it upwards.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from renderer.scene import Camera, Fog, Scene
+
+HALF_LEVEL: Final = 0.5 / 255.0
+"""Half a level of an 8-bit image, whose channels are from 0 to 1."""
+
+_THIN: Final = 1e-5
+"""The density per metre below which it is asked how far the view reaches. Denser air counts: most frames ask
+nothing."""
+
+_MAX_EXPONENT: Final = 60.0
+"""The largest exponent of the density of fog in shaders."""
+
+
+def is_haze_seen(scene: Scene, camera: Camera) -> bool:
+    """Return whether haze changes the color of any surface by more than half a level."""
+    if scene.haze >= _THIN:
+        return True
+    return bool(1.0 - np.exp(-scene.haze * _farthest(scene, camera)) > _threshold(scene))
+
+
+def is_fog_seen(scene: Scene, camera: Camera) -> bool:
+    """Return whether fog changes the color of any surface, or of the background, by more than half a
+    level."""
+    fog = scene.fog
+    if fog is None:
+        return False
+    eye = float(camera.position[1])
+    if fog.density * np.exp(-min(fog.falloff * (eye - fog.base), _MAX_EXPONENT)) >= _THIN:
+        return True
+    threshold = _threshold(scene)
+    lowest = min(eye, float(scene.bounds[0][1]))
+    if 1.0 - np.exp(-_density(fog, lowest) * _farthest(scene, camera)) > threshold:
+        return True
+    if np.abs(np.subtract(fog.color, scene.background)).max() <= threshold:
+        return False
+    # Light from infinitely far away gets through where rays leave the fog upwards.
+    rise = fog.falloff * _least_rise(camera)
+    return bool(rise <= 0.0 or 1.0 - np.exp(-_density(fog, eye) / rise) > threshold)
+
+
+def _threshold(scene: Scene) -> float:
+    """Return the share of light that makes no difference. Light that blooms may be of any strength."""
+    return HALF_LEVEL if scene.bloom is None else 0.0
+
+
+def _farthest(scene: Scene, camera: Camera) -> float:
+    """Return the greatest distance of any object from the eye in metres."""
+    lower, upper = scene.bounds
+    return float(np.linalg.norm(np.maximum(np.abs(lower - camera.position), np.abs(upper - camera.position))))
+
+
+def _density(fog: Fog, height: float) -> float:
+    """Return the density of fog per metre at a height in the world."""
+    return float(fog.density * np.exp(min(-fog.falloff * (height - fog.base), _MAX_EXPONENT)))
+
+
+def _least_rise(camera: Camera) -> float:
+    """Return the sine of the lowest elevation of all rays of a view: that of a corner, or of an edge between
+    two."""
+    matrix = np.linalg.inv(camera.relative_view_projection)
+    edge = np.linspace(-1.0, 1.0, 33)
+    sides = [np.stack(np.broadcast_arrays(edge, side), 1) for side in (-1.0, 1.0)]
+    at = np.concatenate([*sides, *(points[:, ::-1] for points in sides)])
+    ends = [
+        np.column_stack([at, np.full(len(at), depth), np.ones(len(at))]) @ matrix.T for depth in (0.25, 0.75)
+    ]
+    near, far = (points[:, :3] / points[:, 3:] for points in ends)
+    rays = far - near
+    rays *= np.sign(rays @ camera.forward)[:, None]
+    return float((rays[:, 1] / np.linalg.norm(rays, axis=1)).min())

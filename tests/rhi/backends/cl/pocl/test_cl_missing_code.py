@@ -1,0 +1,131 @@
+"""Machine code that vanishes while a program runs: no launch ends the process.
+
+PoCL looks for a kernel's machine code again at each launch that has more items than all before.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rhi.backends.cl.pocl import binaries, leases
+
+RUN = """
+import hashlib, os, shutil, subprocess, sys
+from pathlib import Path
+import rhi
+from rhi.conformance.shaders import Checkered, Colored
+from rhi.conformance.shapes import rectangle
+
+TRIM = '''
+import rhi
+from rhi.backends.cl.pocl import kernel_cache
+from rhi.conformance.shaders import Checkered
+from rhi.conformance.shapes import rectangle
+kernel_cache.LIMIT = 1000
+with rhi.create_device("cl") as device:
+    image = device.texture((64, 48), rhi.Format.RGBA8)
+    with device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw(device.program(Checkered), device.mesh(rectangle(color=(1, 1, 1, 1))))
+    image.read()
+'''
+folder = Path(os.environ["RHI_CACHE"]) / "pocl"
+
+def show(device, shader, size):
+    with device.texture(size, rhi.Format.RGBA8) as image, device.mesh(rectangle(color=(1, 0, 0.5, 1))) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(device.program(shader), mesh)
+        print(hashlib.sha256(image.read().tobytes()).hexdigest())
+
+with rhi.create_device("cl") as device:
+    show(device, Colored, (130, 70))
+    way = sys.argv[1]
+    if way == "trim":
+        subprocess.run([sys.executable, "-c", TRIM], check=True)
+    elif way == "empty":
+        for path in folder.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    elif way == "remove":
+        shutil.rmtree(folder)
+    elif way == "one kernel":
+        for path in folder.glob("RH/*/*/*/*/*.so"):
+            path.unlink()
+    for size in ((130, 70), (1300, 700), (20, 20), (2000, 1100)):
+        show(device, Colored, size)
+"""
+"""Draws, loses machine code in the way that is named, and draws again, also larger. Prints checksums."""
+
+
+def run(folder: Path, way: str) -> list[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
+    environment |= {"RHI_CACHE": str(folder), "RHI_KERNELS": "quick"}
+    command = [sys.executable, "-W", "ignore", "-c", RUN, way]
+    result = subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=300, check=False
+    )
+    assert result.returncode == 0, (way, result.returncode, result.stderr[-2000:])
+    return result.stdout.split()
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A folder that has all machine code, and the checksums of the images."""
+    folder = tmp_path_factory.mktemp("kernels")
+    return folder, run(folder, "nothing")
+
+
+@pytest.mark.parametrize("way", ["nothing", "trim", "empty", "remove", "one kernel"])
+def test_larger_draws_live_on_without_machine_code(
+    filled: tuple[Path, list[str]], tmp_path: Path, way: str
+) -> None:
+    """With the images that a process draws whose machine code stays: the first way is the control."""
+    folder, images = filled
+    copy = tmp_path / "kernels"
+    shutil.copytree(folder, copy)
+    assert run(copy, way) == images
+
+
+def test_links_of_a_process_that_lives_stay(tmp_path: Path) -> None:
+    name = leases.take(tmp_path)
+    assert name is not None
+    assert len(binaries.folder_name("k" * 24, name)) == 40
+    own = tmp_path / binaries.LINKS / name
+    (own / "KEY").mkdir()
+    code = f"""
+from pathlib import Path
+from rhi.backends.cl.pocl import leases
+print(leases.take(Path({str(tmp_path)!r})))
+"""
+    other = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    assert (own / "KEY").is_dir()
+    assert other != name
+    assert (tmp_path / binaries.LINKS / other).is_dir()
+    leases.remove_stale(tmp_path)  # that process has ended
+    assert not (tmp_path / binaries.LINKS / other).exists()
+    assert (own / "KEY").is_dir()
+    assert leases.take(tmp_path) == name
+
+
+def test_links_that_nobody_can_lock_are_removed_after_a_day(tmp_path: Path) -> None:
+    for name, age in (("NEW", 0.0), ("OLD", 2 * 86400.0)):
+        (tmp_path / binaries.LINKS / name).mkdir(parents=True)
+        os.utime(tmp_path / binaries.LINKS / name, (time.time() - age,) * 2)
+    leases.remove_stale(tmp_path)
+    assert [path.name for path in (tmp_path / binaries.LINKS).iterdir()] == ["NEW"]
+
+
+def test_a_process_whose_folder_was_emptied_gets_another_name(tmp_path: Path) -> None:
+    name = leases.take(tmp_path)
+    assert name is not None
+    shutil.rmtree(tmp_path / binaries.LINKS)
+    again = leases.take(tmp_path)
+    assert again not in (None, name)
+    assert (tmp_path / binaries.LINKS / str(again)).is_dir()
