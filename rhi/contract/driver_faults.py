@@ -25,7 +25,12 @@ def limit_anisotropy(device: str, driver: str, max_anisotropy: float) -> tuple[f
     once: its time has no bound, and nothing in a sampler's state sets one.
     """
     walks = max_anisotropy > 1.0 and "llvmpipe" in device and _WALKS.search(driver) is not None
-    return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (max_anisotropy, ())
+    return (1.0, (_REASON,)) if walks and not allows_slow_anisotropy() else (max_anisotropy, ())
+
+
+def allows_slow_anisotropy() -> bool:
+    """Return whether the environment allows anisotropy that may take minutes."""
+    return os.environ.get(_OPT_IN, "0") not in ("", "0")
 
 
 def is_fourth_uniform_faulty(device: str) -> bool:

@@ -15,7 +15,12 @@ from rhi.backends.wgpu.wgpu_textures import Textures
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import TextureDescriptor, TextureKind
-from rhi.contract.driver_faults import is_fourth_uniform_faulty, limit_anisotropy, list_block_faults
+from rhi.contract.driver_faults import (
+    allows_slow_anisotropy,
+    is_fourth_uniform_faulty,
+    limit_anisotropy,
+    list_block_faults,
+)
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, FLOAT32_FORMATS, ChannelKind, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -45,9 +50,10 @@ _ALWAYS_BLEND: Final = frozenset(
 def query_capabilities(host: Host, textures: Textures) -> Capabilities:
     """Return the capabilities of a device. They are found once for each adapter: wgpu-native keeps whatever
     it refuses, and with refused commands their device."""
-    capabilities = _cached.get(host.key)
+    key = host.key, allows_slow_anisotropy()
+    capabilities = _cached.get(key)
     if capabilities is None:
-        capabilities = _cached[host.key] = _find_capabilities(host, textures)
+        capabilities = _cached[key] = _find_capabilities(host, textures)
     return replace(capabilities, rejected_devices=host.rejected_devices)
 
 
