@@ -44,6 +44,11 @@ COLLECTED_AFTER = (10_000, 10, 50)
 there."""
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the kit's plugin: tests of all packages use its marker `requires`, the kit's conftest or not."""
+    config.pluginmanager.import_plugin("rhi.conformance.plugin")
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Mark the cases that `nightly_cases` selects as nightly. In the profile `nightly`, multiply the number
     of examples of property tests, but for tests that are marked nightly themselves, which state their own
