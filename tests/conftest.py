@@ -21,7 +21,6 @@ from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
 
 from rhi.backends.cl.pocl.kernel_cache import settle_folder
-from rhi.conformance.plugin import quick_collections as quick_collections
 from rhi.contract import trust
 
 settings.register_profile(
