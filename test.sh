@@ -5,12 +5,15 @@
 #   ./test.sh --changed    style, types and import order, and the tests that are responsible for what differs from main
 #   ./test.sh --nightly    what is marked nightly too (proofs of the tests themselves, thousands of random programs),
 #                          and property tests with new examples, 20 times as many
+#   ./test.sh --nightly --shard K/N --minutes M
+#                          only what runs by night, of that the K-th of N parts, within M minutes, each option by choice;
+#                          tests/nights.tsv then says when each test last passed (tests/kits/nights.py)
 #   ./test.sh -k name …    only tests, with these options of pytest
 set -euo pipefail
 cd "$(dirname "$0")"
 case "${1:-}" in
 -h | --help)
-    sed -n '2,8s/^# \{0,1\}//p' "$0"
+    sed -n '2,11s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
 esac
@@ -22,6 +25,9 @@ unset PYTHONDONTWRITEBYTECODE  # the tests start hundreds of processes, which sh
 options=()
 if [ "${1:-}" = --nightly ]; then
     shift
+    case "${1:-}" in
+    --shard* | --minutes*) exec .venv/bin/python tests/kits/nights.py run "$@" ;;
+    esac
     options=(-m "" --hypothesis-profile nightly)
 else
     export RHI_KERNELS="${RHI_KERNELS:-quick}"  # optimised kernels, which compute the same bits, in the tests about them

@@ -21,6 +21,7 @@ from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
 
 from rhi.backends.cl.pocl.kernel_cache import settle_folder
+from rhi.conformance import plugin
 from rhi.contract import trust
 
 settings.register_profile(
@@ -44,8 +45,12 @@ there."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the kit's plugin: tests of all packages use its marker `requires`, the kit's conftest or not."""
-    config.pluginmanager.import_plugin("rhi.conformance.plugin")
+    """Register the kit's plugin: tests of all packages use its marker `requires`, the kit's conftest or not.
+
+    It is imported above, so pytest would warn that it can't rewrite it where the tree isn't the installed one.
+    """
+    if not config.pluginmanager.has_plugin(plugin.__name__):
+        config.pluginmanager.register(plugin, plugin.__name__)
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

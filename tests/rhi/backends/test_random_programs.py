@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nights import rotate_seed
 
 import rhi
 from rhi import Device
@@ -37,7 +38,7 @@ def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatc
     """Without bounds of depth, pieces, deferred clears and cached tables, results are the same bits."""
     hidden = 0
     with rhi.create_device("cl") as plain:
-        for seed in seeds:
+        for seed in map(rotate_seed, seeds):
             program = make_program(seed, make_theme(seed // 8, cl.capabilities))
             with monkeypatch.context() as patch:
                 begin_pass, gather = DrawState.begin_pass, batches.Batch.gather

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from clashing_names import FAMILIES, ComputeCase, DrawCase, compute_case, draw_case
+from nights import rotate_seed
 
 import rhi
 import rhi.shading as sl
@@ -62,7 +63,7 @@ def run_case(device: rhi.Device, case: ComputeCase) -> tuple[list[float], float]
 
 @pytest.mark.parametrize("seed", [*SOME, *(pytest.param(n, marks=pytest.mark.nightly) for n in MANY)])
 def test_each_thing_of_a_compute_shader_keeps_its_own_value(running_device: rhi.Device, seed: int) -> None:
-    case = compute_case(seed)
+    case = compute_case(rotate_seed(seed))
     assert run_case(running_device, case) == (case.expected, case.stored), case.text
 
 
@@ -89,7 +90,7 @@ def draw_targets(device: rhi.Device, case: DrawCase) -> list[list[float]]:
 def test_each_attribute_varying_and_target_is_its_own(running_device: rhi.Device, seed: int) -> None:
     if running_device.backend_name == "null":
         pytest.skip("the null device draws nothing")
-    case = draw_case(seed)
+    case = draw_case(rotate_seed(seed))
     assert draw_targets(running_device, case) == [list(color) for color in case.EXPECTED], case.text
 
 
