@@ -367,9 +367,7 @@ class CommandStream(Commands):
             gaps = 0
             context = self._base.copy()
         while True:
-            while gaps < len(self._gaps) and self._gaps[gaps][0] <= done:
-                context.apply(*self._gaps[gaps][1:])
-                gaps += 1
+            gaps = self.apply_skipped(context, gaps, done)
             if done >= index:
                 break
             if done not in self.failures:
@@ -378,6 +376,21 @@ class CommandStream(Commands):
             done += 1
         self._cursor = (done, gaps, context)
         return context
+
+    def initial_context(self) -> StreamContext:
+        """Return a copy of the context before the first command, with the resources that are older than it."""
+        return self._base.copy()
+
+    def apply_skipped(self, context: StreamContext, first: int, index: int) -> int:
+        """Apply to `context` the commands that were skipped up to `index`, from the `first` of them on.
+
+        Returns:
+            How many skipped commands the context includes now, which is the next call's `first`.
+        """
+        while first < len(self._gaps) and self._gaps[first][0] <= index:
+            context.apply(*self._gaps[first][1:])
+            first += 1
+        return first
 
     def clear(self) -> None:
         """Remove all commands. States, labels, program and pass remain known for the commands that follow."""

@@ -1,8 +1,8 @@
 """The contents of uniform and storage bindings at a command, derived from the commands before it.
 
 Bytes are tracked through creations (which zero them), writes, copies and clears. Bytes that a program wrote,
-and bytes of buffers that are older than the stream, are unknown: reading them raises an error, they are never
-guessed.
+and bytes that were last written before the stream begins, are unknown: reading them raises an error, they are
+never guessed. A buffer may be older than the stream, as rings are after `stream.clear()`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, CommandStream
-from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
+from rhi.contract.descriptors import Binding, BindingKind, BufferDescriptor, Id, ProgramDescriptor
 from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Struct, value_type_of
 from rhi.testing.arguments import checker, read_command
@@ -31,10 +31,15 @@ class UnknownDataError(Exception):
 
 @dataclass(slots=True)
 class _Bytes:
-    """The bytes of a buffer, and which of them are known."""
+    """The bytes of a buffer, and which of them are known.
+
+    Attributes:
+        is_older: bytes that no command of the stream has touched, in a buffer that is older than the stream.
+    """
 
     data: NDArray[np.uint8]
     is_known: NDArray[np.bool_]
+    is_older: NDArray[np.bool_]
 
 
 @dataclass(slots=True)
@@ -43,60 +48,81 @@ class BufferTracker:
 
     Attributes:
         done: number of commands that have been applied.
+        skipped: number of commands, skipped by the stream, that the context includes.
         context: program and bindings after these commands.
-        buffers: contents of each buffer that the stream created, by id.
+        buffers: contents of each buffer that the stream created or touched, by id.
     """
 
     stream: CommandStream
     done: int = 0
-    context: StreamContext = field(default_factory=StreamContext)
+    skipped: int = 0
+    context: StreamContext = field(init=False)
     buffers: dict[Id, _Bytes] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.context = self.stream.initial_context()
 
     def advance(self, index: int) -> None:
         """Apply all commands before `index`, starting over if some of the later ones have been applied."""
         if index < self.done:
-            self.done, self.context, self.buffers = 0, StreamContext(), {}
+            self.done, self.skipped, self.buffers = 0, 0, {}
+            self.context = self.stream.initial_context()
         for each in range(self.done, index):
+            self.skipped = self.stream.apply_skipped(self.context, self.skipped, each)
             if each not in self.stream.failures:
                 op, values, _, _ = self.stream.entry(each)
                 self._follow(op, values)
                 self.context.apply(op, values)
+        self.skipped = self.stream.apply_skipped(self.context, self.skipped, index)
         self.done = index
 
+    def _buffer(self, buffer: Id) -> _Bytes | None:
+        """Return what is tracked of a buffer, nothing being known of one that is older; None if it isn't one."""
+        tracked = self.buffers.get(buffer)
+        descriptor = self.context.resources.get(buffer)
+        if tracked is None and isinstance(descriptor, BufferDescriptor):
+            size = descriptor.size
+            tracked = _Bytes(np.zeros(size, np.uint8), np.zeros(size, np.bool_), np.ones(size, np.bool_))
+            self.buffers[buffer] = tracked
+        return tracked
+
     def _follow(self, op: Op, values: tuple[Any, ...]) -> None:
-        buffers = self.buffers
         if op is Op.CREATE_BUFFER:
             size = values[1].size
-            buffers[values[0]] = _Bytes(np.zeros(size, np.uint8), np.ones(size, np.bool_))
-        elif op is Op.WRITE_BUFFER and values[0] in buffers:
+            all_bytes = np.ones(size, np.bool_)
+            self.buffers[values[0]] = _Bytes(np.zeros(size, np.uint8), all_bytes, np.zeros(size, np.bool_))
+        elif op is Op.WRITE_BUFFER:
             buffer, offset, data = values
             self._set(buffer, offset, np.frombuffer(data, np.uint8), True)
-        elif op is Op.CLEAR_BUFFER and values[0] in buffers:
+        elif op is Op.CLEAR_BUFFER:
             buffer, offset, size, value = values
             pattern = np.full(size // 4, value & 0xFFFFFFFF, "<u4").view(np.uint8)
             self._set(buffer, offset, pattern, True)
-        elif op is Op.COPY_BUFFER and values[2] in buffers:
+        elif op is Op.COPY_BUFFER:
             source, source_offset, target, target_offset, size = values
-            copied = buffers.get(source)
+            copied = self._buffer(source)
             if copied is None:
                 self._set(target, target_offset, np.zeros(size, np.uint8), False)
             else:
                 part = slice(source_offset, source_offset + size)
                 self._set(target, target_offset, copied.data[part].copy(), copied.is_known[part].copy())
-        elif op is Op.COPY_TEXTURE_TO_BUFFER and values[3] in buffers:
+        elif op is Op.COPY_TEXTURE_TO_BUFFER:
             _, _, region, target, offset, row_bytes = values
-            size = min(row_bytes * region.height * region.layers, len(buffers[target].data) - offset)
-            self._set(target, offset, np.zeros(size, np.uint8), False)
+            self._set(target, offset, np.zeros(row_bytes * region.height * region.layers, np.uint8), False)
         elif op in DRAWS or op in DISPATCHES:
             for binding in _program_bindings(self.context.resources.get(self.context.program)):
                 bound = self.context.slots.get((binding.kind, binding.slot))
-                if binding.kind is BindingKind.STORAGE and binding.writes and bound and bound[0] in buffers:
-                    buffers[bound[0]].is_known[bound[1] : bound[1] + bound[2]] = False
+                if binding.kind is BindingKind.STORAGE and binding.writes and bound:
+                    self._set(bound[0], bound[1], np.zeros(bound[2], np.uint8), False)
 
     def _set(self, buffer: Id, offset: int, data: NDArray[np.uint8], is_known: Any) -> None:
-        part = slice(offset, offset + len(data))
-        self.buffers[buffer].data[part] = data
-        self.buffers[buffer].is_known[part] = is_known
+        tracked = self._buffer(buffer)
+        if tracked is None:
+            return
+        part = slice(offset, min(offset + len(data), len(tracked.data)))
+        tracked.data[part] = data[: part.stop - part.start]
+        tracked.is_known[part] = is_known
+        tracked.is_older[part] = False
 
     def read(self, command: Command, name: str) -> NDArray[Any]:
         """Return the contents of a binding at a command, see `binding_data`."""
@@ -109,13 +135,18 @@ class BufferTracker:
         if name not in command.bindings:
             raise UnknownDataError(f"nothing is bound as {name!r}")
         buffer, offset, size = command.bindings[name]
-        if buffer not in self.buffers:
-            raise UnknownDataError(f"{name!r} lies in buffer {buffer}, which is older than the stream")
-        content, dtype = self.buffers[buffer], _dtype(binding)
+        content, dtype = self._buffer(buffer), _dtype(binding)
+        if content is None:
+            raise UnknownDataError(f"{name!r} lies in buffer {buffer}, of which the stream has no size")
         size = dtype.itemsize if binding.kind is BindingKind.UNIFORM else size - size % dtype.itemsize
         part = slice(offset, offset + size)
         if not content.is_known[part].all():
             first = int(np.flatnonzero(~content.is_known[part])[0])
+            if content.is_older[part][first]:
+                raise UnknownDataError(
+                    f"byte {first} of {name!r} was last written before the stream: it is older than "
+                    "stream.clear(), or than the trace"
+                )
             raise UnknownDataError(f"byte {first} of {name!r} was written on the device")
         base, shape = dtype.subdtype or (dtype, ())
         values = content.data[part].copy().view(base).reshape(-1, *shape)

@@ -135,7 +135,8 @@ class Expectation:
                 nested structs by path, `{"lights.0.color": …}`.
             tolerance: the maximum difference of each number.
 
-        Unknown contents (written on the device, or before the stream) don't match; the message says so.
+        Unknown contents (last written on the device, or before the stream) don't match; the message
+        says so.
         """
         checker("with_data").instance(
             "expected", expected, (Mapping, Struct), "a struct's value, or numbers by name"

@@ -181,11 +181,47 @@ def test_all_rows_of_texels_that_were_copied_are_unknown_until_they_are_written(
             point_lights.write(np.zeros(1, PointLight.dtype), first=unknown)
 
 
-def test_what_is_older_than_the_stream_is_not_known(sample_frame: SampleFrame) -> None:
+def test_what_was_written_before_the_stream_is_not_known(sample_frame: SampleFrame) -> None:
     sample_frame.device.stream.clear()
     sample_frame.render()
-    with pytest.raises(AssertionError, match="older than the stream"):
+    with pytest.raises(AssertionError, match="byte 0 of 'tint' was last written before the stream"):
         expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0.5, 0, 1)}).exactly(1)
+
+
+def test_what_a_draw_was_passed_is_known_in_rings_older_than_the_stream(sample_frame: SampleFrame) -> None:
+    device = sample_frame.device
+    for x in (1.0, 2.0):
+        device.stream.clear()
+        with device.render_pass(depth=sample_frame.map):
+            device.draw(sample_frame.shadow, sample_frame.walls, light=Light(offset=(x, 0, 0, 0)))
+        draws = expect(device).draws()
+        draws.with_data("light", Light(offset=(x, 0, 0, 0))).exactly(1)
+        draws.with_data("light", Light(offset=(3 - x, 0, 0, 0))).exactly(0)
+
+
+def test_a_part_written_after_clear_is_not_the_whole(null_device: Device) -> None:
+    storage = null_device.storage(PointLight, np.ones(2, PointLight.dtype))
+    program = null_device.program(Writing)
+    null_device.stream.clear()
+    storage.write(np.ones(1, PointLight.dtype))
+    null_device.dispatch(program, 1, point_lights=storage)
+    dispatch = null_device.stream.filter(rhi.Op.DISPATCH)[-1]
+    with pytest.raises(UnknownDataError, match="byte 16 of 'point_lights' was last written before"):
+        binding_data(dispatch, "point_lights")
+
+
+def test_a_program_older_than_the_stream_makes_what_it_writes_unknown(null_device: Device) -> None:
+    storage = null_device.storage(PointLight, np.ones(2, PointLight.dtype))
+    program = null_device.program(Writing)
+    null_device.dispatch(program, 1, point_lights=storage)  # bound before the stream begins
+    null_device.stream.clear()
+    storage.write(np.zeros(2, PointLight.dtype))
+    null_device.dispatch(program, 1, point_lights=storage)
+    null_device.dispatch(program, 1, point_lights=storage)
+    first, second = null_device.stream.filter(rhi.Op.DISPATCH)
+    assert binding_data(first, "point_lights")["power"].tolist() == [0, 0]
+    with pytest.raises(UnknownDataError, match="byte 0 of 'point_lights' was written on the device"):
+        binding_data(second, "point_lights")
 
 
 def test_a_loaded_trace_says_that_it_has_no_layouts(sample_frame: SampleFrame, tmp_path: object) -> None:
@@ -196,29 +232,49 @@ def test_a_loaded_trace_says_that_it_has_no_layouts(sample_frame: SampleFrame, t
         binding_data(load(file).stream.draws()[-1], "tint")
 
 
+KINDS = ("write", "copy", "clear", "draw", "draw with a value", "forget")
+
+
 @settings(max_examples=40)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))
-    )
-)
+@given(st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 2), st.integers(0, 9)), max_size=30))
 def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
+    """Also after the stream was cleared: bytes written since are known, and no others."""
     with rhi.create_device("null") as device:
         sample_frame = SampleFrame(device)
         lights = [device.uniform(Light(offset=(i, 0, 0, 0))) for i in range(3)]
-        expected = []
+        known = np.ones((3, 16), np.bool_)
+        expected: list[list[float] | None] = []
         with device.render_pass(depth=sample_frame.map):
             for kind, which, number in steps:
                 if kind == "write":
                     lights[which].write(Light(offset=(number, 1, 2, 3)))
+                    known[which] = True
                 elif kind == "copy":
-                    lights[which].owner.copy_to(
-                        lights[(which + 1) % 3].owner, size=8, offset=4, target_offset=0
-                    )
+                    target = (which + 1) % 3
+                    lights[which].owner.copy_to(lights[target].owner, size=8, offset=4, target_offset=0)
+                    known[target, :8] = known[which, 4:12]
                 elif kind == "clear":
                     lights[which].owner.clear(number)
-                else:
+                    known[which] = True
+                elif kind == "forget":
+                    device.stream.clear()
+                    known[:] = False
+                    expected.clear()
+                elif kind == "draw":
                     device.draw(sample_frame.shadow, sample_frame.walls, light=lights[which])
-                    expected.append(lights[which].owner.read()["offset"][0].tolist())
-        offsets = [binding_data(draw, "light")["offset"].tolist() for draw in device.stream.draws()]
-        assert offsets == expected
+                    content = lights[which].owner.read()["offset"][0].tolist()
+                    expected.append(content if known[which].all() else None)
+                else:
+                    device.draw(
+                        sample_frame.shadow, sample_frame.walls, light=Light(offset=(number, 4, 5, 6))
+                    )
+                    expected.append([number, 4, 5, 6])
+        assert [_offset(draw) for draw in device.stream.draws()] == expected
+
+
+def _offset(draw: rhi.Command) -> list[float] | None:
+    try:
+        offset: list[float] = binding_data(draw, "light")["offset"].tolist()
+    except UnknownDataError:
+        return None
+    return offset

@@ -239,9 +239,8 @@ class HazardTracker:
             return
         if end <= begin:
             return
-        in_place = begin < memory.written[1] and memory.written[0] < end
-        kind = HazardKind.WRITE_IN_USE if in_place else HazardKind.RING_OVERTAKEN
-        memory.written = (begin, end)
+        comes_round = memory.write(begin, end)
+        kind = HazardKind.RING_OVERTAKEN if comes_round else HazardKind.WRITE_IN_USE
         used = memory.find_use(begin, end, self.completed)
         if used is not None:
             self._report(kind, buffer, used[2], make_use(), (max(begin, used[0]), min(end, used[1])))

@@ -3,7 +3,9 @@ draws read."""
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Mapping, Sequence
+from operator import itemgetter
 from types import CodeType
 from typing import Final, TypeAlias
 
@@ -17,6 +19,10 @@ CommandUse: TypeAlias = tuple[int, CodeType | None, int, int]
 instruction offset) and its op. It is a plain tuple because one is created for each draw."""
 
 
+_begin_of: Final = itemgetter(0)
+_end_of: Final = itemgetter(1)
+
+
 class StreamMemory:
     """The uses of a buffer that the CPU writes without order. They are sorted into pages, so that a write
     checks only few.
@@ -25,12 +31,31 @@ class StreamMemory:
         written: (begin, end) of the latest write, in bytes.
     """
 
-    __slots__ = ("_pages", "_shift", "written")
+    __slots__ = ("_pages", "_shift", "_written_ranges", "written")
 
     def __init__(self, size: int) -> None:
         self._pages: dict[int, list[tuple[int, int, CommandUse]]] = {}
         self._shift = max(8, size.bit_length() - 10)
+        self._written_ranges: list[tuple[int, int]] = []  # disjoint, sorted, with gaps between them
         self.written = (0, 0)
+
+    def write(self, begin: int, end: int) -> bool:
+        """Note a write by the CPU, of at least one byte.
+
+        Returns:
+            Whether it comes round to some of these bytes: they were written before, and others since.
+        """
+        in_place = begin < self.written[1] and self.written[0] < end
+        self.written = (begin, end)
+        ranges = self._written_ranges
+        first = bisect_left(ranges, begin, key=_end_of)
+        last = bisect_right(ranges, end, key=_begin_of)
+        touched = ranges[first:last]  # overlapping or adjacent
+        overlaps = any(each[0] < end and begin < each[1] for each in touched)
+        if touched:
+            begin, end = min(begin, touched[0][0]), max(end, touched[-1][1])
+        ranges[first:last] = [(begin, end)]
+        return overlaps and not in_place
 
     def use(self, begin: int, end: int, use: CommandUse, completed: int) -> None:
         """Add a use of these bytes. Earlier uses by commands up to number `completed` are done and may be

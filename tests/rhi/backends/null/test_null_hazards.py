@@ -15,6 +15,7 @@ from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 import rhi
 from rhi import Access, BufferUsage
 from rhi.backends.null import Faults, HazardKind, SimulatedBackend, Simulation
+from rhi.backends.null.simulation.streams import StreamMemory
 from rhi.contract import descriptors
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import ColorWrite, DepthWrite, StateChange, StencilTest
@@ -66,6 +67,36 @@ def test_memory_rewritten_in_place_and_memory_a_ring_comes_round_to_are_told_apa
     backend.write_buffer(STREAM, 16, bytes(16))
     backend.write_buffer(STREAM, 8, bytes(4))
     assert kinds(backend) == [KINDS.WRITE_IN_USE, KINDS.RING_OVERTAKEN]
+
+
+@pytest.mark.parametrize(
+    ("earlier", "begin"),
+    [
+        ([], 0),  # the one and only write
+        ([(16, 16)], 0),  # another part was written
+        ([(16, 16), (32, 8)], 0),
+        ([(0, 4), (12, 16)], 4),  # between two parts
+        ([(0, 16)], 0),  # in place
+    ],
+)
+def test_a_first_write_of_memory_in_use_overtakes_no_ring(earlier, begin):
+    backend = uniform_backend()
+    for offset, size in earlier:
+        backend.write_buffer(STREAM, offset, bytes(size))
+    backend.bind_uniform(0, STREAM, 0, 16)
+    draw(backend)
+    backend.write_buffer(STREAM, begin, bytes(8))
+    assert kinds(backend) == [KINDS.WRITE_IN_USE]
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 12)), max_size=30))
+def test_a_ring_is_overtaken_where_a_set_of_written_bytes_says_so(writes):
+    memory, written, latest = StreamMemory(64), set(), set()
+    for begin, size in writes:
+        part = set(range(begin, begin + size))
+        assert memory.write(begin, begin + size) == (bool(part & written) and not part & latest)
+        written |= part
+        latest = part
 
 
 def test_both_calls_are_named_by_their_lines():
