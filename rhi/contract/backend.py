@@ -156,8 +156,8 @@ class Capabilities:
     vertex_writes: bool = True
     """Whether vertex stages can write memory."""
     list_restart: bool = True
-    """Whether the largest index restarts lists of points, lines and triangles, too. Strips, fans and quads
-    always restart."""
+    """Whether the largest index restarts lists of points, lines and triangles, too, unless a shader wrote the
+    indices. Strips, fans and quads always restart."""
     precise_lines: bool = True
     """Whether a line one texel wide covers the texels that OpenGL's diamond rule gives it, within the rule's
     tolerance."""

@@ -149,7 +149,6 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         precise_triangles=False,
         precise_clipping=False,
         precise_lines=False,
-        list_restart=False,
         border_colors=False,
         draw_index=False,
         early_depth=False,

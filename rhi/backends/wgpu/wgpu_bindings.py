@@ -141,7 +141,7 @@ class BoundResources:
         for slot in program.storages:
             buffers[self.storages[slot][0]].serial = serial
         for slot in program.written:
-            buffers[self.storages[slot][0]].version += 1
+            self._buffers.note_device_write(buffers[self.storages[slot][0]])
         for slot in program.textures:
             textures[self.sampled[slot][0]].serial = serial
         for slot in program.images:

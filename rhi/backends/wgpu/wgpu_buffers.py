@@ -1,7 +1,8 @@
 """Buffers.
 
 - Sizes are rounded up to 16 bytes. A write of other than whole words reads the words around it first.
-- STREAM buffers have a copy on the CPU; what was written of it is uploaded before each submission.
+- STREAM buffers have a copy on the CPU; what was written of it is uploaded before each submission. Once the
+  device writes one, it has no copy any longer.
 - READBACK buffers are mapped to be read.
 """
 
@@ -17,6 +18,7 @@ from rhi.backends.wgpu.command_encoder import Stream
 from rhi.backends.wgpu.native import GpuObject, Mappings, write_queue
 from rhi.backends.wgpu.wgpu_errors import translate_errors
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
+from rhi.contract.formats import IndexFormat
 from rhi.contract.interrupts import DeferredInterrupts
 
 _USAGE: Final = wgpu.BufferUsage
@@ -34,22 +36,57 @@ _GAP: Final = 256
 """Ranges of a STREAM buffer closer than this many bytes are uploaded together."""
 _MAX_STAGING: Final = 1 << 22
 """Read buffers of more bytes than this aren't kept for reuse."""
+RESTART_BITS: Final = {IndexFormat.UINT16: 1, IndexFormat.UINT32: 2}
+ANY_RESTART: Final = 3
 
 
 class GpuBuffer:
     """A buffer: its object, its handle, the encoder that uses it, and the copy of a STREAM buffer. `version`
-    counts the commands that may have changed it."""
+    counts the commands that may have changed it. `restarts` says which restart indices may have
+    been written: `RESTART_BITS`. Those that the CPU writes to a STREAM buffer are in its copy."""
 
-    __slots__ = ("descriptor", "dirty", "handle", "object", "serial", "shadow", "size", "version")
+    __slots__ = (
+        "descriptor",
+        "device_wrote",
+        "dirty",
+        "handle",
+        "object",
+        "restarts",
+        "serial",
+        "shadow",
+        "size",
+        "version",
+    )
 
     def __init__(self, gpu_buffer: GpuObject, descriptor: BufferDescriptor, size: int) -> None:
         self.object = gpu_buffer
         self.handle = gpu_buffer._internal
         self.descriptor = descriptor
         self.size = size
-        self.serial = self.version = 0
+        self.serial = self.version = self.restarts = 0
         self.shadow = bytearray(size) if descriptor.usage is BufferUsage.STREAM else None
+        self.device_wrote = False  # so the copy isn't what the buffer holds, and goes with the submission
         self.dirty: list[list[int]] = []  # [start, stop] of the written bytes of the copy
+
+    @property
+    def copy(self) -> bytearray | None:
+        """What a STREAM buffer holds, as long as only the CPU writes it."""
+        return None if self.device_wrote else self.shadow
+
+
+def restart_bits(data: BytesLike, offset: int) -> int:
+    """Return which restart indices may be among contiguous bytes at an offset of a buffer: bits of
+    `RESTART_BITS`."""
+    values = np.frombuffer(memoryview(data), np.uint8)
+    if not values.size:
+        return 0
+    if offset % 2 or values.size % 2:
+        return ANY_RESTART
+    if values.view(np.uint16).max() != 0xFFFF:
+        return 0
+    if offset % 4 or values.size % 4:
+        return ANY_RESTART
+    return ANY_RESTART if values.view(np.uint32).max() == 0xFFFFFFFF else 1
 
 
 class Buffers:
@@ -61,6 +98,7 @@ class Buffers:
         self._stream = stream
         self._mappings = mappings
         self._dirty: dict[int, GpuBuffer] = {}
+        self._written: list[GpuBuffer] = []  # STREAM buffers that the open encoder writes
         self._staging: dict[int, list[GpuObject]] = {}
         stream.before_submit.append(self.upload)
 
@@ -108,12 +146,17 @@ class Buffers:
         target.version += 1
         if not size:
             return
+        if target.device_wrote:
+            self._stream.submit()  # the copy goes
         if target.shadow is not None:
             self._write_shadow(
                 target, offset, view.cast("B") if view.format != "B" or view.ndim != 1 else view
             )
             return
         bytes_ = view.tobytes() if not view.contiguous else view
+        restarts = restart_bits(bytes_, offset)
+        whole = not offset and size >= target.descriptor.size
+        target.restarts = restarts if whole else target.restarts | restarts
         if offset % 4 or size % 4:
             start, stop = offset // 4 * 4, -(-(offset + size) // 4) * 4
             around = bytearray(stop - start)
@@ -135,6 +178,14 @@ class Buffers:
             dirty.append([offset, end])
         target.shadow[offset:end] = view  # last: after an interrupt before it, only more is uploaded
 
+    def note_device_write(self, target: GpuBuffer) -> None:
+        """Note that the open encoder writes a buffer. A STREAM buffer then becomes one like others."""
+        target.version += 1
+        if target.shadow is not None and not target.device_wrote:
+            target.restarts = ANY_RESTART
+            self._written.append(target)
+            target.device_wrote = True
+
     def before_write(self, resource: object) -> None:
         """Submit if the open encoder uses a buffer that the queue is about to write."""
         if resource.serial == self._stream.serial:  # type: ignore[attr-defined]
@@ -149,6 +200,9 @@ class Buffers:
                     write_queue(self._device, target.handle, start, target.shadow, start, stop - start)
                 target.dirty.clear()
         self._dirty.clear()
+        while self._written:
+            self._written[-1].shadow, self._written[-1].device_wrote = None, False
+            self._written.pop()
 
     # -- reads -------------------------------------------------------------------------------------------
 
@@ -183,6 +237,8 @@ class Buffers:
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
         source = self.objects[buffer]
+        if source.device_wrote:
+            self._stream.submit()  # the copy goes
         if source.shadow is not None:  # only the CPU writes it
             return bytes(source.shadow[offset : offset + size])
         start, stop = offset // 8 * 8, -(-(offset + size) // 4) * 4
@@ -201,7 +257,8 @@ class Buffers:
     def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         encoder = self._stream.outside()
         old, new = self.use(source), self.use(target)
-        new.version += 1
+        self.note_device_write(new)
+        new.restarts |= old.restarts if old.shadow is None else ANY_RESTART
         if old is new:
             between = self.temporary(size)
             encoder.copy_buffer_to_buffer(old.object, source_offset, between, 0, size)
@@ -213,7 +270,8 @@ class Buffers:
         if not size:
             return
         encoder, target = self._stream.outside(), self.use(buffer)
-        target.version += 1
+        self.note_device_write(target)
+        target.restarts |= ANY_RESTART if value else 0
         if not value:
             encoder.clear_buffer(target.object, offset, size)
             return

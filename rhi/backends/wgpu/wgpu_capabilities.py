@@ -127,7 +127,6 @@ def _find_capabilities(host: Host, textures: Textures) -> Capabilities:
         precise_triangles=False,
         precise_clipping=False,
         precise_lines=False,
-        list_restart=False,
         wireframe="polygon-mode-line" in features,
         border_colors=False,
         draw_index="shader-draw-index" in features,

@@ -6,6 +6,8 @@
 - Fans and quads are drawn as indexed triangles. Without indices, all share one index buffer for each kind.
   Indexed quads are expanded on the device, once for each version of their buffer; indexed fans, which may
   restart, on the CPU, which waits.
+- WebGPU's lists of points, lines and triangles don't restart. Those whose indices the CPU has written are
+  drawn with indices of whole primitives, computed once for each version of their buffer.
 - Draws without indices have records of 5 words in the contract and of 4 in WebGPU, so a compute stage
   rewrites their arguments. It also rewrites arguments with other strides, or with counts that the device
   can't read.
@@ -25,17 +27,21 @@ from rhi.backends.wgpu.command_encoder import Stream
 from rhi.backends.wgpu.native import NULL, GpuObject, Handle, lib
 from rhi.backends.wgpu.tools import EXPAND_QUADS, LIST_DRAWS, RESTART_QUADS, Tools, expand_fan
 from rhi.backends.wgpu.wgpu_bindings import BoundResources
-from rhi.backends.wgpu.wgpu_buffers import Buffers, GpuBuffer
+from rhi.backends.wgpu.wgpu_buffers import RESTART_BITS, Buffers, GpuBuffer
 from rhi.backends.wgpu.wgpu_pipelines import Pipelines, States, TargetFormats
 from rhi.backends.wgpu.wgpu_programs import GpuProgram, PipelineLayout
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 from rhi.contract.limits import count_elements, draw_faults
 from rhi.contract.states import StateChange, clamp_rectangle
+from rhi.contract.topology import list_primitives
 
 _FAN: Final = Primitive.TRIANGLE_FAN
 _QUADS: Final = Primitive.QUADS
 _CONVERTED: Final = frozenset({_FAN, _QUADS})
+_LISTS: Final = frozenset({Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES})
+_MAX_LISTED: Final = 64
+"""Ranges of an index buffer with restarts whose whole primitives are kept."""
 _INDEX_FORMATS: Final = {
     IndexFormat.UINT16: lib.WGPUIndexFormat_Uint16,
     IndexFormat.UINT32: lib.WGPUIndexFormat_Uint32,
@@ -55,9 +61,20 @@ _draw_indexed: Final = lib.wgpuRenderPassEncoderDrawIndexed
 
 class GpuVertexArray:
     """A vertex array. `key` is the same object for all arrays of one layout, `restarts` the index format of
-    its strips' pipelines."""
+    its strips' pipelines, `may_restart` whether its indices may restart, as they were when it was bound
+    last."""
 
-    __slots__ = ("descriptor", "expanded", "indexed", "key", "restarts")
+    __slots__ = (
+        "descriptor",
+        "expanded",
+        "indexed",
+        "key",
+        "listed",
+        "may_restart",
+        "restart_bit",
+        "restarts",
+        "values",
+    )
 
     def __init__(self, descriptor: VertexArrayDescriptor, key: object) -> None:
         self.descriptor = descriptor
@@ -67,6 +84,10 @@ class GpuVertexArray:
         self.expanded: tuple[tuple[int, int, int], GpuObject] | None = (
             None  # quads: (first, count, version), indices
         )
+        self.restart_bit = RESTART_BITS[descriptor.index_format] if self.indexed else 0
+        self.may_restart = 0
+        self.values: tuple[int, NDArray[np.integer]] | None = None  # version, all indices
+        self.listed: dict[tuple[Primitive, int, int], tuple[int, GpuObject | None]] = {}  # size, indices
 
 
 class Draws:
@@ -197,6 +218,7 @@ class Draws:
         if array.indexed:
             buffer = use(descriptor.index_buffer)
             _set_indices(render, buffer.handle, _INDEX_FORMATS[descriptor.index_format], 0, buffer.size)
+            array.may_restart = buffer.restarts & array.restart_bit
 
     # -- draws -------------------------------------------------------------------------------------------
 
@@ -213,6 +235,11 @@ class Draws:
         if primitive in _CONVERTED:
             self._draw_converted(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
         elif self.arrays[vertex_array].indexed:
+            if self._restarts(vertex_array, primitive, first, count):
+                self._draw_converted(
+                    vertex_array, primitive, first, count, instances, base_vertex, base_instance
+                )
+                return
             render = self.ready(vertex_array, primitive)
             _draw_indexed(render, count, instances, first, base_vertex, base_instance)
         else:
@@ -231,15 +258,22 @@ class Draws:
         """See `rhi.contract.backend.SupportsPreparedDraws`."""
         array = self.arrays[vertex_array]
         copies = bool(program.written_images and program.textures)
-        if primitive in _CONVERTED or program.descriptor.writes_memory or copies:
-            draw = self.draw
+        draw = self.draw
+        indexed = array.indexed
+        lists = primitive in _LISTS
+        streamed = indexed and self._buffers[array.descriptor.index_buffer].shadow is not None
+        if (
+            primitive in _CONVERTED
+            or program.descriptor.writes_memory
+            or copies
+            or (lists and streamed)  # whose indices are looked at in each draw
+        ):
             return lambda instances: draw(
                 vertex_array, primitive, first, count, instances, base_vertex, base_instance
             )
         stream = self._stream
         states = self._states
         bindings = self._bindings
-        indexed = array.indexed
         key, alike = (vertex_array, primitive), (array.key, primitive, array.restarts)
         move = bindings.move
         bind_array = self._bind_array
@@ -260,7 +294,10 @@ class Draws:
             elif bindings.moved:
                 move(program, _set_group, render)
             if indexed:
-                _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+                if array.may_restart and lists:
+                    draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+                else:
+                    _draw_indexed(render, count, instances, first, base_vertex, base_instance)
             else:
                 _draw(render, count, instances, first, base_instance)
 
@@ -286,9 +323,18 @@ class Draws:
         instances: int,
         base_vertex: int,
         base_instance: int,
+        clip: Sequence[int] | None = None,
     ) -> None:
-        """Draw fans or quads as triangles."""
+        """Draw fans or quads as triangles, and lists that restart as whole primitives; inside a clip of
+        `draw_clipped`."""
         array = self.arrays[vertex_array]
+        if primitive in _LISTS:
+            corners, indices = self._list(array, primitive, first, count)
+            if indices is not None:
+                self._draw_corners(
+                    vertex_array, primitive, corners, indices, instances, base_vertex, base_instance, clip
+                )
+            return
         corners = count // 4 * 6 if primitive is _QUADS else max(0, count - 2) * 3
         if not corners:
             return
@@ -302,10 +348,62 @@ class Draws:
             if not corners:
                 return
             indices = self._indices(triangles)
+        self._draw_corners(vertex_array, primitive, corners, indices, instances, base, base_instance, clip)
+
+    def _draw_corners(
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        corners: int,
+        indices: GpuObject,
+        instances: int,
+        base: int,
+        base_instance: int,
+        clip: Sequence[int] | None,
+    ) -> None:
+        """Draw the first `corners` indices of another index buffer."""
         render = self.ready(vertex_array, primitive)
+        if clip is not None:
+            self._clip(render, clip)
         _set_indices(render, indices._internal, _UINT32, 0, 4 * corners)
         _draw_indexed(render, corners, instances, 0, base, base_instance)
         self._current = None
+
+    def _restarts(self, vertex_array: Id, primitive: Primitive, first: int, count: int) -> bool:
+        """Whether some of the indices of a list may restart it."""
+        array = self.arrays[vertex_array]
+        buffer = self._buffers[array.descriptor.index_buffer]
+        copy = buffer.copy
+        if copy is None:
+            return bool(buffer.restarts & array.restart_bit) and primitive in _LISTS
+        if not count or primitive not in _LISTS:
+            return False
+        form = array.descriptor.index_format
+        values = np.frombuffer(copy, form.dtype, count, first * form.size)
+        return bool(values.max() == (1 << 8 * form.size) - 1)
+
+    def _list(
+        self, array: GpuVertexArray, primitive: Primitive, first: int, count: int
+    ) -> tuple[int, GpuObject | None]:
+        """Return how many indices the whole primitives of a list have, and a buffer of them if any."""
+        form = array.descriptor.index_format
+        restart = (1 << 8 * form.size) - 1
+        buffer = self._buffers[array.descriptor.index_buffer]
+        if buffer.copy is not None:
+            values = np.frombuffer(buffer.copy, form.dtype, count, first * form.size)
+            corners = list_primitives(primitive, values, restart)
+            return corners.size, self._indices(corners) if corners.size else None
+        if array.values is None or array.values[0] != buffer.version:
+            data = self._buffers.read(array.descriptor.index_buffer, 0, buffer.descriptor.size)
+            array.values = buffer.version, np.frombuffer(data, form.dtype, len(data) // form.size)
+            array.listed.clear()
+        key = (primitive, first, count)
+        if key not in array.listed:
+            if len(array.listed) == _MAX_LISTED:
+                array.listed.clear()
+            corners = list_primitives(primitive, array.values[1][first : first + count], restart)
+            array.listed[key] = corners.size, self._indices(corners) if corners.size else None
+        return array.listed[key]
 
     def _indices(self, values: NDArray[np.uint32]) -> GpuObject:
         return self._buffers.filled(values.ravel(), wgpu.BufferUsage.INDEX)
@@ -328,7 +426,7 @@ class Draws:
         descriptor = array.descriptor
         buffer = self._buffers.use(descriptor.index_buffer)
         key = (first, count, buffer.version)
-        if array.expanded is not None and array.expanded[0] == key and buffer.shadow is None:
+        if array.expanded is not None and array.expanded[0] == key and buffer.copy is None:
             return array.expanded[1]
         short = int(descriptor.index_format is IndexFormat.UINT16)
         expanded, restarts = self._buffers.temporary(count // 4 * 24), self._buffers.temporary(4)
@@ -363,14 +461,22 @@ class Draws:
         for first, count, instances, base_instance, base_vertex, clip in rows:
             if primitive is _FAN or self._alone or self.program.descriptor.writes_memory:  # type: ignore[union-attr]
                 self._states.moved = True
+            if indexed and self._restarts(vertex_array, primitive, first, count):
+                self._draw_converted(
+                    vertex_array, primitive, first, count, instances, base_vertex, base_instance, clip
+                )
+                continue
             render = self.ready(vertex_array, primitive)
-            size = self._stream.pass_.size  # type: ignore[union-attr]
-            lib.wgpuRenderPassEncoderSetScissorRect(render, *clamp_rectangle(clip, *size))
+            self._clip(render, clip)
             if indexed:
                 _draw_indexed(render, count, instances, first, base_vertex, base_instance)
             else:
                 _draw(render, count, instances, first, base_instance)
         self._states.moved = True
+
+    def _clip(self, render: Handle, clip: Sequence[int]) -> None:
+        size = self._stream.pass_.size  # type: ignore[union-attr]
+        lib.wgpuRenderPassEncoderSetScissorRect(render, *clamp_rectangle(clip, *size))
 
     # -- indirect draws ----------------------------------------------------------------------------------
 
@@ -388,12 +494,16 @@ class Draws:
         if not draws:
             return
         stride = stride or _RECORD
-        if primitive is _FAN or not self._has_base_instances:
+        indexed = self.arrays[vertex_array].indexed
+        if (
+            primitive is _FAN
+            or not self._has_base_instances
+            or (indexed and self._restarts_anywhere(vertex_array, primitive))
+        ):
             self._draw_each(
                 vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
             )
             return
-        indexed = self.arrays[vertex_array].indexed
         arguments = self._buffers.use(buffer)
         program = self.program
         assert program is not None
@@ -423,6 +533,13 @@ class Draws:
             many(self.ready(vertex_array, primitive), listed._internal, 0, draws)
         arguments.serial = self._stream.serial
 
+    def _restarts_anywhere(self, vertex_array: Id, primitive: Primitive) -> bool:
+        """Whether any index of a list's buffer may restart it."""
+        descriptor = self.arrays[vertex_array].descriptor
+        copy = self._buffers[descriptor.index_buffer].copy
+        count = 0 if copy is None else len(copy) // descriptor.index_format.size
+        return self._restarts(vertex_array, primitive, 0, count)
+
     def _list_draws(
         self,
         arguments: GpuBuffer,
@@ -434,8 +551,8 @@ class Draws:
         count_offset: int,
     ) -> GpuObject:
         """Return the arguments of draws tightly, with no instances for those beyond the count."""
-        if arguments.shadow is not None and not count_buffer:
-            rows = np.ndarray((draws, words), np.uint32, arguments.shadow, offset, (stride, 4))
+        if arguments.copy is not None and not count_buffer:
+            rows = np.ndarray((draws, words), np.uint32, arguments.copy, offset, (stride, 4))
             return self._buffers.filled(rows, wgpu.BufferUsage.INDIRECT)
         encoder = self._stream.outside()
         arguments.serial = self._stream.serial

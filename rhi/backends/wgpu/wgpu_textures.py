@@ -17,7 +17,7 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.wgpu.command_encoder import Stream
 from rhi.backends.wgpu.native import GpuObject
 from rhi.backends.wgpu.tools import DEPTH_READ, STENCIL_READ, Tools
-from rhi.backends.wgpu.wgpu_buffers import Buffers
+from rhi.backends.wgpu.wgpu_buffers import ANY_RESTART, Buffers
 from rhi.backends.wgpu.wgpu_errors import translate_errors
 from rhi.backends.wgpu.wgpu_formats import COMPRESSED, DIMENSIONS, FORMATS
 from rhi.contract.blocks import BLOCK
@@ -274,7 +274,8 @@ class Textures:
     ) -> None:
         encoder, r = self._stream.outside(), region
         texture, buffer = self.use(source), self._buffers.use(target)
-        buffer.version += 1
+        self._buffers.note_device_write(buffer)
+        buffer.restarts = ANY_RESTART
         if not texture.descriptor.format.is_depth:
             encoder.copy_texture_to_buffer(
                 *self._copy_sides(texture, level, r, buffer.object, offset, row_bytes)

@@ -214,6 +214,32 @@ def test_a_copy_within_a_buffer_moves_to_where_nothing_overlaps(device: Device) 
         assert_same(buffer.read(), [*range(8), *range(8)])
 
 
+@pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM])
+def test_writes_of_cpu_and_device_take_turns(device: Device, usage: BufferUsage) -> None:
+    """In random order, with reads between some of them, of a buffer of either usage."""
+    random = np.random.default_rng(20)
+    source = numbers(32)
+    expected = np.zeros(32, "u4")
+    with device.buffer(32, "u4", usage=usage) as buffer, device.buffer(source) as other:
+        for step in range(60):
+            first, count = int(random.integers(24)), int(random.integers(1, 9))
+            kind = random.integers(4)
+            if kind == 0:
+                device.finish()  # ring memory is written where nothing uses it
+                values = random.integers(1 << 32, size=count, dtype="u4")
+                buffer.write(values, first)
+                expected[first : first + count] = values
+            elif kind == 1:
+                other.copy_to(buffer, size=4 * count, offset=4 * first, target_offset=4 * first)
+                expected[first : first + count] = source[first : first + count]
+            elif kind == 2:
+                buffer.clear(step)
+                expected[:] = step
+            else:
+                assert_same(buffer.read(first, count), expected[first : first + count])
+        assert_same(buffer.read(), expected)
+
+
 def test_a_copy_takes_what_was_written_before_it_and_not_after(device: Device) -> None:
     with device.buffer(4, np.dtype("u4")) as a, device.buffer(4, np.dtype("u4")) as b:
         a.write(np.full(4, 1, "u4"))

@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import BlendFunction, CullMode, Device, Format, Primitive, StorageBuffer, Texture
+from rhi import (
+    BlendFunction,
+    Buffer,
+    BufferUsage,
+    CullMode,
+    Device,
+    Format,
+    IndirectDraws,
+    Mesh,
+    Primitive,
+    StorageBuffer,
+    Texture,
+)
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
@@ -312,6 +324,92 @@ def test_a_range_of_quads_restarts_for_itself(device: Device, dtype: str) -> Non
                             ):
                                 device.draw(program, triangles)
                     assert_same(drawn, image.read())
+
+
+LISTS = [Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES]
+RANGES = [(0, 24), (3, 9), (5, 18), (8, 4), (20, 3), (11, 1)]
+
+
+def written(device: Device, buffer: Buffer, values: NDArray[Any]) -> None:
+    buffer.write(values)
+
+
+def written_in_halves(device: Device, buffer: Buffer, values: NDArray[Any]) -> None:
+    buffer.write(values[12:], 12)
+    buffer.write(values[:12])
+
+
+def copied(device: Device, buffer: Buffer, values: NDArray[Any]) -> None:
+    with device.buffer(values) as source:
+        source.copy_to(buffer)
+
+
+def drawn_directly(device: Device, mesh: Mesh) -> None:
+    for first, count in RANGES:
+        device.draw(device.program(FlatColored), mesh.view(first, count))
+
+
+def drawn_at_once(device: Device, mesh: Mesh) -> None:
+    firsts, counts = zip(*RANGES, strict=True)
+    device.draw_many(device.program(FlatColored), mesh, mesh.draws(firsts, counts))
+
+
+def drawn_indirectly(device: Device, mesh: Mesh) -> None:
+    firsts, counts = zip(*RANGES, strict=True)
+    with device.buffer(mesh.draws(firsts, counts)) as arguments:
+        device.draw_indirect(device.program(FlatColored), mesh, IndirectDraws(arguments, len(RANGES)))
+
+
+def drawn_by_a_count(device: Device, mesh: Mesh) -> None:
+    firsts, counts = zip(*RANGES, strict=True)
+    draws = mesh.draws([*firsts, 0], [*counts, 24])
+    with device.buffer(draws) as arguments, device.buffer(np.array([len(RANGES)], "u4")) as count:
+        indirect = IndirectDraws(arguments, len(draws), count=count)
+        device.draw_indirect(device.program(FlatColored), mesh, indirect)
+
+
+def drawn_clipped(device: Device, mesh: Mesh) -> None:
+    firsts, counts = zip(*RANGES, strict=True)
+    whole = [(0, 0, *SIZE)] * len(RANGES)
+    device.draw_clipped(device.program(FlatColored), mesh, mesh.draws(firsts, counts), whole)
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+@pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM], ids=["static", "stream"])
+@pytest.mark.parametrize("write", [written, written_in_halves, copied])
+@pytest.mark.parametrize(
+    "draw", [drawn_directly, drawn_at_once, drawn_indirectly, drawn_by_a_count, drawn_clipped]
+)
+def test_lists_restart_however_they_are_written_and_drawn(
+    device: Device,
+    draw: Callable[[Device, Mesh], None],
+    write: Callable[[Device, Buffer, NDArray[Any]], None],
+    usage: BufferUsage,
+    dtype: str,
+) -> None:
+    """Each version of the indices, without restarts in between, by ranges that begin anywhere."""
+    if not device.capabilities.list_restart:
+        pytest.skip(f"{device.backend_name} declares no list_restart")
+    restart = int(np.iinfo(dtype).max)
+    random = np.random.default_rng(10)
+    positions = centers([(1, 2), (14, 1), (13, 13), (2, 14), (8, 1), (15, 8), (7, 15), (1, 9)], SIZE)
+    rows = corners(positions)
+    states = (CullMode.NONE, BlendFunction.ADDITIVE)
+    with device.texture(SIZE, Format.R16F) as image, device.buffer(24, dtype, usage=usage) as buffer:
+        for primitive in LISTS:
+            with device.mesh(rows, buffer, primitive=primitive) as mesh:
+                for choices in ([*range(8), restart], [*range(8)], [0, 5, restart]):
+                    indices = random.choice(choices, 24).astype(dtype)
+                    write(device, buffer, indices)
+                    with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states):
+                        draw(device, mesh)
+                    listed = [
+                        corner
+                        for first, count in RANGES
+                        for run in split_runs(indices[first : first + count].tolist(), restart)
+                        for corner in list_corners(primitive, run)
+                    ]
+                    assert_same(image.read(), draw_sum(device, primitive, positions, np.array(listed, "u4")))
 
 
 def test_a_line_strip_restarts(device: Device) -> None:

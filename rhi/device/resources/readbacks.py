@@ -64,7 +64,9 @@ class Readback(DeviceObject):
         self.fence = core.timeline.signalled
 
     def __repr__(self) -> str:
-        return f"Readback({'fetched' if self._array is not None else f'fence {self.fence}'})"
+        # `asyncio.wrap_future` refuses what isn't from concurrent.futures by an assertion, which shows this.
+        state = "fetched" if self._array is not None else f"fence {self.fence}"
+        return f"Readback({state}; await it, or pass it to asyncio.ensure_future)"
 
     @property
     def done(self) -> bool:
@@ -89,7 +91,9 @@ class Readback(DeviceObject):
         """Wait for the array without blocking the event loop: `texels = await texture.read_async()`.
 
         Under asyncio other tasks run meanwhile; without its loop, this waits as `result` does. The loop runs
-        on the device's thread.
+        on the device's thread. `asyncio.gather`, `wait_for` and `ensure_future` take a readback as it is;
+        `wrap_future` doesn't, because only threads complete what it takes. A cancelled wait leaves the
+        readback as it was: it can be awaited again.
 
         Raises:
             ValidationError: as `result`.

@@ -85,6 +85,59 @@ def test_what_asyncio_makes_of_awaitables_works(device: rhi.Device) -> None:
     asyncio.run(run())
 
 
+def test_two_tasks_await_one_read(device: rhi.Device) -> None:
+    buffer = device.buffer(np.arange(16, dtype=np.uint32))
+
+    async def run() -> None:
+        read = buffer.read_async()
+
+        async def wait() -> np.ndarray:
+            return await read
+
+        first, second = await asyncio.gather(wait(), wait())
+        assert first is second is read.result()
+        assert first.tolist() == list(range(16))
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("end", ["timeout", "cancel"])
+def test_a_wait_that_ends_early_leaves_the_read(
+    device: rhi.Device, end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    buffer = device.buffer(np.arange(16, dtype=np.uint32))
+
+    async def run() -> None:
+        read, other = buffer.read_async(), buffer.read_async(2, 3)
+        with monkeypatch.context() as patch:
+            patch.setattr(type(read), "done", False)  # as while the device works
+            if end == "timeout":
+                with pytest.raises(asyncio.TimeoutError):
+                    await asyncio.wait_for(read, 0.01)
+            else:
+                both = asyncio.gather(read, other)
+                await asyncio.sleep(0.01)
+                both.cancel()
+                with pytest.raises(asyncio.CancelledError):
+                    await both
+        assert (await read).tolist() == list(range(16))
+        assert (await other).tolist() == [2, 3, 4]
+
+    asyncio.run(run())
+
+
+def test_what_only_wraps_futures_of_threads_says_what_to_do_instead(device: rhi.Device) -> None:
+    buffer = device.buffer(np.arange(4, dtype=np.uint32))
+
+    async def run() -> None:
+        read = buffer.read_async()
+        with pytest.raises(AssertionError, match=r"await it, or pass it to asyncio\.ensure_future"):
+            asyncio.wrap_future(read)  # type: ignore[arg-type]
+        assert (await asyncio.ensure_future(read)).tolist() == [0, 1, 2, 3]
+
+    asyncio.run(run())
+
+
 def test_other_tasks_run_while_a_slow_device_works() -> None:
     """A simulated GPU finishes nothing before somebody waits or time passes."""
     with rhi.create_device("null") as device:

@@ -7,8 +7,9 @@
   once. For that the host keeps a copy of every index buffer (read back once, then updated with what the CPU
   writes) and scans a draw's indices: about a nanosecond each, and a triangle takes some 40 to draw. Results
   are kept until the buffer changes.
-- Once the device may have written a buffer, its contents are unknown. Lists don't need them: their vertices
-  are then transformed once per index. For strips, fans and quads the buffer is read back, which waits.
+- Once a shader may have written a buffer, its contents are unknown. Lists don't need them: their vertices
+  are then transformed once per index. For strips, fans and quads the buffer is read back, which waits, and so
+  it is for lists once a copy or clear has written it, since that may bring restarts.
 - The restart index ends a primitive of any topology (`rhi.contract.topology`).
 """
 
@@ -80,10 +81,10 @@ class _IndexBufferState(Generic[T]):
         if self.bytes is not None:
             self.bytes[offset : offset + len(source)] = source
 
-    def forget(self) -> None:
+    def forget(self, shader_wrote: bool) -> None:
         """Drop contents that the device may have changed."""
         self.forget_lists()
-        self.bytes, self.device_wrote = None, True
+        self.bytes, self.device_wrote = None, shader_wrote
 
     def forget_lists(self) -> None:
         self.assemblies.clear()
@@ -114,12 +115,12 @@ class Assembler(Generic[T]):
         if contents is not None:
             contents.write(offset, np.frombuffer(memoryview(data), np.uint8))
 
-    def change(self, buffer: Id) -> None:
+    def change(self, buffer: Id, shader_wrote: bool = False) -> None:
         """Note that the device may write a buffer, watched or not: by a copy, a clear, or stores of a
         shader."""
         contents = self._buffers.get(buffer)
         if contents is not None:
-            contents.forget()
+            contents.forget(shader_wrote)
 
     def forget(self, buffer: Id) -> None:
         """Note that a buffer, watched or not, is being destroyed."""

@@ -146,7 +146,7 @@ class Rasteriser:
         """Note that shaders wrote the resources of these bindings."""
         for binding in bindings:
             if binding.kind is BindingKind.STORAGE:
-                self.vertex_arrays.change(self.bindings.slots[binding.kind, binding.slot][0])
+                self.vertex_arrays.change(self.bindings.slots[binding.kind, binding.slot][0], True)
 
     def _read_indices(self, buffer: Id, offset: int, size: int) -> bytes:
         self.flush()

@@ -104,10 +104,10 @@ class VertexArrays:
         self._assembler.write(buffer, offset, data)
         self._change_version(buffer)
 
-    def change(self, buffer: Id) -> None:
-        """Note that the device may write a buffer."""
+    def change(self, buffer: Id, shader_wrote: bool = False) -> None:
+        """Note that the device may write a buffer, by a copy, a clear or a shader."""
         self._buffers[buffer].device_wrote = True
-        self._assembler.change(buffer)
+        self._assembler.change(buffer, shader_wrote)
         self._change_version(buffer)
 
     def forget(self, resource: Id) -> None:

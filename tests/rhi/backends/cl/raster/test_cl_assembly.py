@@ -216,14 +216,25 @@ def test_a_write_before_the_first_draw_is_seen() -> None:
     assert assemble_strip(host, buffer) == [0, 1, 2, 1, 9, 2, 4, 5, 6]
 
 
-def test_lists_that_the_device_wrote_are_not_read_back() -> None:
+def test_lists_that_a_shader_wrote_are_not_read_back() -> None:
     host = Host()
     buffer = host.buffer(1, np.arange(9, dtype=np.uint32))
     assert host.assembler.assemble(Primitive.TRIANGLES, 0, 9, buffer).highest == 8
-    host.assembler.change(buffer)
+    host.assembler.change(buffer, shader_wrote=True)
     assembly = host.assembler.assemble(Primitive.TRIANGLES, 2, 7, buffer)
     assert assembly == Assembly(3, 6, 2, indexed=True)
     assert host.reads == 1
+
+
+def test_lists_that_a_copy_wrote_are_read_back_because_of_restarts() -> None:
+    host = Host()
+    buffer = host.buffer(1, np.arange(9, dtype=np.uint32))
+    assert host.assembler.assemble(Primitive.TRIANGLES, 0, 9, buffer).highest == 8
+    host.data[buffer][4:8] = b"\xff" * 4
+    host.assembler.change(buffer)
+    assembly = host.assembler.assemble(Primitive.TRIANGLES, 0, 9, buffer)
+    assert (assembly.count, assembly.lowest, assembly.highest) == (6, 2, 7)
+    assert host.reads == 2
 
 
 def test_strips_that_the_device_wrote_are_read_back_after_each_change() -> None:
