@@ -424,7 +424,7 @@ def _layers_format(
     if not len(in_view):
         return None
     if blending is Blending.WEIGHTED:
-        return sources.layers.weighted_target(in_view, widest)
+        return sources.layers.weighted_target(in_view, image, widest)
     return sources.layers.sorted_target(in_view, image, widest)
 
 

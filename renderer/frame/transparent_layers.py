@@ -82,8 +82,17 @@ class TransparentLayers:
         """
         return widest if self.rounding(in_view) * _ROUNDED_LEVELS[image] > MAX_ROUNDING else None
 
-    def weighted_target(self, in_view: Indices, widest: Format) -> Format:
-        """Return the format of the sums of weighted colors."""
+    def weighted_target(self, in_view: Indices, image: Format, widest: Format) -> Format:
+        """Return the format of the sums of weighted colors.
+
+        Half floats end at 65504. Colors of an image of 8 bits are 1 at most, so that 64 layers of the largest
+        weight fit. Light of an image that blooms may be of any strength.
+
+        Args:
+            image: the format of the image. widest: that with the most bits which the device blends.
+        """
+        if image is not Format.RGBA8_SRGB:
+            return widest
         rounding = self.rounding(in_view) * _ROUNDED_LEVELS[Format.RGBA16F]
         fits = rounding <= MAX_ROUNDING and self.counts[in_view].sum() <= MAX_WEIGHTED_LAYERS
         return Format.RGBA16F if fits else widest

@@ -45,6 +45,9 @@ _EXAMINED_TRIANGLES: Final = 64
 _FLATNESS: Final = 1e-6
 """By so much of its size corners of a convex mesh may be in front of a plane."""
 
+_USUAL_LENGTHS: Final = (1e-6, 1e6)
+"""Normals and tangents of these lengths are left as they are: float32 has the squares of all of them."""
+
 MeshBounds = tuple[Floats, Floats]
 """The lower and the upper corner (3,) of a mesh's bounding box."""
 
@@ -248,6 +251,18 @@ def _is_convex(corners: Floats) -> bool:
     return bool((in_front <= _FLATNESS * np.ptp(corners.reshape(-1, 3), axis=0).max()).all())
 
 
+def _normalize_extremes(vertices: NDArray[Any]) -> None:
+    """Give unit length to the normals and tangents (v, 3) whose squared length a shader would round to 0 or
+    to infinity. Those of length 0 stay."""
+    for name in {"normal", "tangent"} & set(vertices.dtype.names or ()):
+        directions = vertices[name][:, :3]
+        largest = np.abs(directions).max(axis=1, initial=0.0)
+        is_extreme = (largest > 0.0) & ((largest < _USUAL_LENGTHS[0]) | (largest > _USUAL_LENGTHS[1]))
+        if is_extreme.any():
+            exact = directions[is_extreme].astype(np.float64)
+            vertices[name][is_extreme, :3] = exact / np.linalg.norm(exact, axis=1, keepdims=True)
+
+
 class Meshes:
     """The meshes of a scene, in shared arrays.
 
@@ -276,6 +291,7 @@ class Meshes:
         self.vertices: NDArray[Any] = np.concatenate(
             [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
         )
+        _normalize_extremes(self.vertices)
         self.indices: NDArray[np.uint32] = np.concatenate(
             [g.indices for g in geometries] or [np.empty(0, np.uint32)]
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,9 @@ from renderer.scene.arrays import Floats, read_ids
 from rhi.errors import refuse
 from rhi.math import is_affine, multiply
 from rhi.math.arguments import read_floats
+
+MAX_SCALE: Final = 1e30
+"""The largest number in the linear part of a node's transform to the world."""
 
 
 class Nodes:
@@ -180,11 +183,29 @@ class Nodes:
                 self._world[moved] = multiply(self._world[self.parents[moved]], self._local[moved])
             elif len(moved):
                 self._world[moved] = self._local[moved]
+            if len(moved):
+                _check_scales(self._world[moved, :3, :3])
         return changed
 
     def _levels(self) -> list[NDArray[np.int64]]:
         """Return the rows of each level."""
         return [self.order[start:end] for start, end in pairwise(self.level_starts.tolist())]
+
+
+def _check_scales(linear: Floats) -> None:
+    """Refuse the linear parts (k, 3, 3) of world transforms that float32 can't hold.
+
+    Below 2⁻¹²⁶, devices round coordinates to 0; up to `MAX_SCALE`, that moves no vertex by more than 12 nm.
+    """
+    largest = max(float(linear.max()), -float(linear.min()))
+    if not largest <= MAX_SCALE:  # also if the product of transforms isn't finite
+        refuse(
+            rules.BAD_TRANSFORM,
+            "Nodes.update",
+            f"a scale of {largest:g} in the world",
+            f"up to {MAX_SCALE:g}",
+            tip="scale the vertices of the mesh instead",
+        )
 
 
 def _depths(parents: NDArray[np.int64]) -> NDArray[np.int64]:

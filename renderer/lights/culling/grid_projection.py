@@ -12,8 +12,12 @@ from renderer.scene import Depth, Projection
 from rhi.errors import refuse
 from rhi.math import distance_at_depth
 
-_FARTHEST: Final = 1e9
+_FARTHEST: Final = 1e18
 """The end, in metres, of a grid that neither a projection nor a light ends: float32 can square it."""
+
+_FARTHEST_SLICE: Final = 1e9
+"""Where the last slice ends, in metres, if no projection ends it; it holds all that is beyond. So a light of
+a huge range doesn't make the slices around the eye longer."""
 
 
 def make_grid(
@@ -77,7 +81,7 @@ def _slice_distribution(
     slices: int, first: float | None, near: float, far: float, reach: float, is_perspective: bool
 ) -> tuple[float, float]:
     """Return the end of the slices, and their length in octaves: 0 if they are equally long in depth."""
-    end = far if np.isfinite(far) else max(min(reach, _FARTHEST), 2.0 * near)
+    end = far if np.isfinite(far) else max(min(reach, _FARTHEST_SLICE), 2.0 * near)
     if first is not None:
         if not max(near, 0.0) < first < end:
             refuse(rules.BAD_GRID, "make_grid(first_slice=...)", first, f"between {near} and {end}")

@@ -84,6 +84,27 @@ def any_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
         yield device
 
 
+BRIGHT = [(1, 0.9, 2.0), (20, 0.9, 6.0), (60, 0.5, 10.0), (60, 0.9, 90.0), (30, 0.3, 40.0)]
+"""Counts, alphas and emissions of layers whose sums of weighted light are up to 5e6."""
+
+
+@pytest.mark.nightly_cases("wgpu-*", reason=FEWER_CASES)
+@pytest.mark.parametrize("blending", Blending)
+def test_bright_layers_in_bloom_are_within_two_levels_of_compositing(
+    any_device: rhi.Device, blending: Blending
+) -> None:
+    """Light that blooms isn't mapped to tones before it is blended, so sums may be beyond half floats."""
+    wrong = {}
+    for count, alpha, emission in BRIGHT:
+        scene = make_scene(count, alpha, as_objects=True, emission=emission)
+        scene.background, scene.bloom = (0.0, 0.0, 0.0), Bloom(1e-9)
+        covered = 1.0 - (1.0 - float(np.float32(alpha))) ** count
+        x = 0.6 * emission * covered * np.array((0.3, 0.5, 0.9), np.float32).astype(float)
+        want = encode(np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1))
+        wrong[count, alpha, emission] = float(np.abs(draw(any_device, scene, blending) - want).max())
+    assert max(wrong.values()) <= 2.0, wrong
+
+
 def draw(
     device: rhi.Device, scene: Scene, blending: Blending, technique: str = "forward"
 ) -> NDArray[np.float64]:
