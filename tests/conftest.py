@@ -45,12 +45,15 @@ there."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the kit's plugin: tests of all packages use its marker `requires`, the kit's conftest or not.
+    """Register two plugins: the kit's, whose marker `requires` the tests of all packages use, and the one that
+    prints what a worker wrote to standard error before it crashed.
 
-    It is imported above, so pytest would warn that it can't rewrite it where the tree isn't the installed one.
+    The kit's is imported above, so `import_plugin` would warn, where the tree isn't the installed one, that
+    pytest can't rewrite it.
     """
     if not config.pluginmanager.has_plugin(plugin.__name__):
         config.pluginmanager.register(plugin, plugin.__name__)
+    config.pluginmanager.import_plugin("worker_errors")
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

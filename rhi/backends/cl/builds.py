@@ -329,6 +329,7 @@ class Builds:
         launch = optimisation.launch
         cache = self._cache
         lock = cache.lock_path(request.key)
+        cache.hold(request.key)  # the other process writes there, too
         if not cache.contains(request.key, launch.names):
             if cache.takes_code and cache.read_code(request.key) is None:
                 mark = make_mark()

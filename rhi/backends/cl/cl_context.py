@@ -265,11 +265,15 @@ def build_cached(
 ) -> cl.Program:
     """Build a program from the driver's LLVM code or from its source. `stored`: its entry in the cache, or
     None; it is then added."""
+    binary = cache.make_binary(request) if stored is not None and stored.code else None
+    if binary is None:  # the driver may write machine code beside its LLVM code at any launch
+        cache.hold(request.key)
     if stored is not None and not stored.code:
         return build(context, *request.write())
     if stored is not None:
         with suppress(cl.Error):
-            return build_again(context, cache.make_binary(request) or stored.code, request.options)
+            return build_again(context, binary or stored.code, request.options)
+        cache.hold(request.key)
         cache.forget(request.key)
     with cache.writing(request.key) as is_safe:
         if not is_safe:

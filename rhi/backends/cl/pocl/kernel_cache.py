@@ -24,7 +24,8 @@
   machine code, because PoCL reads LLVM code from a folder that has some, and looks for machine code again
   later (`rhi.backends.cl.pocl.leases`).
 - When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT`
-  bytes, and after a day those without a record.
+  bytes, and after a day those without a record. What a living process has built of LLVM code stays, since PoCL
+  may be writing machine code there (`KernelCache.hold`).
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
 
@@ -45,7 +46,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from rhi.backends.cl.pocl import binaries, leases
 from rhi.backends.cl.pocl.declarations import GUARD, declare
@@ -68,6 +69,8 @@ _FOLDER_PATTERN: Final = "[A-Z][A-Z]/*"
 _USE_MARK: Final = "last_accessed"
 """An empty file that PoCL touches whenever it builds a program that it has."""
 _USE_LOCK: Final = "use.lock"
+_TRIM_LOCK: Final = "trim.lock"
+"""Locked while programs are removed, or named as used: so none is removed that a process is about to use."""
 _TEMPORARY_FILES: Final = "tempfile_*"
 """Empty files that PoCL leaves in the folder, one a process."""
 _REMEMBERED: Final = 96
@@ -213,19 +216,20 @@ class KernelCache:
         record = self._folder / _RECORDS / key
         if not record.exists():  # another process may be about to write it, and has kept the code
             return None
-        program, files, checksum, _ = _read_record(self._folder, record)
+        entry = program, files, checksum, _ = _read_record(self._folder, record)
+        is_missing = False
         try:
             complete = program is not None and all(
                 self._sign(key, name, (program / name).read_bytes()) == expected
                 for name, expected in files.items()
             )
         except OSError:
-            complete, program = False, None
+            complete, is_missing = False, True
         code = self.read_code(key) if complete and checksum is not None else None
         if not complete or (
             checksum is not None and (code is None or self._sign(key, _CODE, code) != checksum)
         ):
-            self._remove(key, program)
+            self._remove_damaged(key, entry, is_missing)
             return None
         with suppress(OSError):
             os.utime(record)
@@ -402,6 +406,39 @@ class KernelCache:
         assert self._folder is not None
         return self._folder / _RECORDS / f"{key}{_CODE}"
 
+    def hold(self, key: str) -> None:
+        """Keep other processes from removing a program that is going to be built of its code, until this one
+        ends."""
+        if self._folder is None or leases.is_held(self._folder, key):
+            return
+        with self._removing():
+            leases.hold(self._folder, key)
+
+    @contextmanager
+    def _removing(self) -> Iterator[bool]:
+        """Lock out the removal of programs in other processes; yield whether that succeeded."""
+        assert self._folder is not None
+        try:
+            lock = trust.lock(str(self._folder / _RECORDS / _TRIM_LOCK), self._patience)
+        except TimeoutError:  # a process that is stopped holds it
+            self._patience = _IMPATIENCE
+            yield False
+            return
+        with lock or nullcontext():
+            yield True
+
+    def _remove_damaged(self, key: str, entry: _Entry, is_missing: bool) -> None:
+        """Remove a damaged program, unless another process has built it again meanwhile.
+
+        Where files are missing, the folder of a program in use stays: the driver may be writing there, and
+        generates what is missing."""
+        assert self._folder is not None
+        with self._removing():
+            if _read_record(self._folder, self._folder / _RECORDS / key) != entry:
+                return
+            stays = is_missing and key in leases.list_held(self._folder)
+            self._remove(key, None if stays else entry[0])
+
     def _remove(self, key: str, program_folder: Path | None) -> None:
         """Remove a program's record and files."""
         assert self._folder is not None
@@ -483,8 +520,9 @@ class KernelCache:
             with suppress(TimeoutError), trust.lock(path, 0.0) or nullcontext():
                 self.record(key)  # unless another process is just writing, which records it, too
         self._written.clear()
-        with suppress(OSError):
-            self._trim(self._folder)
+        with suppress(OSError), self._removing() as is_safe:
+            if is_safe:
+                self._trim(self._folder)
 
     def _trim(self, folder: Path) -> None:
         entries: list[tuple[float, int, Path, Path]] = []
@@ -500,18 +538,22 @@ class KernelCache:
                     record.unlink()
         recorded = {program for *_, program in entries}
         leases.remove_stale(folder)
+        held = leases.list_held(folder)
+        abandoned = min(time.time() - _OLD, leases.oldest_begin(folder))  # older than all who may use it
         recorded.update((folder / binaries.LINKS).glob("*"))  # which belong to processes
         for program in (
             set(folder.glob(_FOLDER_PATTERN)) - recorded
         ):  # nobody finds these: processes ended before they recorded them
             touched = program / _USE_MARK if (program / _USE_MARK).exists() else program
             with suppress(OSError):
-                if touched.stat().st_mtime < time.time() - _OLD:
+                if touched.stat().st_mtime < abandoned:
                     shutil.rmtree(program, ignore_errors=True)
         total = sum(size for _, size, _, _ in entries)
         for _, size, record, program in sorted(entries):
             if total <= LIMIT:
                 break
+            if record.name in held:
+                continue
             self._remove(record.name, program)
             total -= size
         for path in folder.glob(_TEMPORARY_FILES):
@@ -519,6 +561,10 @@ class KernelCache:
                 status = path.stat()
                 if status.st_size == 0 and status.st_mtime < time.time() - _OLD:
                     path.unlink()
+
+
+_Entry: TypeAlias = tuple[Path | None, dict[str, str], str | None, int]
+"""What a record says: see `_read_record`."""
 
 
 def _list_newest(folder: Path) -> list[Path]:
@@ -544,7 +590,7 @@ def _mark_name(key: str, code: bytes | None) -> bytes:
     return f"rhi_{_BUILT}_{key}".encode() if match is None else match[0]
 
 
-def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str], str | None, int]:
+def _read_record(folder: Path, record: Path) -> _Entry:
     """Return a record's folder, the checksums of its files by name, that of its LLVM code if it has any, and
     its bytes.
 

@@ -7,6 +7,8 @@
   lies a file that the process locks for as long as it lives.
 - The system releases the lock when the process ends, in whatever way. The next process that begins or trims
   removes the folder then (`remove_stale`).
+- PoCL also writes machine code beside a program's LLVM code at any launch, and ends the process if the folder
+  vanishes meanwhile. So a process names the programs that it has built of code (`hold`). Nobody trims these.
 """
 
 from __future__ import annotations
@@ -22,6 +24,10 @@ from rhi.backends.cl.pocl import binaries
 from rhi.contract import trust
 
 _LOCK: Final = "lease"
+_BEGUN: Final = "begun"
+"""An empty file that is as old as the process's folder; attempts to lock change the age of the other one."""
+_HELD: Final = ".held"
+"""Suffix of the empty files that name the programs which a process has built of LLVM code."""
 _ATTEMPTS: Final = 4
 _OLD: Final = 86400.0
 """Seconds after which a folder that nobody can lock is removed: links of older versions."""
@@ -55,9 +61,40 @@ def take(folder: Path) -> str | None:
             return None
         with file:
             if path.exists():
+                with suppress(OSError):
+                    path.with_name(_BEGUN).touch(mode=0o600)
                 _leases[folder] = os.getpid(), name, os.dup(file.fileno())
                 return name
     return None
+
+
+def hold(folder: Path, key: str) -> None:
+    """Note that this process uses the program of this key until it ends."""
+    process = take(folder)
+    if process is not None:
+        with suppress(OSError):
+            _lock_path(folder, process).with_name(key + _HELD).touch(mode=0o600)
+
+
+def is_held(folder: Path, key: str) -> bool:
+    """Whether this process has named the program of this key as used, and nobody has removed that since."""
+    lease = _leases.get(folder)
+    is_own = lease is not None and lease[0] == os.getpid()
+    return is_own and lease is not None and _lock_path(folder, lease[1]).with_name(key + _HELD).exists()
+
+
+def list_held(folder: Path) -> set[str]:
+    """Return the keys of the programs that processes use."""
+    return {path.stem for path in (folder / binaries.LINKS).glob(f"*/*{_HELD}")}
+
+
+def oldest_begin(folder: Path) -> float:
+    """Return when the oldest of the processes that live took its folder, in seconds since the epoch."""
+    times = [time.time()]
+    for path in (folder / binaries.LINKS).glob(f"*/{_BEGUN}"):
+        with suppress(OSError):
+            times.append(path.stat().st_mtime)
+    return min(times)
 
 
 def _lock_path(folder: Path, name: str) -> Path:

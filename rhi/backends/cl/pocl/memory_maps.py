@@ -3,10 +3,14 @@
 PoCL loads the machine code of a kernel as a library, in five maps, and never unloads it. At the system's
 limit (Linux: `vm.max_map_count`) the next one can't be loaded, and PoCL ends the process. So maps are counted
 now and then, a warning comes at `WARNED` of the limit, and kernels are refused from `REFUSED` on.
+
+Others take maps as well: other backends, libraries, other devices' files. So they are counted again after a
+while, too, however few kernels have come.
 """
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +24,10 @@ REFUSED: Final = 0.95
 _STEP: Final = 256
 """Kernels between two counts, while maps are far from the limit. A count takes a microsecond for each map."""
 _NEAR_STEP: Final = 16
+_SHARE: Final = 0.02
+"""Of the time while kernels are loaded: counts take at most so much."""
+_LEAST_SECONDS: Final = 0.05
+"""Between two counts, unless that many kernels have come."""
 _MAPS: Final = Path("/proc/self/maps")
 _LIMIT: Final = Path("/proc/sys/vm/max_map_count")
 
@@ -31,7 +39,8 @@ class MapCounter:
         """`count`, `limit`: return the number of maps and the system's limit; 0 where it isn't known."""
         self._count = count
         self._limit = limit
-        self._until_count = _STEP
+        self._until_count = 1
+        self._due = 0.0  # seconds, of the next count
         self._has_warned = False
 
     def note_kernel(self) -> None:
@@ -41,9 +50,12 @@ class MapCounter:
             DeviceError: `device-out-of-memory` if there are too many maps for it.
         """
         self._until_count -= 1
-        if self._until_count > 0:
+        now = time.monotonic()
+        if self._until_count > 0 and now < self._due:
             return
         count, limit = self._count(), self._limit()
+        counted = time.monotonic()
+        self._due = counted + max(_LEAST_SECONDS, (counted - now) / _SHARE)
         self._until_count = _STEP
         if not limit or count < WARNED * limit - _STEP * _NEAR_STEP:
             return

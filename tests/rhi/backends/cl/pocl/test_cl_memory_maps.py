@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import time
 import warnings
 
 import pytest
@@ -51,6 +52,36 @@ def test_kernels_are_refused_before_the_limit_and_warned_of_before(first: int, l
 def test_few_kernels_and_unknown_limits_are_left_alone() -> None:
     assert load_kernels(300, 5_000, 5, 65_530) == (0, 0)
     assert load_kernels(300, 60_000, 5, 0) == (0, 0)
+
+
+def test_maps_that_others_take_are_counted_too() -> None:
+    """However few kernels have come: the first one may be too many, and one after a while."""
+    maps = 64_000
+    counter = MapCounter(lambda: maps, lambda: 65_530)
+    with pytest.raises(rhi.DeviceError):
+        counter.note_kernel()
+    maps = 300
+    counter.note_kernel()
+    maps = 64_000
+    time.sleep(2 * memory_maps._LEAST_SECONDS)
+    with pytest.raises(rhi.DeviceError):
+        counter.note_kernel()
+
+
+def test_counting_takes_little_of_the_time() -> None:
+    """With maps that take 10 ms to count, 2,000 kernels in half a second are counted only now and then."""
+    counts = 0
+
+    def count() -> int:
+        nonlocal counts
+        counts += 1
+        time.sleep(0.01)
+        return 300
+
+    counter = MapCounter(count, lambda: 65_530)
+    for _ in range(2_000):
+        counter.note_kernel()
+    assert 1 <= counts <= 10
 
 
 def test_maps_are_counted() -> None:

@@ -5,6 +5,7 @@ PoCL looks for a kernel's machine code again at each launch that has more items 
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -14,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from rhi.backends.cl.pocl import binaries, leases
+from rhi.backends.cl.pocl import binaries, kernel_cache, leases
+from rhi.backends.cl.pocl.kernel_cache import KernelCache
 
 RUN = """
 import hashlib, os, shutil, subprocess, sys
@@ -129,3 +131,129 @@ def test_a_process_whose_folder_was_emptied_gets_another_name(tmp_path: Path) ->
     again = leases.take(tmp_path)
     assert again not in (None, name)
     assert (tmp_path / binaries.LINKS / str(again)).is_dir()
+
+
+USE = """
+import sys
+import rhi
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
+
+with rhi.create_device("cl") as device:
+    image, mesh = device.texture((64, 48), rhi.Format.RGBA8), device.mesh(rectangle(color=(1, 0, 0.5, 1)))
+    with device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw(device.program(Colored), mesh)
+    image.read()
+    print("drawn", flush=True)
+    sys.stdin.readline()
+"""
+"""Builds a program of LLVM code, and lives on until it is told to end."""
+
+TRIM_ALL = """
+import rhi
+from rhi.backends.cl.pocl import kernel_cache
+
+kernel_cache.LIMIT = 0
+with rhi.create_device("cl") as device:
+    cache = device.backend_as(object).context.cache
+    cache._written.add("nothing")  # so that closing trims
+"""
+
+
+def list_programs(folder: Path) -> set[Path]:
+    """The folders of programs that have LLVM code, without the one that each process runs to try a device."""
+    programs = folder.glob("pocl/[A-Z][A-Z]/*/program.bc")
+    return {path.parent for path in programs if not (path.parent / "probe").exists()}
+
+
+def test_a_program_in_use_is_trimmed_only_when_its_process_has_ended(tmp_path: Path) -> None:
+    """PoCL writes machine code beside LLVM code at launches, and ends the process where the folder vanishes
+    meanwhile."""
+    environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
+    environment |= {"RHI_CACHE": str(tmp_path), "RHI_KERNELS": "quick"}
+
+    def trim() -> None:
+        command = [sys.executable, "-W", "ignore", "-c", TRIM_ALL]
+        subprocess.run(command, env=environment, timeout=120, check=True)
+
+    process = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", USE],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline() == "drawn\n"
+        used = list_programs(tmp_path)
+        assert len(used) >= 1
+        trim()
+        assert list_programs(tmp_path) >= used
+        process.stdin.write("end\n")
+        process.stdin.flush()
+    assert process.returncode == 0
+    trim()
+    assert not list_programs(tmp_path) & used
+
+
+def test_a_damaged_program_that_was_built_again_meanwhile_stays(
+    tmp_path: Path,
+) -> None:
+    """One process reads a record, another trims the program, a third builds it again in the same folder."""
+    cache = KernelCache(tmp_path, "driver")
+    program = tmp_path / "AB" / "C"
+    record = tmp_path / "rhi" / "key"
+    record.parent.mkdir()
+
+    def write(content: bytes) -> None:
+        program.mkdir(parents=True, exist_ok=True)
+        (program / "program.bc").write_bytes(content)
+        checksum = cache._sign("key", "program.bc", content)
+        record.write_text(json.dumps({"folder": "AB/C", "files": {"program.bc": checksum}, "bytes": 1}))
+
+    write(b"first")
+    (program / "program.bc").unlink()
+    stale = kernel_cache._read_record(tmp_path, record)
+    write(b"second")
+    cache._remove_damaged("key", stale, True)
+    assert cache.contains("key")
+    (program / "program.bc").write_bytes(b"third")  # the control: it is damaged
+    assert not cache.contains("key")
+    assert not program.exists()
+
+
+def test_a_program_in_use_keeps_its_folder_where_files_are_missing(tmp_path: Path) -> None:
+    for key, stays in (("held", True), ("other", False)):
+        cache = KernelCache(tmp_path, "driver")
+        program = tmp_path / "AB" / key
+        program.mkdir(parents=True)
+        (tmp_path / "rhi").mkdir(exist_ok=True)
+        record = tmp_path / "rhi" / key
+        record.write_text(json.dumps({"folder": f"AB/{key}", "files": {"program.bc": "0"}, "bytes": 1}))
+        if stays:
+            cache.hold(key)
+        assert not cache.contains(key)
+        assert not record.exists()
+        assert program.exists() == stays
+
+
+def test_unrecorded_programs_stay_as_long_as_an_older_process_lives(
+    tmp_path: Path,
+) -> None:
+    """The process may have built them, and lives for days."""
+    cache = KernelCache(tmp_path, "driver")
+    (tmp_path / "rhi").mkdir()
+    cache.hold("key")
+    for name in ("OLD", "NEW"):
+        (tmp_path / "AB" / name).mkdir(parents=True)
+    days = time.time() - 3 * 86400.0
+    (begun,) = tmp_path.glob("RH/*/begun")
+    os.utime(begun, (days, days))
+    os.utime(tmp_path / "AB" / "OLD", (days - 60, days - 60))
+    os.utime(tmp_path / "AB" / "NEW", (days + 60, days + 60))
+    cache._written.add("key")
+    cache.finish()
+    assert not (tmp_path / "AB" / "OLD").exists()
+    assert (tmp_path / "AB" / "NEW").exists()
