@@ -229,7 +229,7 @@ SERIES: dict[str, tuple[Callable[[Device, int], Work], list[int]]] = {
 
 
 def measure_series(name: str, rounds: int) -> Iterator[Record]:
-    """Yield what each size of a series takes on both backends."""
+    """Yield the time of each size of a series on both backends."""
     make, sizes = SERIES[name]
     for size in sizes:
         with ExitStack() as opened:

@@ -144,7 +144,7 @@ class Work:
         self.image = device.texture((64, 64), rhi.Format.RGBA8)
 
     def list_variants(self) -> dict[str, Callable[[], None]]:
-        """Return what is drawn through rhi, by name."""
+        """The draws through rhi, by name."""
         device, camera, draws, first = self.device, self.camera, len(self.pairs), self.meshes[0]
         draw, own_draw, states, program = device.draw, self.program.draw, device.states, self.program
 

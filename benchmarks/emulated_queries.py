@@ -108,7 +108,7 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
-    """Yield what each way to read the counter finds, and what queries take on each backend that draws."""
+    """Yield the counts of each way to read the counter, and the time of queries on each backend that draws."""
     yield from ({"the sample counter": name, **count(**times)} for name, times in COUNTER_READS.items())
     for report in rhi.report():
         if report.capabilities and report.capabilities.renders:

@@ -137,7 +137,7 @@ def install(program: str) -> str:
 
 
 def make_job(scene: Scene, path: str, size: tuple[int, int]) -> dict[str, Any]:
-    """Return what `benchmarks/engines/serving.py` calls a job: the scene's first view."""
+    """A `Job` of `benchmarks/engines/serving.py`: the scene's first view."""
     eye = next(iter(scene.views.values()))
     return {
         "path": path,

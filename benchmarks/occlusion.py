@@ -136,7 +136,7 @@ def make_hidden(count: int) -> Scene:
 
 
 def measure_doubling(backend: str | None, boxes: int) -> Iterator[Record]:
-    """Yield what a frame takes, and one with twice as many boxes; the eye moves a little each frame."""
+    """Yield the time of a frame, and of one with twice as many boxes; the eye moves a little each frame."""
     positions = [np.array([0.02 * frame, 0.0, 0.0]) for frame in range(FRAMES + 1)]
     eyes = [Camera.look_at(eye, eye - (0.0, 0.0, 1.0)) for eye in positions]
     with rhi.create_device(backend) as device, ExitStack() as stack:

@@ -148,7 +148,7 @@ def environment() -> dict[str, str]:
 
 
 def run_alone(*arguments: str, **variables: str) -> Any:
-    """Return what a program prints as JSON in a new interpreter."""
+    """Run a program in a new interpreter, and return the JSON that it prints."""
     command = [sys.executable, *arguments]
     done = subprocess.run(
         command, capture_output=True, text=True, check=True, env=environment() | variables, encoding="utf-8"
@@ -178,7 +178,7 @@ def time_scene(scene: str, backend: str) -> dict[str, float]:
 
 
 def list_names(scene: str) -> dict[str, str]:
-    """Return what the two figures of a scene are, by the names that its program prints."""
+    """The two figures of a scene, by the names that its program prints."""
     is_states = scene == "states"
     return {
         "seconds": "longest" if is_states else "seconds",

@@ -53,7 +53,7 @@ from rhi.shading import Precision
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
 """The device's counters that are part of a frame's statistics."""
 ANIMATION_LAG: Final = 0.5
-"""The pixels by which what is small on the screen may be late, unless one says otherwise."""
+"""The lag allowed for small objects, in pixels, unless one says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)

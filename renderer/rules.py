@@ -28,7 +28,7 @@ UNREADABLE_MODEL: Final = Rule(
 )
 MODEL_LIMIT: Final = Rule(
     "scene-model-limit",
-    "the model file asks for more than a file may",
+    "the model file exceeds a limit",
     "if you trust it: load_model(..., limits=ModelLimits(...)), or file.gltf:unlimited",
 )
 EMPTY_MODEL: Final = Rule(
@@ -44,15 +44,15 @@ BAD_VERTICES: Final = Rule(
     "remove vertices with NaN or infinity, then export again",
 )
 BAD_MESH: Final = Rule(
-    "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
+    "scene-bad-mesh", "a mesh consists of triangles: three indices each, each of them the index of a vertex"
 )
 BAD_HEIGHTS: Final = Rule(
     "scene-bad-heights",
-    "a height field is a map of finite heights over a rectangle, with a limit of triangles",
+    "a height field needs finite heights over a rectangle and a maximum number of triangles",
 )
 SHARED_HEIGHTS: Final = Rule(
     "scene-shared-heights",
-    "the triangles of a height field are chosen for one object",
+    "a height field can belong to only one object",
     "add a mesh for each object: add_height_field",
 )
 BAD_TRANSFORM: Final = Rule(
@@ -68,8 +68,8 @@ BAD_EFFECT: Final = Rule("scene-bad-effect", "a value of fog or bloom is out of 
 BAD_BLOOM: Final = Rule("bloom-bad-settings", "a setting of bloom is out of its range")
 NOT_FINITE: Final = Rule(
     "scene-not-finite",
-    "the numbers of a scene, a camera and a time are finite",
-    "look for a division by 0, or a logarithm, where the value comes from",
+    "the numbers of a scene, a camera or a time must be finite",
+    "look for a division by 0 or a logarithm in the code that computes the value",
 )
 STATIC_NODE: Final = Rule(
     "scene-static-node",
@@ -77,11 +77,11 @@ STATIC_NODE: Final = Rule(
     "add the node, or one of its ancestors, with dynamic=True",
 )
 FIXED_PARENT: Final = Rule(
-    "scene-fixed-parent", "what is animated within bounds keeps its parents, down to the objects"
+    "scene-fixed-parent", "a node animated within bounds and its descendants can't change parents"
 )
 FIXED_MESH: Final = Rule(
     "scene-fixed-mesh",
-    "a mesh can be replaced where bounds follow a node, by one that is neither simulated nor a height field",
+    "a mesh can be replaced only if its bounds follow a node and the new mesh is neither simulated nor a height field",
     "give the object a dynamic node that isn't animated within bounds",
 )
 NO_TANGENTS: Final = Rule(
@@ -91,7 +91,7 @@ NO_TANGENTS: Final = Rule(
 )
 NO_ROOM: Final = Rule(
     "scene-no-room",
-    "all objects that were reserved are in use",
+    "all reserved objects are in use",
     "reserve more of them before the scene is built",
 )
 REMOVED_OBJECT: Final = Rule("scene-removed-object", "a handle of an object that was removed names nothing")
@@ -108,23 +108,23 @@ UNBOUNDED_MESH: Final = Rule(
 SHARED_NODE: Final = Rule("scene-shared-node", "a node has at most one animation")
 BAD_SIMULATION: Final = Rule(
     "scene-bad-simulation",
-    "a simulation has a policy of catching up, the methods that the policy calls, and one for its result",
+    "a simulation needs a catch-up policy, the methods that the policy calls, and a method for its result",
 )
 BAD_CLIP: Final = Rule(
-    "scene-bad-clip", "the weight of a clip and the length of a fade are 0 or more, and finite"
+    "scene-bad-clip", "the weight of a clip and the length of a fade must be finite and at least 0"
 )
 LEFT_BOUNDS: Final = Rule(
     "scene-left-bounds",
     "a simulated object left the bounds that were declared to hold at all times",
-    "declare larger bounds: an object outside of its bounds is culled where it shows",
+    "declare larger bounds: an object outside its bounds may be culled while it is visible",
 )
 BAD_CLOTH: Final = Rule(
     "scene-bad-cloth",
-    "a cloth is a grid of points apart from each other, some of them pinned, in a wind of finite speed",
+    "a cloth needs a grid of distinct points, some of them pinned, and a wind of finite speed",
 )
 BAD_WATER: Final = Rule(
     "scene-bad-water",
-    "a pool is a grid of points with shallow water, whose waves cross at most a cell in a step",
+    "a pool needs a grid of points, and shallow water whose waves cross at most one cell per step",
 )
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
@@ -149,15 +149,13 @@ FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such fra
 
 BAD_STEREO: Final = Rule("stereo-bad-value", "a value of a pair of eyes is out of its range")
 NO_STEREO: Final = Rule(
-    "stereo-one-eye", "one eye has no distance from another", "add --stereo dubois, or another output"
+    "stereo-one-eye", "a single eye has no eye distance", "add --stereo dubois, or another output"
 )
-UNKNOWN_STEREO: Final = Rule(
-    "stereo-unknown-output", "there is no way of this name to show two images in one"
-)
+UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no stereo output of this name")
 
 # Visibility
 BAD_BOUNDS: Final = Rule(
-    "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"
+    "visibility-bad-bounds", "bounds must be finite arrays of shape (n, 3), with lower <= upper"
 )
 UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algorithm has this name")
 CANNOT_RUN: Final = Rule(
@@ -201,19 +199,17 @@ UNKNOWN_LIGHT_TEST: Final = Rule("lights-unknown-test", "no test of light cullin
 # A frame's plan
 TWO_WRITERS: Final = Rule(
     "plan-two-writers",
-    "contents with one name are written by one pass of a frame",
-    "give what the second pass draws over them a name of its own: changes={old: new}",
+    "a resource of a frame may be written by only one pass",
+    "give the result of the second pass a name of its own: changes={old: new}",
 )
 DRAWN_OVER_TWICE: Final = Rule(
     "plan-drawn-over-twice",
-    "contents of a frame are drawn over by one pass",
-    "let the second pass draw over the first one's result",
+    "a resource of a frame may be drawn over by only one pass",
+    "make the second pass draw over the first pass's result",
 )
-UNWRITTEN: Final = Rule(
-    "plan-unwritten", "contents that a pass or the frame needs are written by one of its passes"
-)
-UNKNOWN_RESOURCE: Final = Rule("plan-unknown-resource", "no texture of the frame's plan has these contents")
-PLAN_CYCLE: Final = Rule("plan-cycle", "the passes of a frame don't wait for each other in a circle")
+UNWRITTEN: Final = Rule("plan-unwritten", "a resource that a pass or the frame needs is written by no pass")
+UNKNOWN_RESOURCE: Final = Rule("plan-unknown-resource", "the frame's plan has no texture of this name")
+PLAN_CYCLE: Final = Rule("plan-cycle", "the passes of a frame depend on each other in a cycle")
 
 # Techniques
 ONE_SAMPLE: Final = Rule(
@@ -229,26 +225,28 @@ TOO_MANY_MATERIALS: Final = Rule(
 )
 MISSING_BINDING: Final = Rule(
     "technique-missing-binding",
-    "a shader binds by name what its frame has",
-    "pass what only this shader has with the draw (own={name: ...}), or add it to `FrameBindings`",
+    "a shader binds a name that its frame doesn't provide",
+    "pass values that only this shader uses with the draw (own={name: ...}), or add it to `FrameBindings`",
 )
 NO_WIREFRAME: Final = Rule(
     "technique-no-wireframe", "a wireframe needs a device that draws the edges of triangles"
 )
-BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
+BAD_STEP: Final = Rule("animation-step", "the step of animations, in seconds, is out of its range")
 BAD_TIME: Final = Rule(
     "animation-time",
-    "the time of a frame is a number of seconds that steps can be counted to",
-    "count from the beginning of the program, or take the time modulo the length of what is animated",
+    "the time of a frame must be a number of seconds small enough to count its steps",
+    "measure time from the start of the program, or take it modulo the animation's length",
 )
-BAD_LAG: Final = Rule("animation-lag", "what is small on the screen may be late by some pixels")
-BAD_CUTOFF: Final = Rule("light-cutoff", "local lights end where less than an amount of their light arrives")
-BAD_SCALE: Final = Rule("render-scale", "a frame is drawn at a scale of its size")
-BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
+BAD_LAG: Final = Rule("animation-lag", "the lag allowed for small objects, in pixels, is out of its range")
+BAD_CUTOFF: Final = Rule("light-cutoff", "the cut-off of local lights is out of its range")
+BAD_SCALE: Final = Rule("render-scale", "the render scale is out of its range")
+BAD_EDGE: Final = Rule("tessellation-edge", "the edge length of tessellation, in pixels, is out of its range")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # Settings
-BAD_RENDER_SETTING: Final = Rule("renderer-settings", "a setting of the renderer has a value of another kind")
+BAD_RENDER_SETTING: Final = Rule(
+    "renderer-settings", "a setting of the renderer has a value of the wrong type"
+)
 BAD_TEXTURES: Final = Rule("texture-settings", "a setting of textures is out of its range")
 
 # Shadows
@@ -263,20 +261,20 @@ UNKNOWN_COMMAND: Final = Rule(
     "viewer-unknown-command", "the viewer has no command of this name", "`help` lists them all"
 )
 BAD_ARGUMENT: Final = Rule(
-    "viewer-bad-argument", "a command's argument is not one that it takes", "Tab in the console lists them"
+    "viewer-bad-argument", "a command doesn't accept this argument", "Tab in the console lists them"
 )
 NO_SCREENSHOT: Final = Rule(
     "viewer-no-screenshot",
     "the device draws nothing, so there is no image",
     "choose another one: --backend gl or cl",
 )
-CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "the port can't be listened to", "choose another one")
+CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "can't listen on this port", "choose another one")
 
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
 TOO_FEW_LIGHTS: Final = Rule(
-    "measure-too-few-lights", "the scene has fewer point and spot lights than are compared"
+    "measure-too-few-lights", "the scene has fewer point and spot lights than the comparison needs"
 )
 FIXED_SCENE: Final = Rule(
     "measure-fixed-scene",
@@ -287,7 +285,7 @@ UNKNOWN_QUALITY_SETTING: Final = Rule(
     "accuracy-unknown-setting", "no choice between accuracy and time has this name"
 )
 OUT_OF_REACH: Final = Rule(
-    "accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that"
+    "accuracy-out-of-reach", "none of the settings tried is that fast and that accurate"
 )
 NO_QUALITY_SETTINGS: Final = Rule(
     "accuracy-no-settings", "none of these quality settings matters for this scene and device"

@@ -43,8 +43,8 @@ class RenderSettings:
         bloom: how exactly bloom is computed.
         precision: that of the techniques' shaders.
         depth: the direction of depth.
-        animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
-        animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
+        animation_step: the step of animations in seconds, 0 for every frame.
+        animation_lag: the lag allowed for small objects, in pixels, 0 for nothing.
         light_cutoff: the light of a light that is too faint to matter, 0 for none.
         simulates_hidden: whether what an absence would change, such as cloth, is simulated where it isn't
             drawn.

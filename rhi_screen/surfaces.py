@@ -25,7 +25,7 @@ def can_show_on_surface(canvas: Canvas) -> bool:
 
 
 def open_surface(canvas: Canvas, device: rhi.Device) -> None:
-    """Let `device.present` show images of a device on wgpu in a canvas that `can_show_on_surface`."""
+    """Make `device.present` show images of a device on wgpu in a canvas that `can_show_on_surface`."""
     kind: Any = SurfaceBackend  # mypy takes no protocol for a class
     backend = device.backend_as(kind)
     context = canvas.get_context("wgpu")

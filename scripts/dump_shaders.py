@@ -187,7 +187,7 @@ def _local(text: str) -> str:
 
 
 def definition_of(shader: type[Shader]) -> str:
-    """Return what a shader says in Python: all that its texts may depend on but for the language."""
+    """The shader's Python source: all that its texts may depend on but for the language."""
     definition = [f"{name} = {value!r}" for name, value in _numbers(shader).items()]
     definition += [str(declaration) for declaration in shader._declared.values()]
     members = [
@@ -288,7 +288,7 @@ def compare(
 
 
 def check_wgsl() -> int:
-    """Let naga, the compiler of wgpu, read each text in WGSL; print what it refuses. Return 1 if it refuses
+    """Parse each text in WGSL with naga, the compiler of wgpu; print what it refuses. Return 1 if it refuses
     any."""
     import wgpu
 

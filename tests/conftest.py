@@ -96,7 +96,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.fixture(scope="session", autouse=True)
 def isolated_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What tests keep isn't among what the user's programs have kept."""
+    """Tests use a cache folder of their own instead of the user's."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trust, "cache_folder", lambda name: Path(os.environ.get(trust.FOLDER) or folder) / name)

@@ -117,3 +117,37 @@ def test_attributes_are_fields_properties_and_what_methods_assign() -> None:
 def test_text_after_a_section_is_no_entry_of_it() -> None:
     text = 'def f(a):\n    """F.\n\n    Args:\n        a: number.\n\n    Note: that is all.\n    """\n'
     assert list_stale_names("a.py", text) == []
+
+
+RIDDLING_FIRST_WORDS = re.compile(r"(?:Return what|Yield what|What|Lets?)\b")
+"""First lines that begin so describe a thing without naming it."""
+
+
+def list_riddling_docstrings(text: str) -> list[str]:
+    """The docstrings' first lines that begin with `RIDDLING_FIRST_WORDS`."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    documented = [node for node in ast.walk(ast.parse(text)) if isinstance(node, kinds)]
+    lines = [(ast.get_docstring(node) or "").partition("\n")[0] for node in documented]
+    return [line for line in lines if RIDDLING_FIRST_WORDS.match(line)]
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_first_lines_of_docstrings_name_their_subject(folder: str) -> None:
+    riddling = {
+        path.relative_to(ROOT).as_posix(): lines
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if (lines := list_riddling_docstrings(path.read_text(encoding="utf-8")))
+    }
+    assert not riddling, "name the thing: “The bindings of …” instead of “What … binds”"
+
+
+@pytest.mark.parametrize(
+    "line", ["What it binds.", "Let it end.", "Return what it has.", "Yield what is wrong."]
+)
+def test_a_riddling_first_line_is_reported(line: str) -> None:
+    assert list_riddling_docstrings(f'def f():\n    """{line}"""\n') == [line]
+
+
+@pytest.mark.parametrize("line", ["Whatever.", "Letters of a font.", "Return the value that `what` names."])
+def test_other_first_lines_are_left_alone(line: str) -> None:
+    assert list_riddling_docstrings(f'def f():\n    """{line}"""\n') == []

@@ -1,4 +1,4 @@
-"""What strangers find: where a change goes, versions and dates, workflows, settings of editors, and
+"""The project's first impression: where a change goes, versions and dates, workflows, settings of editors, and
 metadata."""
 
 from __future__ import annotations

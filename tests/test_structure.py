@@ -60,7 +60,7 @@ def read_prose(path: Path) -> tuple[tuple[int, str], ...]:
 
 
 def list_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:
-    """What a file mentions in back-ticks, each with its line."""
+    """The words of a file in back-ticks, each with its line."""
     for start, text in read_prose(path):
         for ticked in TICKED.finditer(text):
             match = pattern.match(ticked[1])

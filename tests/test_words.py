@@ -83,7 +83,7 @@ def list_files(*patterns: str) -> list[Path]:
 
 
 def check_identifier(path: str, identifier: str, retired: Sequence[RetiredWord] = RETIRED) -> Iterator[str]:
-    """Yield what is wrong with an identifier of a file."""
+    """Yield the faults of an identifier of a file."""
     words = [word.lower() for word in WORD.findall(identifier)]
     for entry in retired:
         whole = "identifier" in entry.where and identifier.strip("._") in entry.forms
@@ -114,7 +114,7 @@ def list_foreign_names(text: str) -> set[str]:
 
 
 def check_program(path: Path) -> Iterator[str]:
-    """Yield what is wrong with the identifiers, strings and comments of a Python file. An attribute is
+    """Yield the faults of the identifiers, strings and comments of a Python file. An attribute is
     written with its dot, so that an exception can be made for it."""
     name = path.relative_to(ROOT).as_posix()
     checked = list_foreign_names(path.read_text(encoding="utf-8"))
@@ -134,7 +134,7 @@ def check_program(path: Path) -> Iterator[str]:
 
 
 def check_page(path: Path) -> Iterator[str]:
-    """Yield what is wrong with the prose of a page."""
+    """Yield the faults of the prose of a page."""
     name = path.relative_to(ROOT).as_posix()
     for line, wrong in check_prose(name, path.read_text(encoding="utf-8")):
         yield f"{name}:{line + 1}: {wrong}"

@@ -1,4 +1,4 @@
-"""What the programs of `benchmarks/engines.py` have in common: each draws a model when it is told to.
+"""Code that the programs of `benchmarks/engines.py` share: each draws a model on request.
 
 They run in environments of their own, so this imports no more than NumPy. The job is the first argument, as
 JSON. On the standard input a line `frame` asks for a frame, and `end FILE` for its image as bytes, rows of
@@ -18,7 +18,7 @@ import numpy as np
 
 
 class Job(TypedDict):
-    """What is drawn: a model's `path`, at `width` × `height` pixels, from `eye` along `ahead` (3,) with y
+    """A model to draw: its `path`, at `width` × `height` pixels, from `eye` along `ahead` (3,) with y
     upwards, by a projection of `fov` degrees bottom to top that sees from `near` to `far` metres, before
     `background` (3,), linear, with the light `ambient` (3,), linear, from everywhere; `sun` (3,) is the hue
     of directional light, and `engine` the row's name."""

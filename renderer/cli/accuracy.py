@@ -89,7 +89,7 @@ _OPTIONS: Final = (
     ),
     options.executor("shards of quality settings", KINDS),
     options.output_file("--plot", "write charts of errors and times"),
-    options.output_folder("--output", "folder for the results; a sweep that was interrupted goes on there"),
+    options.output_folder("--output", "folder for the results; an interrupted sweep is resumed from it"),
     *options.form(),
 )
 

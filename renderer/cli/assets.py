@@ -28,7 +28,7 @@ _SUFFIXES: Final = (*FORMATS, ".bin", ".mtl", ".png", ".jpg", ".jpeg", ".webp", 
 _OPTIONS: Final = (
     options.file(
         "folder",
-        "folder whose files are listed, and remembered from now on (default: those that are)",
+        "folder to list, and to remember for later searches (default: all remembered folders)",
         "FOLDER",
         nargs="?",
     ),

@@ -166,5 +166,9 @@ def _render(numbers: Iterable[int]) -> list[NDArray[Any]]:
 
 
 COMMAND: Final = Subcommand(
-    "effect-costs", "what each effect adds to a frame, and takes away", _OPTIONS, _run, __doc__
+    "effect-costs",
+    "measure what each effect adds to a frame, and what its removal takes away",
+    _OPTIONS,
+    _run,
+    __doc__,
 )

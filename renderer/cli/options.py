@@ -312,7 +312,7 @@ STEREO: Final = (
         "in the middle of what is seen",
     ),
     switch("--swap-eyes", "show each image to the other eye"),
-    switch("--toe-in", "turn the eyes towards each other, to see why not"),
+    switch("--toe-in", "toe in the eyes, to demonstrate the distortion"),
     switch("--reproject", "reproject the right eye's image from the left one's"),
 )
 DEPTH: Final = choice(

@@ -52,7 +52,7 @@ def show_builds() -> None:
 
 
 def report_omissions(scene: Scene) -> dict[str, list[dict[str, Any]]]:
-    """What was left out of a scene's file, as `left_out` of a JSON report; empty if nothing was."""
+    """The omissions of a scene's file, as `left_out` of a JSON report; empty if there are none."""
     return {"left_out": [asdict(omission) for omission in scene.omissions]} if scene.omissions else {}
 
 

@@ -57,7 +57,7 @@ _OPTIONS: Final = (
     options.BACKEND,
     *options.technique(has_defaults=False),
     options.visibility(None, "the settings', auto"),
-    options.settings("file with settings, written by `accuracy` or `tune`; other arguments count more"),
+    options.settings("file with settings, written by `accuracy` or `tune`; other arguments override them"),
     options.queries("the settings', native"),
     options.camera(),
     options.frame("first frame of the path, at 60 a second"),
@@ -139,7 +139,7 @@ def _run(arguments: argparse.Namespace) -> None:
             renderer.layers.append(Overlay(device, scale=max(1, arguments.size[1] // 720)))
         for layer in renderer.layers:
             layers.callback(layer.destroy)
-        for _ in show_progress(warm_up(renderer), "find what is the fastest"):
+        for _ in show_progress(warm_up(renderer), "find the fastest technique"):
             measure_frame(renderer, path_frames[0])
         costs = []
         for path_frame in show_progress(path_frames, "render"):

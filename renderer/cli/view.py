@@ -33,14 +33,14 @@ _OPTIONS: Final = (
     *options.technique("forward", has_defaults=False),
     options.visibility(None, "the settings', or frustum"),
     options.settings(
-        "file with settings; what is saved to it takes effect; other arguments count more at first"
+        "file with settings, reloaded whenever it is saved; other arguments override it at the start"
     ),
     options.camera(),
     options.frame("frame of the path"),
     options.size(what="size of the window in pixels"),
     options.choice(
         "--shadows",
-        "lights that cast shadows: those of which the scene says so, all, or none",
+        "lights that cast shadows: as the scene says, all, or none",
         SHADOWS,
         SHADOWS[0],
     ),
@@ -52,13 +52,18 @@ _OPTIONS: Final = (
         "--canvas", "where the image is shown; page is one in the browser", ("window", "qt", "page"), "window"
     ),
     option(
-        "--budget-ms", "with --live: the most that a frame is to take", type=options.parse_bound, metavar="M"
+        "--budget-ms",
+        "with --live: the time budget of a frame in milliseconds",
+        type=options.parse_bound,
+        metavar="M",
     ),
     options.file(
-        "--live", "keep --budget-ms by the most accurate settings that do, of a folder of `accuracy`", "DIR"
+        "--live",
+        "keep to --budget-ms with the most accurate settings in a folder written by `accuracy`",
+        "DIR",
     ),
     options.switch("--immediate", "don't wait for the display's refresh"),
-    options.file("--script", "commands to run, a line each", "F"),
+    options.file("--script", "commands to run, one per line", "F"),
     option(
         "--listen",
         "run commands from this port of the loopback address",
@@ -66,9 +71,11 @@ _OPTIONS: Final = (
         metavar="PORT",
     ),
     options.file(
-        "--write-to", "with --listen: where alone commands write (default: the working folder)", "DIR"
+        "--write-to",
+        "with --listen: the only folder that commands may write to (default: the working folder)",
+        "DIR",
     ),
-    options.count("--frames", "end after so many frames, and say how fast"),
+    options.count("--frames", "stop after this many frames and print the frame rate"),
 )
 
 

@@ -189,7 +189,7 @@ for _effect, _row in LOCAL_LIGHTS.items():
 
 @dataclass(frozen=True, eq=False, slots=True)
 class EffectSources:
-    """What may cause effects in a scene, seen from anywhere; it is kept while the scene is in the same
+    """Possible sources of effects in a scene, seen from anywhere; it is kept while the scene is in the same
     `state`.
 
     Attributes:

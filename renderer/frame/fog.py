@@ -23,7 +23,7 @@ from rhi import UniformBuffer
 def bind_fog(frame: Frame) -> UniformBuffer[FogConstants]:
     """The scene's fog, with heights relative to the eye of the frame's view."""
     fog = frame.resources.scene.fog
-    assert fog is not None, "fog is bound where the scene has some"
+    assert fog is not None, "fog can be bound only if the scene has fog"
     height = fog.falloff * (float(frame.camera.position[1]) - fog.base)
     return frame.view.mirror(
         FogConstants(

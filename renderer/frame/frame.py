@@ -24,7 +24,7 @@ from rhi.shading import Precision, Shader
 
 @dataclass(eq=False, slots=True)
 class ViewRecord:
-    """What a view has drawn in a frame, and what finding it cost."""
+    """The objects that a view has drawn in a frame, and the cost of culling."""
 
     draw_result: DrawResult
     statistics: VisibilityStatistics

@@ -274,7 +274,7 @@ class SceneResources:
         return self._workspaces.mirror(value)
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
-        """What a technique keeps between frames beside the scene: `kind(device)`, created on first use and
+        """A technique's state between frames beside the scene: `kind(device)`, created on first use and
         destroyed with the resources. What depends on the camera belongs to its view (`View.workspace`)."""
         return self._workspaces.get_or_create(kind)
 

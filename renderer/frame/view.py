@@ -47,7 +47,7 @@ class View:
     @property
     def camera(self) -> Camera:
         """The camera of this frame."""
-        assert self._camera is not None, "a view is aimed before it is used"
+        assert self._camera is not None, "a view must be aimed before it is used"
         return self._camera
 
     @property
@@ -60,7 +60,7 @@ class View:
         return self._workspaces.mirror(value)
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
-        """What a technique keeps between frames of this view: `kind(device)`, created on first use and
+        """A technique's state between frames of this view: `kind(device)`, created on first use and
         destroyed with the view."""
         return self._workspaces.get_or_create(kind)
 

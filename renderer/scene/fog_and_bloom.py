@@ -1,4 +1,4 @@
-"""What lies between the scene and the eye: fog in the air, and bloom, light that scatters in the eye or the
+"""Media between the scene and the eye: fog in the air, and bloom, light that scatters in the eye or the
 camera."""
 
 from __future__ import annotations

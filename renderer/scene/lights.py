@@ -89,7 +89,7 @@ class Lights(AllLightArrays):
         return sum(len(self.of_kind(kind)) for kind in LIGHT_KINDS)
 
     def cast_shadows(self, casts: bool = True) -> None:
-        """Let all lights that were added so far cast shadows, or none of them."""
+        """Switch shadows on or off for all lights that were added so far."""
         for kind in LIGHT_KINDS:
             self.of_kind(kind)["casts_shadow"] = casts
 

@@ -31,7 +31,7 @@ from renderer.scene.meshes import MeshGeometry
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TangentGroups:
-    """What the tangents of a mesh depend on besides its positions and normals, for meshes that change.
+    """The inputs of a mesh's tangents besides its positions and normals, for meshes that change.
 
     Attributes:
         corners: (c,) the vertex of each corner of a triangle.

@@ -240,7 +240,7 @@ class MapPlanner:
                 self.skipped.append(
                     (
                         (light.kind.name, light.light_index, -1),
-                        "there is no room left for its maps: it lights nothing",
+                        "no room is left for its shadow maps, so it is disabled",
                     )
                 )
                 self.without_room.append((light.kind.name, light.light_index))

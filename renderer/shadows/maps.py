@@ -234,7 +234,7 @@ class ShadowMaps:
     @property
     def atlas(self) -> Texture:
         """The texture with all maps."""
-        assert self._atlas is not None, "maps are updated before they are read"
+        assert self._atlas is not None, "shadow maps must be updated before they are read"
         return self._atlas
 
     @property
@@ -298,8 +298,8 @@ class ShadowMaps:
         """Count the local lights that are dark, and warn if more are than in the last frame."""
         if count > self.unshadowed_lights:
             LOGGER.warning(
-                "%d local lights light nothing, because there is no room for their shadow maps; "
-                "let fewer cast shadows, or shorten their ranges",
+                "%d local lights are disabled, because there is no room for their shadow maps; "
+                "make fewer lights cast shadows, or shorten their ranges",
                 count,
             )
         self.unshadowed_lights = count

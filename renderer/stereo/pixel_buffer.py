@@ -21,7 +21,7 @@ class PixelBuffer(Generic[T]):
     @property
     def buffer(self) -> StorageBuffer[T]:
         """The buffer, after `fit`."""
-        assert self._buffer is not None, "a buffer is fitted before it is used"
+        assert self._buffer is not None, "a buffer must be fitted before it is used"
         return self._buffer
 
     def fit(self, size: tuple[int, int]) -> StorageBuffer[T]:

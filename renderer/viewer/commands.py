@@ -44,21 +44,32 @@ def make_commands(session: ViewerSession) -> Iterable[ViewerCommand]:
 
 def _display_commands(session: ViewerSession) -> Iterable[ViewerCommand]:
     """The commands that change what draws the frames."""
-    yield _choice(session, "technique", "draw the scene like this", lambda: [AutoTechnique.name, *TECHNIQUES])
+    yield _choice(
+        session, "technique", "choose the rendering technique", lambda: [AutoTechnique.name, *TECHNIQUES]
+    )
     algorithms = lambda: list_algorithms(session.renderer.device)  # noqa: E731
-    yield _choice(session, "visibility", "let this decide which objects are drawn", algorithms)
+    yield _choice(session, "visibility", "choose the visibility algorithm", algorithms)
     yield _choice(session, "show", "show the image, or what the frame is made of", session.list_show_choices)
     yield _choice(
-        session, "shadows", "let the scene decide which lights cast shadows, or all, or none", lambda: SHADOWS
+        session,
+        "shadows",
+        "choose which lights cast shadows: as the scene says, all, or none",
+        lambda: SHADOWS,
     )
     blendings = [member.value for member in Blending]
-    yield _choice(session, "blending", "put transparent surfaces together like this", lambda: blendings)
+    yield _choice(session, "blending", "choose how transparent surfaces are composited", lambda: blendings)
     outputs = {"off": None} | {name: name for name in OUTPUTS}
     yield _choice(
-        session, "stereo", "draw two eyes and show them like this", lambda: outputs, outputs.__getitem__
+        session,
+        "stereo",
+        "draw two eyes, and choose how they are shown",
+        lambda: outputs,
+        outputs.__getitem__,
     )
     samples = {str(count): count for count in session.renderer.device.capabilities.sample_counts}
-    yield _choice(session, "samples", "draw samples in each pixel", lambda: samples, samples.__getitem__)
+    yield _choice(
+        session, "samples", "set the number of samples per pixel", lambda: samples, samples.__getitem__
+    )
     yield _display_switch(session, "fxaa", "smooth edges")
     yield _display_switch(session, "overlay", "draw times, counters and the culling over the image")
     yield _display_switch(session, "particles", "draw the drops of fountains as particles")
@@ -82,7 +93,7 @@ def _display_commands(session: ViewerSession) -> Iterable[ViewerCommand]:
 
     paths = Parameter("SETTING", words=session.display.settings.list_paths, is_exhaustive=True)
     yield ViewerCommand(
-        "set", "set any setting, or say it", assign, (paths, Parameter("VALUE", is_optional=True))
+        "set", "set any setting, or print it", assign, (paths, Parameter("VALUE", is_optional=True))
     )
 
 
@@ -99,7 +110,7 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
     number = Parameter("FRAME", parse_number, is_optional=True)
     yield ViewerCommand(
         "camera",
-        "go to a view, a frame of a path, or x,y,z[,x,y,z]: a place and what to look at",
+        "go to a view, a frame of a path, or x,y,z[,x,y,z]: a position and a target",
         camera,
         (Parameter("CAMERA", words=list_cameras), number),
     )
@@ -125,7 +136,7 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
         return f"{session.controller.speed:.3g} m/s"
 
     speeds = Parameter("M/S", words=lambda: ("faster", "slower"), is_optional=True)
-    yield ViewerCommand("speed", "move this fast, or faster, or slower", speed, (speeds,))
+    yield ViewerCommand("speed", "set the speed of movement, or change it", speed, (speeds,))
 
     def play(name: str | None = None) -> str:
         session.play(
@@ -155,7 +166,10 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
 
     names = Parameter("CLIP", words=lambda: session.scene.clips, is_exhaustive=True, is_optional=True)
     yield ViewerCommand(
-        "clip", "play a clip instead of what moves the same, or say what is played", clip, (names,)
+        "clip",
+        "play a clip in place of clips that move the same nodes, or list the clips being played",
+        clip,
+        (names,),
     )
 
 
@@ -191,7 +205,7 @@ def _files(session: ViewerSession) -> Iterable[ViewerCommand]:
     yield ViewerCommand(
         "capture", "write the times of frames and of their passes to a file", capture, (file, number)
     )
-    yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
+    yield ViewerCommand("record", "start or stop recording the camera", record, (file,))
     yield ViewerCommand(
         "status", "say how fast frames are, and what draws them", lambda: describe_status(session)
     )
@@ -325,4 +339,4 @@ def _pause(session: ViewerSession) -> ViewerCommand:
     def write(on: bool) -> None:
         session.is_paused = on
 
-    return switch("pause", "stop the scene's time, or let it go on", lambda: session.is_paused, write)
+    return switch("pause", "pause the scene's time, or resume it", lambda: session.is_paused, write)

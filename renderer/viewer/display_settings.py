@@ -237,7 +237,7 @@ class Configurator:
         self.display, self._applied = display, made_for
 
     def list_show_choices(self, camera: Camera) -> list[str]:
-        """What can be shown: the image, `INSPECTIONS`, and the textures of the technique's plan."""
+        """The names that can be shown: the image, `INSPECTIONS`, and the textures of the technique's plan."""
         effects, _ = self._renderer.plan(camera)
         resource = list_resources(self._make_plain(self.display).declare(effects))
         return list(dict.fromkeys([LIT_IMAGE, *INSPECTIONS, *resource]))

@@ -172,7 +172,7 @@ class FileReloader:
 
 
 def describe_fault(error: Exception) -> str:
-    """Return what is wrong: of a shader with its file and line, of Python with the line that has failed."""
+    """Describe an error: of a shader with its file and line, of Python with the line that has failed."""
     if isinstance(error, ShaderError):
         return str(error)
     if isinstance(error, RhiError):
@@ -187,7 +187,7 @@ def describe_fault(error: Exception) -> str:
 
 def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterator[ViewerCommand]:
     """Yield the commands for files that may change."""
-    summary = "exchange shaders, the scene and settings when their files are saved"
+    summary = "reload shaders, the scene and settings when their files are saved"
     yield switch("reload", summary, lambda: file_reloader.is_watching, file_reloader.watch)
 
     summary = "show another scene, or this one with other options: lights=300"
@@ -205,7 +205,7 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
         return f"{len(lights)} lights: {kinds}; {in_view}"
 
     numbers = (Parameter("NUMBER", parse_number, is_optional=True),)
-    yield ViewerCommand("lights", "show the scene with so many lights, or count them", lights, numbers)
+    yield ViewerCommand("lights", "show the scene with this many lights, or count them", lights, numbers)
 
     def show_objects(number: int | None = None) -> str:
         if number is not None:
@@ -214,7 +214,7 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
         return f"{len(objects.node)} objects, {int(objects.is_shown.sum())} of them not hidden"
 
     yield ViewerCommand(
-        "objects", "show the scene with so many objects, or count them", show_objects, numbers
+        "objects", "show the scene with this many objects, or count them", show_objects, numbers
     )
 
     def settings(path: Path) -> str:

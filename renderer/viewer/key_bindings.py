@@ -24,7 +24,7 @@ KEY_BINDINGS: Final[dict[str, tuple[str, str]]] = {
     "o": ("overlay", "the overlay: times, counters, culling"),
     "i": ("pick", "pick what is under the pointer, as a click does"),
     "Escape": ("clear", "forget what was picked, hide the keys"),
-    " ": ("pause", "stop the scene's time, or let it go on"),
+    " ": ("pause", "pause the scene's time, or resume it"),
     "r": ("record", "begin or end a recording of the camera"),
     "p": ("play", "show the latest recording"),
     "F12": ("screenshot", "write the image to a file"),

@@ -204,7 +204,7 @@ class ViewerSession:
             self._take(*self._open(renderer.device, self.scene, renderer.size, display, self._original))
 
     def list_show_choices(self) -> list[str]:
-        """What can be shown of a frame."""
+        """The names of all images that a frame can show."""
         return self._configurator.list_show_choices(self.camera)
 
     # -- picking ---------------------------------------------------------------------------------------------
@@ -338,7 +338,7 @@ class ViewerSession:
         return result
 
     def set_budget(self, budget: FrameBudget) -> None:
-        """Let a budget select the settings of frames from now on.
+        """Select the settings of later frames by a time budget.
 
         Raises:
             ValidationError: what refuses the settings that it begins with.
@@ -351,7 +351,7 @@ class ViewerSession:
         selects others."""
         if self.display.settings != budget.settings:
             self.budget = None
-            self._say("the budget is given up, since settings were changed", False)
+            self._say("the budget was dropped because settings were changed", False)
         elif not self.renderer.is_trying:
             self.renderer.device.finish()
             if budget.note(1e3 * (perf_counter() - began)):

@@ -212,7 +212,7 @@ class Viewer:
         names = Parameter(
             "COMMAND", words=lambda: [command.name for command in self.commands], is_optional=True
         )
-        yield ViewerCommand("help", "say what a command does, or all of them", describe, (names,))
+        yield ViewerCommand("help", "describe a command, or list all commands", describe, (names,))
 
         def resize(size: tuple[int, int] | None = None) -> str:
             if size is not None:
@@ -220,7 +220,7 @@ class Viewer:
             return "{} x {} pixels".format(*(size or self.session.renderer.size))
 
         sizes = Parameter("WIDTHxHEIGHT", parse_size, is_optional=True)
-        yield ViewerCommand("size", "draw images of this size in pixels, or say what it is", resize, (sizes,))
+        yield ViewerCommand("size", "set the size of images in pixels, or print it", resize, (sizes,))
 
         def pick(pixel: tuple[int, int] | None = None) -> str:
             width, height = self.session.renderer.size
@@ -228,7 +228,10 @@ class Viewer:
 
         parameters = (Parameter("X,Y", parse_pixel, is_optional=True),)
         yield ViewerCommand(
-            "pick", "say what is at a pixel or under the pointer, and why it is drawn", pick, parameters
+            "pick",
+            "describe the object at a pixel or under the pointer, and why it is drawn",
+            pick,
+            parameters,
         )
 
         def clear() -> str:

@@ -119,7 +119,7 @@ def list_algorithms(device: Device) -> list[str]:
 
 
 def find_missing_feature(name: str, device: Device) -> str | None:
-    """Return what a device lacks for an algorithm, in a few words, or None if it can run it."""
+    """Name the feature that a device lacks for an algorithm, in a few words, or None if it can run it."""
     return (
         _LISTED[name].find_missing_feature(device) if name in _LISTED else None
     )  # `auto` tries those that can run

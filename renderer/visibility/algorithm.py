@@ -81,7 +81,7 @@ class ListedAlgorithm(VisibilityAlgorithm, Protocol):
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
-        """Return what a device lacks to run the algorithm, in a few words, or None if it can."""
+        """Name the feature that a device lacks for the algorithm, in a few words, or None if it can."""
         ...
 
 

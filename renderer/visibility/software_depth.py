@@ -66,7 +66,7 @@ class SoftwareDepth:
 
     @staticmethod
     def find_missing_feature(_: Device) -> str | None:
-        """Return what the machine lacks to draw occluders; the device itself needs nothing."""
+        """Name the feature that the machine lacks to draw occluders; the device itself needs nothing."""
         return None if can_rasterise() else "a device on the CPU that draws and computes"
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:

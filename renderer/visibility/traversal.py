@@ -63,7 +63,7 @@ class TraversalSource(Protocol):
 def compute_traversal(
     algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, drawn: Indices | None
 ) -> CullingTraversal:
-    """Return what `algorithm` did in the frame that `camera` has just seen.
+    """The traversal of `algorithm` in the frame that `camera` has just seen.
 
     `drawn` are the indices of the objects drawn, None if only the device knows them.
     """

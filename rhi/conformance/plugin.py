@@ -43,7 +43,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="module")
 def quick_collections() -> None:
-    """Let garbage collections pass over all that is older than a module which asks for many.
+    """Exclude older objects from garbage collections in a module that runs many of them.
 
     After thousands of tests one takes 0.7 s, most of it for shaders' syntax trees.
     """

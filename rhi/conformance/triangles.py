@@ -230,7 +230,7 @@ class TriangleReference:
 
 
 def compute_reference(triangles: Floats, wide: float = CELL) -> TriangleReference:
-    """Return what (n, 3, 4) triangles must give in the middle of a viewport `wide` texels a side."""
+    """The expected result of (n, 3, 4) triangles in the middle of a viewport `wide` texels a side."""
     with np.errstate(all="ignore"):
         rows, near, far = _compute_planes(triangles, wide)
         lines = _measure(np.concatenate([rows, near[:, None], far[:, None]], 1))

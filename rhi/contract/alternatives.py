@@ -1,4 +1,4 @@
-"""What to use instead of a capability that a device lacks: the tips of the rules `device-capability` and
+"""Alternatives to a capability that a device lacks: the tips of the rules `device-capability` and
 `state-capability`.
 
 A row belongs to a field of `Capabilities`. Each alternative works on every device of the profile `webgpu`.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-_ANOTHER_FORMAT: Final = "choose a format that device.capabilities doesn't list there"
+_ANOTHER_FORMAT: Final = "choose a format that this field of device.capabilities doesn't list"
 
 ALTERNATIVES: Final[Mapping[str, str]] = {
     "max_texture_size": "draw to tiles, each with a projection of its own",
@@ -18,7 +18,7 @@ ALTERNATIVES: Final[Mapping[str, str]] = {
     "max_target_bytes": "use narrower formats, or draw to some targets in a second pass",
     "max_varyings": "put several numbers into one vec4",
     "max_vertex_stride": "put fields that this program doesn't read into another mesh",
-    "vertex_alignment": "add fields that fill it up, or align the dtype: np.dtype(…, align=True)",
+    "vertex_alignment": "add padding fields, or align the dtype: np.dtype(…, align=True)",
     "max_vertex_attributes": "read attributes from a Storage binding by vertex_index()",
     "max_uniform_slots": "put several structs into one, or into a Storage array",
     "max_storage_slots": "put several arrays into one, each at an offset of its own",
@@ -29,7 +29,7 @@ ALTERNATIVES: Final[Mapping[str, str]] = {
     "max_anisotropy": "use mip levels with Filter.LINEAR, which needs no anisotropy",
     "max_point_size": "draw points as quads: an instance for each point, its corner from vertex_index()",
     "max_line_width": "draw lines as quads: an instance for each line, its corner from vertex_index()",
-    "compute": "draw to a texture whose fragment stage computes, or use another backend",
+    "compute": "compute in a fragment stage and draw the result to a texture, or use another backend",
     "draws": "use another backend for draws: this device only computes",
     "indirect_count": "draw all slots of the list: those whose count of vertices is 0 draw nothing",
     "occlusion_queries": "use device.occlusion_query(emulated=True) where capabilities.sample_counter is True",
@@ -44,7 +44,7 @@ ALTERNATIVES: Final[Mapping[str, str]] = {
     "blend_per_target": "draw targets that blend differently in passes of their own",
     "wireframe": "draw the edges with Primitive.LINES and indices of their ends",
     "draw_index": "give each draw a base_instance, and read the index from an instance attribute",
-    "early_depth": "draw depth first, and return where fragment_coordinate().z lies behind the depth texture",
+    "early_depth": "draw depth first, and return early where fragment_coordinate().z lies behind the depth texture",
     "aliased_writes": "copy what is read first: buffer.copy_to(…), texture.copy_to(…)",
     "resolve_feedback": "resolve to another texture, or read it after the pass",
     "vertex_writes": "write the memory in a compute stage before the draw",

@@ -123,7 +123,7 @@ def full_levels(width: int, height: int, depth: int = 1) -> int:
 
 
 def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Faults:
-    """Yield what is wrong with a texture to be created."""
+    """Yield the faults of a texture to be created."""
     width, height = descriptor.size
     kind = descriptor.kind
     layers = descriptor.layers
@@ -183,7 +183,7 @@ def compressed_faults(descriptor: TextureDescriptor) -> Faults:
 
 
 def sampler_faults(descriptor: SamplerDescriptor, limits: Capabilities) -> Faults:
-    """Yield what a device lacks for a sampler."""
+    """Yield the capabilities that a device lacks for a sampler."""
     if descriptor.max_anisotropy > limits.max_anisotropy:
         maximum = f"up to capabilities.max_anisotropy, {limits.max_anisotropy:g}"
         yield lack(f"max_anisotropy={descriptor.max_anisotropy:g}", "max_anisotropy", maximum)
@@ -201,7 +201,7 @@ def level_faults(texture: TextureDescriptor, level: int, layer: int = 0) -> Faul
 
 
 def region_faults(texture: TextureDescriptor, level: int, region: Region) -> Faults:
-    """Yield what lies outside a level."""
+    """Yield the parts of a region that lie outside a level."""
     yield from level_faults(texture, level, region.layer)
     width, height = texture.level_size(level)
     layers = texture.level_layers(level)
@@ -265,7 +265,7 @@ def texture_copy_faults(
     end: Region,
     same: bool,
 ) -> Faults:
-    """Yield what is wrong with a copy between textures, or within one (`same`)."""
+    """Yield the faults of a copy between textures, or within one (`same`)."""
     yield from plain_faults(source)
     yield from plain_faults(target)
     yield from region_faults(source, level, region)
@@ -289,7 +289,7 @@ def row_faults(
     size: int,
     limits: Capabilities,
 ) -> Faults:
-    """Yield what is wrong with the offset and pitch of a region's rows in a buffer of `size` bytes."""
+    """Yield the faults of the offset and pitch of a region's rows in a buffer of `size` bytes."""
     texel = texture.format.transfer_bytes
     yield from plain_faults(texture)
     if not limits.texture_buffer_copies:
@@ -355,7 +355,7 @@ def buffer_copy_faults(
     same: bool,
     limits: Capabilities,
 ) -> Faults:
-    """Yield what is wrong with a copy between buffers, or within one (`same`)."""
+    """Yield the faults of a copy between buffers, or within one (`same`)."""
     alignment = limits.copy_alignment
     if (
         size <= 0 or not 0 <= offset <= source_size - size
@@ -419,7 +419,7 @@ def count_elements(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId]
 
 
 def vertex_array_faults(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId], int]) -> Faults:
-    """Yield what is wrong with the offsets of attributes in buffers of these `sizes`, in bytes."""
+    """Yield the faults of the offsets of attributes in buffers of these `sizes`, in bytes."""
     for stream in descriptor.streams:
         if not 0 <= stream.stride <= MAX_STRIDE:
             yield Fault(rules.MESH_DATA, f"stride {stream.stride}", f"0 to {MAX_STRIDE}")
@@ -473,7 +473,7 @@ def draw_faults(
 
 
 def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, size: int) -> Faults:
-    """Yield what is wrong with the offset and stride of indirect draws in a buffer of `size` bytes."""
+    """Yield the faults of the offset and stride of indirect draws in a buffer of `size` bytes."""
     if stride > MAX_ELEMENTS or not 0 <= count_offset <= MAX_ELEMENTS:
         given = f"stride {stride}, count_offset {count_offset}"
         yield Fault(rules.INDIRECT_RANGE, given, f"numbers up to {MAX_ELEMENTS}")
@@ -494,7 +494,7 @@ def count_faults(offset: int, size: int, limits: Capabilities) -> Faults:
 
 
 def indirect_dispatch_faults(offset: int, size: int) -> Faults:
-    """Yield what is wrong with the offset of an indirect dispatch's arguments in a buffer of `size` bytes."""
+    """Yield the faults of the offset of an indirect dispatch's arguments in a buffer of `size` bytes."""
     if offset < 0 or offset % 4 or offset + 12 > size:
         yield Fault(rules.INDIRECT_RANGE, f"byte {offset}", f"a multiple of 4 up to {size - 12}")
 
@@ -512,7 +512,7 @@ def dispatch_faults(groups: Sequence[int | None], groups_text: str, limits: Capa
 
 
 def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
-    """Yield what a device lacks for a query."""
+    """Yield the capabilities that a device lacks for a query."""
     needed = {QueryKind.OCCLUSION: "occlusion_queries", QueryKind.COUNTER: "sample_counter"}.get(
         kind, "timestamps"
     )
@@ -521,7 +521,7 @@ def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
 
 
 def condition_faults(limits: Capabilities) -> Faults:
-    """Yield what a device lacks for conditions."""
+    """Yield the capabilities that a device lacks for conditions."""
     if not limits.conditional_rendering:
         yield lack("conditional rendering", "conditional_rendering")
 
@@ -535,7 +535,7 @@ def show_stages(descriptor: ProgramDescriptor) -> str:
 
 
 def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Faults:
-    """Yield what a device lacks for a program."""
+    """Yield the capabilities that a device lacks for a program."""
     room = {
         BindingKind.UNIFORM: limits.max_uniform_slots,
         BindingKind.STORAGE: limits.max_storage_slots,
@@ -585,7 +585,7 @@ def _count_vectors(words: int) -> int:
 
 
 def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
-    """Yield what a device lacks for an image of a program."""
+    """Yield the capabilities that a device lacks for an image of a program."""
     format = getattr(binding.type, "format", None)  # descriptors that are made by hand may have no types
     given = f"{binding.name}, an image of {format.name}" if isinstance(format, Format) else ""
     if format in limits.unstorable_formats:
@@ -632,7 +632,7 @@ _REQUIRED_CAPABILITIES: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
 
 
 def state_faults(state: Any, limits: Capabilities) -> Faults:
-    """Yield what a device lacks for a state."""
+    """Yield the capabilities that a device lacks for a state."""
     if isinstance(state, states.PlatformState) and type(state) not in limits.platform_states:
         have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
         yield Fault(
@@ -674,7 +674,7 @@ def target_bytes(formats: Iterable[Format]) -> int:
 def pass_faults(
     descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities
 ) -> Faults:
-    """Yield what is wrong with a render pass. Its attachments name existing levels and layers of
+    """Yield the faults of a render pass. Its attachments name existing levels and layers of
     `textures`."""
     colors, depth = descriptor.colors, descriptor.depth
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]

@@ -63,7 +63,7 @@ def distrust_reason(folder: Path) -> str:
     free = disk_usage(folder).free
     if free < MIN_FREE_BYTES:
         return f"only {free / 1e6:.1f} MB are free there"
-    return "" if read_key() else f"no key can be kept in {user_cache()}"
+    return "" if read_key() else f"no key can be stored in {user_cache()}"
 
 
 def read_key() -> bytes:

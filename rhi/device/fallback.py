@@ -67,6 +67,8 @@ class FallbackLoader(SourceFileLoader):
                     source.lines, source.spec = text.splitlines(keepends=True), module.__spec__
                     exchange_source(source)
                     execute(f"import of {module.__name__}", source, text, module, module)
-                LOGGER.warning("%s: shaders are as they were drawn with last: %r", self.path, error)
+                LOGGER.warning(
+                    "%s: the shaders of the last successful draw stay in use: %r", self.path, error
+                )
                 return
             raise

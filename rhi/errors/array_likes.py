@@ -1,4 +1,4 @@
-"""What counts as an array and as a real number, wherever values come in from Python.
+"""The definition of arrays and real numbers, wherever values come in from Python.
 
 NumPy converts more than a device should accept, often in silence: it drops the imaginary part of complex
 numbers and the mask of masked arrays, parses text, and reads sets in any order. These functions refuse all of

@@ -36,7 +36,7 @@ def open_standard_streams() -> None:
 
 
 def _occupy(number: int) -> None:
-    """Let a descriptor that is closed lead nowhere."""
+    """Point a closed descriptor at the null device."""
     try:
         os.fstat(number)
     except OSError:

@@ -48,14 +48,14 @@ DEVICE_MEMORY: Final = Rule(
 DEVICE_LOST: Final = Rule("device-lost", "the device was lost", "close it and create a new one")
 DEVICE_ANSWER: Final = Rule(
     "device-no-answer",
-    "the device never returned the answer of a query",
+    "the device never returned the result of a query",
     "repeat the query, or create a new device",
 )
 DEVICE_CLOSED: Final = Rule("device-closed", "the device was closed", "use it inside its `with` block only")
 DEVICE_COPY: Final = Rule(
     "device-copy",
-    "what belongs to a device can't be copied or pickled",
-    "read its contents, and create another one of them; another process opens a device of its own",
+    "an object that belongs to a device can't be copied or pickled",
+    "read its contents and create a new object from them; another process must create its own device",
 )
 RELOAD_WATCH: Final = Rule("reload-watch", "this can't be watched for changes")
 DEVICE_DEBUG: Final = Rule(
@@ -68,7 +68,7 @@ DEVICE_THREAD: Final = Rule(
 )
 DEVICE_FORKED: Final = Rule(
     "device-forked",
-    "drivers don't outlive a fork of their process",
+    "a device can't be used after its process has forked",
     'start processes by multiprocessing.get_context("spawn"), and create devices there',
 )
 DEVICE_CONTEXT: Final = Rule(
@@ -202,7 +202,7 @@ QUERY_STATE: Final = Rule("query-state", "the query is not in the state that thi
 QUERY_NESTED: Final = Rule("query-nested", "another occlusion query is open", "end it first")
 QUERY_UNFINISHED: Final = Rule(
     "query-unfinished",
-    "the answer of the query isn't available yet",
+    "the result of the query isn't available yet",
     "check is_finished first, or call wait()",
 )
 CONDITION_NESTED: Final = Rule(
@@ -222,11 +222,11 @@ BINDING_NAME: Final = Rule("binding-name", "a binding can't have this name", "re
 COMMAND_ARGUMENT: Final = Rule("command-argument", "the command has no such argument")
 COMMAND_CLEARED: Final = Rule(
     "command-cleared",
-    "the state at a command is lost once its stream was cleared",
+    "the state at a command can't be read after its stream was cleared",
     "read it before clear()",
 )
 ASSERTION_ARGUMENT: Final = Rule(
-    "assertion-argument", "with this argument an assertion says nothing about the commands"
+    "assertion-argument", "with this argument the assertion can't check any command"
 )
 NULL_SAMPLES: Final = Rule(
     "null-samples",

@@ -32,7 +32,7 @@ _CLASSES: Final = frozenset(
 
 
 def checker(call: str) -> ArgumentChecker:
-    """Return what checks the arguments of an assertion."""
+    """The function that checks the arguments of an assertion."""
     return ArgumentChecker(call, rule=ASSERTION_ARGUMENT)
 
 

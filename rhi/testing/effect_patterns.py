@@ -116,7 +116,7 @@ class EffectPattern:
         return "" if self.explain(command) else f"it has nothing of {self.effect}"
 
     def explain(self, command: Command) -> tuple[str, ...]:
-        """Return what a command has of the effect, each part as a message says it; nothing if it doesn't
+        """The parts of the effect in a command, each part as a message says it; nothing if it doesn't
         belong to the effect."""
         return tuple(dict.fromkeys(reason for _, reason in self.match_parts(command)))
 

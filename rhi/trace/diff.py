@@ -232,7 +232,7 @@ class _Side:
         return self.names.get(resource, f"id {resource}") if resource else "none"
 
     def identify(self, resource: Id) -> Hashable:
-        """Return what an id stands for: a resource's kind, its descriptor, and which of several equal
+        """Describe the resource of an id: its kind, its descriptor, and which of several equal
         ones."""
         if not resource:
             return 0

@@ -558,7 +558,7 @@ _RECURRING: Final = frozenset(_LIMIT_FAULTS.keys() - CREATIONS | {Op.DRAW, Op.BI
 
 
 def binding_faults(context: StreamContext) -> Faults:
-    """Yield what the bound program reads or writes that isn't bound, is gone, or is less than it says."""
+    """Yield bindings of the program that are missing, destroyed or too small."""
     program = context.resources.get(context.program)
     for binding in program.bindings if isinstance(program, ProgramDescriptor) else ():
         bound = context.slots.get((binding.kind, binding.slot))

@@ -14,7 +14,7 @@ TIMEOUT = 180.0
 
 
 def wait_for(what: Callable[[], Any], name: str) -> Any:
-    """Return what something is, once it is something."""
+    """Poll a function until it returns a true value, and return that."""
     from selenium.common.exceptions import WebDriverException
 
     until = time.monotonic() + TIMEOUT

@@ -98,7 +98,7 @@ class DeviceHarness:
         self.living = self.count_living()
 
     def visit_everything(self) -> None:
-        """Let everything that calls make once, such as vertex arrays, exist before anything is counted."""
+        """Create everything that calls create once, such as vertex arrays, before anything is counted."""
         for call in CALLS:
             if self.can(call):
                 call(self)

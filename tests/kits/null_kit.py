@@ -53,7 +53,7 @@ class Kit:
 
     @property
     def bindings(self) -> dict[str, Any]:
-        """What the program binds."""
+        """The bindings of the program."""
         return {"camera": self.camera, "object": self.objects[0]}
 
     def ops(self, *ops: rhi.Op) -> list[rhi.Command]:

@@ -27,7 +27,7 @@ class Display:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What makes a process open its windows there."""
+        """The environment variables that make a process open its windows there."""
         return {"DISPLAY": self.name, "XDG_SESSION_TYPE": "x11", "WAYLAND_DISPLAY": ""}
 
     def look(self, x: int, y: int, width: int, height: int) -> NDArray[np.uint8]:

@@ -261,7 +261,7 @@ class Failures:
 
 @contextlib.contextmanager
 def replace_gl(fault: Callable[[Any], Any]) -> Iterator[None]:
-    """Let gl be gl with a fault, and the only backend but null."""
+    """Replace gl by gl with a fault, and remove all other backends but null."""
     list_entry_points = registry._entry_points
     real = list_entry_points()["gl"].load()
     point = SimpleNamespace(load=lambda: lambda *, validation: fault(real(validation=validation)))

@@ -409,7 +409,7 @@ class Copy:
 
 
 def attempt_fault(copy: Copy, fault: Fault) -> str:
-    """Return what noticed a fault, "" if nothing did."""
+    """The check that noticed a fault, "" if none did."""
     for stage in choose_tests(copy.root, fault.file):
         undo = copy.make_fault(fault)
         try:

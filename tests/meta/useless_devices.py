@@ -28,7 +28,7 @@ class Mute(Faulty):
 
 
 class Unread(Faulty):
-    """What is read isn't what is there."""
+    """Reads return wrong data."""
 
     def replace(self, key: tuple[Any, ...], true: bytes) -> bytes:
         """Return other bytes, given those that are there, and where that is."""
@@ -63,7 +63,7 @@ class Random(Unread):
 
 
 class OneFrameLate(Unread):
-    """What is read is what was there when as much was read the last time; before that, nothing."""
+    """A read returns the data of the previous read of the same size; at first, zeros."""
 
     def __init__(self, inner: Any) -> None:
         super().__init__(inner)

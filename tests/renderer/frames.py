@@ -69,7 +69,7 @@ def require_algorithm(device: rhi.Device, name: str) -> None:
 
 
 def forget_variants() -> None:
-    """Let shaders be made again: what is patched takes effect, or none any more."""
+    """Clear the cached shaders, so that patches take effect, or end."""
     variants.combine.cache_clear()
     variants.cached_shader_variant.cache_clear()
 

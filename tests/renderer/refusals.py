@@ -17,7 +17,7 @@ def refused_rule(call: Callable[[], object]) -> str:
 
 
 def refused_message(run: Callable[[str], tuple[str, bool]], line: str) -> str:
-    """Return what is said of a line, which has to be refused; `run` is that of a viewer."""
+    """The refusal of a line, which has to be refused; `run` is that of a viewer."""
     message, is_error = run(line)
     assert is_error, message
     return message

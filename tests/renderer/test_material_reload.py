@@ -68,7 +68,7 @@ def draw(renderer: Renderer) -> list[int]:
 
 
 def draw_afresh(device: Device, text: str) -> list[int] | None:
-    """What a text shows in a program that begins with it, by `from_source`, which knows of no reload."""
+    """The image of a text in a program that begins with it, by `from_source`, which knows of no reload."""
     try:
         shader = from_source(text, "Mine")
         if not (isinstance(shader, type) and issubclass(shader, MaterialShader)):

@@ -185,7 +185,7 @@ def test_a_video_takes_images(tmp_path: Path, image: Any) -> None:
 
 
 def test_perspective_and_parallel_cameras_are_usable() -> None:
-    """What `is_usable` says of ordinary cameras, and of one that isn't."""
+    """`is_usable` accepts ordinary cameras, and refuses others."""
     assert is_usable(BEGIN)
     assert is_usable(PARALLEL)
     assert not is_usable(Camera(np.full(3, NAN), np.eye(3), Perspective()))

@@ -32,7 +32,7 @@ Visit = Callable[[Any], Awaitable[None]]
 
 
 class PageLog:
-    """What a page has shown and was told, in the end."""
+    """The images and events of a page, at the end."""
 
     def __init__(self) -> None:
         self.sizes: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""What accuracy costs in time: quality settings, the error and the time of their values, and the choice
+"""The cost of accuracy in time: quality settings, the error and the time of their values, and the choice
 between them."""
 
 from renderer.lab.accuracy.choice import CheckedChoice as CheckedChoice

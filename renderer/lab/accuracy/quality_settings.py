@@ -61,7 +61,7 @@ class Requirement(Enum):
     BLOOM = "an object that emits more light than a white surface reflects"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
-    DIVERGING_SIMULATIONS = "something that an absence would change"
+    DIVERGING_SIMULATIONS = "a simulation that depends on its history"
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
@@ -199,7 +199,7 @@ LAST_VALUE: Final = Reference("the scene with the last value")
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _LARGE_ATLAS: Final = {**_FORWARD, "shadows.max_atlas_size": 8192}
 _RANDOM_QUERIES: Final = (
-    "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
+    "CHC++ picks at random when an object is queried again, so neighbouring settings may swap ranks"
 )
 _CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
 _QUERY_HISTORY: Final = 24
@@ -231,7 +231,7 @@ _lists: Final = partial(
 _queries: Final = partial(
     QualitySetting, unit=ErrorUnit.OVERDRAW, reference=VISIBLE_OBJECTS, base_settings=_CHC
 )
-_CHAOTIC_CLOTH: Final = "cloth falls into other folds after the least of changes, and then all are as wrong"
+_CHAOTIC_CLOTH: Final = "the smallest change makes cloth fall into other folds, all of them equally wrong"
 _cloth: Final = partial(
     _image_quality,
     path="",
@@ -498,30 +498,30 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
         ),
         _image_quality(
             "animation_step",
-            "seconds after which what moves by itself moves on",
+            "step of animations in seconds",
             "animation_step",
             {"each 8th frame": 8 / 60, "each 4th": 4 / 60, "each 2nd": 2 / 60, "each frame": 0.0},
-            "half as many steps are seen to be uneven",
+            "with half as many steps, motion looks uneven",
             reference=EVERY_FRAME_ANIMATED,
             requirement=Requirement.MOTION,
             history_frames=8,
         ),
         _image_quality(
             "animation_lag",
-            "pixels by which what is small on the screen may be late",
+            "lag allowed for small objects, in pixels",
             "animation_lag",
             _same(8.0, 2.0, 0.5, 0.0),
-            "what is late by half a pixel isn't seen to be",
+            "a lag of half a pixel isn't visible",
             reference=EVERY_FRAME_ANIMATED,
             requirement=Requirement.MOTION,
             history_frames=8,
         ),
         _image_quality(
             "hidden_simulations",
-            "whether what an absence would change is simulated where it isn't drawn",
+            "whether simulations that depend on their history run while hidden",
             "simulates_hidden",
             {"paused": False, "simulated": True},
-            "nobody knows in which folds a cloth would have come back",
+            "the folds of a cloth that was hidden can't be predicted",
             reference=ALL_SIMULATED,
             base_settings=_SOFTWARE,
             requirement=Requirement.DIVERGING_SIMULATIONS,
@@ -599,19 +599,19 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
         ),
         _queries(
             "query_batch",
-            "b of CHC++: hidden nodes that one query asks about together",
+            "b of CHC++: hidden nodes that one query tests together",
             "visibility.batch",
             _same(200, 50, 20, 5, 1),
-            "queries cost more than what is drawn for nothing",
+            "queries cost more than drawing hidden objects",
             history_frames=_QUERY_HISTORY,
             non_monotonic_reason=_RANDOM_QUERIES,
         ),
         _queries(
             "query_persistence",
-            "n of CHC++: frames for which a visible object isn't asked about",
+            "n of CHC++: frames for which a visible object isn't queried again",
             "visibility.persistence",
             _same(60, 20, 5, 1),
-            "what was visible nearly always still is",
+            "visible objects nearly always stay visible",
             history_frames=64,
             non_monotonic_reason=_RANDOM_QUERIES,
         ),
@@ -630,7 +630,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "samples that a box may pass and count as hidden",
             "visibility.threshold",
             _same(1000, 100, 10, 1, 0),
-            "nothing that is seen may be missing",
+            "no visible object may be missing",
             reference=NO_CULLING,
             base_settings=_CHC,
             history_frames=_QUERY_HISTORY,
@@ -640,7 +640,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "objects that software occlusion draws",
             "visibility.occluders",
             _same(4, 16, 64, 256),
-            "what is smaller hides next to nothing",
+            "smaller objects hide almost nothing",
             base_settings=_SOFTWARE,
         ),
         _image_quality(
@@ -648,7 +648,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "pixels of the image in each direction that are one of software occlusion",
             "visibility.occluder_pixels",
             _same(16, 8, 4, 2, 1),
-            "nothing that is seen may be missing",
+            "no visible object may be missing",
             reference=NO_CULLING,
             base_settings=_SOFTWARE,
             non_monotonic_reason="a gap stays open if a sample falls into it, which is chance",

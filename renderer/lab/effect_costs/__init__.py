@@ -1,4 +1,4 @@
-"""What each effect costs: scenes of effect steps, what a step adds to a frame, and that removing it takes
+"""The cost of each effect: scenes of effect steps, what a step adds to a frame, and that removing it takes
 this away."""
 
 from renderer.lab.effect_costs.counting import SIZE as SIZE

@@ -104,7 +104,7 @@ class CountedFrame:
 
 @dataclass(frozen=True, slots=True)
 class Leftovers:
-    """What remains of an effect that was removed, compared with a scene that never had it.
+    """The traces of an effect that was removed, compared with a scene that never had it.
 
     Attributes:
         differences: of the frame's commands.
@@ -266,7 +266,7 @@ def remove_step(number: int, count: int | None = None) -> tuple[CountedFrame, Co
 
 
 def compare_frames(never: CountedFrame, removed: CountedFrame) -> tuple[Leftovers, Differences]:
-    """What remains of an effect that was removed, and how the commands of the two frames differ."""
+    """The traces of an effect that was removed, and how the commands of the two frames differ."""
     differences = diff(never.commands, removed.commands)
     calls = Counter[bool]()
     for more in (never.call_counts - removed.call_counts, removed.call_counts - never.call_counts):

@@ -180,7 +180,7 @@ def measure_cloth_after_years(device: Device) -> CaseResult:
 
 
 def measure_cloth_period(device: Device) -> CaseResult:
-    """Let strips of cloth hang and swing without wind, drag and damping, as a hanging chain does at its
+    """Measure strips of cloth that hang and swing without wind, drag and damping, as a hanging chain does at its
     slowest: ω = 1.2024 √(g / L), in the shape of a Bessel function (Bernoulli 1732). Steps of first order
     leave 92 %."""
     rows, down = 17, np.linspace(0.0, 1.0, 17)

@@ -369,7 +369,7 @@ CULLING_SCENARIOS: Final[dict[str, CullingScenario]] = {
     "1023 by 767 pixels": CullingScenario(15, make_city, along("ground", 600, 606), (1023, 767)),
     "sky through a hole in a wall": CullingScenario(17, _make_wall_with_hole, _slide),
     "box under a pixel": CullingScenario(18, _make_subpixel_box, _slide),
-    "what was seen is behind the camera": CullingScenario(19, _make_scene_behind, _fly_past),
+    "objects that were visible are behind the camera": CullingScenario(19, _make_scene_behind, _fly_past),
     "one pixel": CullingScenario(20, make_city, along("ground", 600, 608, 616), (1, 1)),
     "17 by 9 pixels": CullingScenario(20, make_city, along("ground", 600, 608, 616), (17, 9)),
     "flag that comes back": CullingScenario(77, make_flag, leave),

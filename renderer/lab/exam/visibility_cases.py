@@ -102,7 +102,7 @@ def measure_late_queries(device: Device) -> CaseResult:
 
 
 def measure_one_batch(device: Device) -> CaseResult:
-    """Let CHC++ query everything in one batch."""
+    """Measure CHC++ with all queries in one batch."""
     city = make_city()
     with UnculledFrames(device, city, along("ground", *range(800, 812, 2))(city)) as uncut:
         wrong = uncut.try_algorithm("chc_plus_plus", batch=100_000)
@@ -127,7 +127,7 @@ def measure_visibility_threshold(device: Device) -> CaseResult:
 
 
 def measure_query_persistence(device: Device) -> CaseResult:
-    """Let CHC++ query visible leaves in each frame, and every twentieth."""
+    """Measure CHC++ with visible leaves queried in each frame, and in every twentieth."""
     city = make_city()
     shots = along("ground", *range(800, 848, 2))(city)
     with UnculledFrames(device, city, shots) as uncut:

@@ -232,7 +232,7 @@ def _blur_light(frame: Frame, *, settings: BloomSettings) -> None:
 
 def _composite(frame: Frame) -> None:
     scene = frame.resources.scene
-    assert scene.bloom is not None, "bloom is drawn where the scene has some"
+    assert scene.bloom is not None, "bloom can be drawn only if the scene has bloom"
     smaller_level = frame.targets["bloom 1"].sampled(_EDGE)
     bloom = frame.resources.mirror(BloomConstants(strength=scene.bloom.strength))
     bindings: dict[str, Any] = {"light": frame.image, "smaller_level": smaller_level, "bloom": bloom}

@@ -1,4 +1,4 @@
-"""What a frame's shaders bind by name: `FrameBindings` declares each name once, with its type.
+"""The bindings of a frame's shaders: `FrameBindings` declares each name once, with its type.
 
 A shader declares `fog: sl.Uniform[FogConstants]`, and whoever draws with it need not mention the fog: the
 binding is looked up by the name of the declaration, here. A name is read only if a program has it, so a frame

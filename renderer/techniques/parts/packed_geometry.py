@@ -95,7 +95,7 @@ class PackedTextures(SceneShader):
         return TexturedWords(packed=self.pack(v))
 
     def pack(self, v: SurfaceVarying) -> sl.uvec4:
-        """Return what `packed` holds."""
+        """The fields packed as `packed` describes."""
         second = v.uv2 if self.has_second_uvs else v.uv
         x = encode_gradient(self.transform_uv(v, sl.vec3(sl.ddx(v.uv), 0.0), sl.vec3(sl.ddx(second), 0.0)))
         y = encode_gradient(self.transform_uv(v, sl.vec3(sl.ddy(v.uv), 0.0), sl.vec3(sl.ddy(second), 0.0)))

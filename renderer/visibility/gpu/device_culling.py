@@ -48,7 +48,7 @@ class DeviceCulling(ABC):
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
-        """Return what a device lacks to cull and draw by itself."""
+        """Name the feature that a device lacks to cull and draw by itself."""
         can = device.capabilities
         return None if can.renders and can.compute else "compute shaders and draws that run"
 

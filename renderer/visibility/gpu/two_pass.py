@@ -34,7 +34,7 @@ class TwoPassCulling(DeviceCulling):
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
-        """Return what a device lacks: also early depth tests, without which hidden boxes mark their
+        """Name the feature that a device lacks: also early depth tests, without which hidden boxes mark their
         objects."""
         return DeviceCulling.find_missing_feature(device) or (
             None if device.capabilities.early_depth else "early depth tests"

@@ -59,7 +59,7 @@ class ConditionalCulling(ChcPlusPlus):
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
-        """Return what a device lacks to draw on conditions."""
+        """Name the feature that a device lacks to draw on conditions."""
         obstacle = ChcPlusPlus.find_missing_feature(device)
         if obstacle is None and not _has_conditions(device):
             return "conditional rendering with native occlusion queries"

@@ -1,4 +1,4 @@
-"""What CHC and CHC++ remember of each node from frame to frame, across rebuilds of the moving objects' tree.
+"""The history that CHC and CHC++ keep of each node from frame to frame, across rebuilds of the moving objects' tree.
 
 A rebuilt tree has other nodes. What was known of its objects is known of the nodes that hold them now (thesis
 5.2.1): visible is a node with a visible object below it.
@@ -35,7 +35,7 @@ class NodeHistory:
         self._forest = forest
 
     def refit(self, last: int) -> bool:
-        """Let the forest follow the moving objects; `last` is the last frame's number.
+        """Refit the forest to the moving objects; `last` is the last frame's number.
 
         Return whether their tree was rebuilt. What was known is then carried over to its nodes.
         """

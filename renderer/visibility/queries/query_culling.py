@@ -33,7 +33,7 @@ class QueryCulling:
 
     @staticmethod
     def find_missing_feature(device: Device) -> str | None:
-        """Return what a device lacks to answer occlusion queries."""
+        """Name the feature that a device lacks to answer occlusion queries."""
         can = device.capabilities
         if not can.shading:
             return "draws that run, to answer its occlusion queries"

@@ -186,7 +186,7 @@ class RenderStates:
             self._depth_test(None)
 
     def leave_unwritten(self, targets: int) -> None:
-        """Let the next draws leave these color targets as they are; `targets` has their bits."""
+        """Mask these color targets for the next draws; `targets` has their bits."""
         self.unwritten = targets
         self._color_write(self.values[states.ColorWrite])
 

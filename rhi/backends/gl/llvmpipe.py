@@ -28,7 +28,7 @@ _VARIABLES: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep up to 64 MiB of freed memory in this process.
+    """Make glibc keep up to 64 MiB of freed memory in this process.
 
     Does nothing without glibc, or if the user has set the thresholds through the environment.
     """

@@ -150,7 +150,7 @@ class CallbackRecord:
         return int(self._ARGUMENTS.unpack(self._memory)[2])
 
     def install(self, info: Any, number: int) -> None:
-        """Let the call that takes `info` end in this callback, with `number`."""
+        """Register this callback for the call that takes `info`, with `number`."""
         info.mode = lib.WGPUCallbackMode_AllowProcessEvents
         info.callback = ffi.cast(ffi.typeof(info.callback), self.callback)
         info.userdata1 = ffi.cast("void *", number)

@@ -246,7 +246,7 @@ def make_vertices(pair: str, natural: str) -> NDArray[Any]:
 
 
 def expect_shades(vertices: NDArray[Any]) -> NDArray[np.float64]:
-    """Return what the points show, (4, 4)."""
+    """The expected shades of the points, (4, 4)."""
     pair = vertices["pair"].astype(np.float64)
     if vertices["pair"].dtype.kind in "iu":  # normalised
         pair /= np.iinfo(vertices["pair"].dtype).max

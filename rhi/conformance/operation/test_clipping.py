@@ -133,7 +133,7 @@ class Undefined(Infinite):
 def test_a_corner_that_is_no_number_harms_no_other_triangle(
     device: Device, component: int, shader: type[Shader]
 ) -> None:
-    """What such a triangle draws is undefined; the ones around it are drawn as without it."""
+    """The pixels of such a triangle are undefined; the ones around it are drawn as without it."""
     left = np.array([(-1, -1, 0.5, 1), (0, -1, 0.5, 1), (-1, 1, 0.5, 1)])
     right, broken = left * (-1, 1, 1, 1), np.zeros((9, 4))
     broken[4, component] = 3e38
@@ -220,7 +220,7 @@ def test_no_sample_lies_beyond_the_corners_depths(device: Device, samples: int, 
 
 @pytest.mark.parametrize("family", [exam.at_the_eye, exam.through_the_near_plane, exam.slivers], ids=named)
 def test_a_triangle_has_the_same_depth_under_any_scissor(device: Device, family: Family) -> None:
-    """What is drawn again, in four windows, passes EQUAL in every texel."""
+    """The same triangle drawn again, in four windows, passes EQUAL in every texel."""
     program, seen = device.program(FlatColored), 0
     windows = [Scissor(0, 0, 23, 31), Scissor(23, 0, 41, 31), Scissor(0, 31, 23, 33), Scissor(23, 31, 41, 33)]
     with device.texture(SIZE, Format.R16F) as image, device.texture(SIZE, Format.D32F) as depth:

@@ -363,7 +363,7 @@ class Digit(sl.Struct):
 
 @sl.function
 def read_digit(digit: Digit, worth: float, zero: float) -> float:
-    """Return what a digit is worth, after enough work that a compiler keeps a branch around it."""
+    """The value of a digit, after enough work that a compiler keeps a branch around it."""
     if digit.is_one + zero > 0.5:
         exponent = zero
         for _ in range(16):

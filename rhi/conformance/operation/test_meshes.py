@@ -164,7 +164,7 @@ def test_arrays_by_name_make_a_mesh(device: rhi.Device) -> None:
 
 
 def expected_floats(values: NDArray[Any]) -> NDArray[Any]:
-    """Return what a shader reads of floats, and of integers, which are normalised."""
+    """The numbers that a shader reads from floats and from normalised integers."""
     if values.dtype.kind == "f":
         return values.astype(np.float64)
     return np.maximum(values.astype(np.float64) / np.iinfo(values.dtype).max, -1.0)

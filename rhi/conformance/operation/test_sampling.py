@@ -829,7 +829,7 @@ FAR = [2147483520.0, 2147483648.0, 3e9, 4294967296.0, 1e10, 1e20, 3e38, np.inf]
 def sample_at(
     device: Device, shader: type[sl.Shader], texture: Texture, numbers: list[float], mip: Filter
 ) -> NDArray[Any]:
-    """Return what a shader samples for each number, with nearest texels."""
+    """The nearest texel that a shader samples for each number."""
     values = np.array(numbers, np.float32)
     sampler = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, mip=mip)
     with device.storage(float, values) as levels, device.storage(float, len(values)) as results:

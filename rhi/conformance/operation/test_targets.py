@@ -78,7 +78,7 @@ class SignedOutput(Shader):
 def test_signed_normalised_targets_clamp_to_one_number_each_way(
     device: rhi.Device, format: rhi.Format, value: float
 ) -> None:
-    """What means −1 twice is read as −127, whichever of the two a driver stores."""
+    """Both encodings of −1 are read as −127, whichever of the two a driver stores."""
     require_renderable(device, format)
     drawn = draw_once(device, SIZE, format, rectangle(color=(value,) * 4), shader=SignedOutput)
     assert_same(drawn, np.sign(value) * 127)

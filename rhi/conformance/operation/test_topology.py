@@ -527,7 +527,7 @@ CHANGES: dict[str, Callable[[Device, StorageBuffer[Any], NDArray[Any]], object]]
 )
 @pytest.mark.parametrize("first", [0, 4])
 def test_indexed_quads_follow_their_indices(device: Device, change: str, first: int, image: Texture) -> None:
-    """What a draw of quads has found of its indices isn't used again after they have changed."""
+    """A draw of quads doesn't reuse cached indices after they have changed."""
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     now = np.arange(8, dtype="u4") + 4
     expected = {"cleared": (), "written in part": (1, 8)}.get(change, (7, 8))

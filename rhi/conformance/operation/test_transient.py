@@ -374,7 +374,7 @@ def test_vertices_follow_their_instances(device: Device) -> None:
 
 
 def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device) -> None:
-    """What the ring has outgrown lives until the end of the frame, also when the GPU has caught up
+    """The memory that the ring has outgrown lives until the end of the frame, also when the GPU has caught up
     meanwhile."""
     device = fresh_device
     program = device.program(shaders.Colored)

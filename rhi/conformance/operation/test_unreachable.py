@@ -229,7 +229,7 @@ def shader_of(text: str) -> Any:
 
 
 def expected_values(text: str, count: int = METHODS) -> NDArray[np.int32]:
-    """Return what the methods of a text give in Python (method, argument); −1 for a discarded fragment."""
+    """The results of a text's methods in Python (method, argument); −1 for a discarded fragment."""
 
     class Pair:
         def __init__(self, first: int = 0, second: int = 0) -> None:

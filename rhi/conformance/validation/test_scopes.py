@@ -235,7 +235,7 @@ def states_block(device: Device, *states: rhi.State) -> Iterator[None]:
 
 
 class ClosedInside(NamedTuple):
-    """What a generator that closes its scope inside another one does.
+    """A generator that closes its scope inside another one.
 
     Attributes:
         refusal: the refusal of the close.

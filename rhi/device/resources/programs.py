@@ -471,7 +471,9 @@ class Program(DeviceObject, Generic[P]):
             if name not in declared and not self._left_out[name]:
                 self._left_out[name] = True
                 site = find_call_site() or CallSite("rhi", 1)
-                text = f"program {self.name!r} doesn't read {name!r}, which a draw gives; it is left out"
+                text = (
+                    f"program {self.name!r} doesn't read {name!r}, which a draw passes; the value is ignored"
+                )
                 warnings.warn_explicit(text, ShaderWarning, site.file, site.line)
 
     def check_instances(self, instances: Any, mesh: Drawable) -> int:

@@ -1,4 +1,4 @@
-"""What an expression reads and writes in memory that calls may change: writable buffers, shared memory and
+"""The reads and writes of an expression in memory that calls may change: writable buffers, shared memory and
 images.
 
 Two operands conflict if one writes what the other reads or writes, so that their order can be observed.

@@ -1185,7 +1185,7 @@ _ROWS: Final = (
         "memory_barrier",
         "None()",
         glsl="memoryBarrier()",
-        wgsl=Refused("barrier(), where all invocations of the work-group come by"),
+        wgsl=Refused("barrier(), where all invocations of the work-group reach it"),
         lanes=POLYFILL,
         doc="makes this invocation's writes visible to the others before its next memory accesses",
         effect=SideEffect.BARRIER,

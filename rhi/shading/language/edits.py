@@ -323,7 +323,9 @@ class Edit:
     def _refuse_removal(self, call: str, actual: str) -> NoReturn:
         """Refuse a text because of what it lacks, at its last line: there it may have been cut off."""
         site = CallSite(str(self._file), max(len(self._file.lines), 1))
-        tip = "save the file whole again, or start the program again; until then the earlier text draws on"
+        tip = (
+            "save the complete file again, or restart the program; until then draws use the previous version"
+        )
         raise ShaderError(rules.RELOAD, call, actual, tip=tip, site=site)
 
     def _refuse(self, call: str, actual: str) -> NoReturn:

@@ -14,7 +14,7 @@ NO_SOURCE: Final = Rule(
     "rhi.shading.from_source(text)",
 )
 TEXT: Final = Rule("shading-text", "a text doesn't define the requested shader")
-SYNTAX: Final = Rule("shading-unsupported", "this form of Python is not part of the shading language")
+SYNTAX: Final = Rule("shading-unsupported", "the shading language doesn't support this Python syntax")
 UNKNOWN_NAME: Final = Rule("shading-unknown-name", "a name is not defined")
 UNKNOWN_MEMBER: Final = Rule("shading-unknown-member", "a value has no such field, component or method")
 NOT_SHADING: Final = Rule(
@@ -78,7 +78,7 @@ BARRIER: Final = Rule(
 INDEX: Final = Rule(
     "shading-index",
     "an index is out of bounds (found on the device)",
-    "without `checked` a read gives the nearest element, and a write is dropped",
+    "without `checked`, a read returns the nearest element and a write is dropped",
 )
 NONUNIFORM: Final = Rule(
     "shading-nonuniform",
@@ -87,9 +87,9 @@ NONUNIFORM: Final = Rule(
 )
 ENDLESS: Final = Rule(
     "shading-endless",
-    "a loop goes on and on (found on the device)",
-    "`for … in range(…)` has all its iterations but on llvmpipe, which ends any loop; "
-    "a `while` ends also if not `checked`",
+    "a loop doesn't end (found on the device)",
+    "use `for … in range(…)`: only llvmpipe stops such a loop early; "
+    "a `while` loop is stopped even without `checked`",
 )
 RACE: Final = Rule(
     "shading-race",
@@ -109,6 +109,6 @@ DEVICE_ONLY: Final = Rule(
 )
 RELOAD: Final = Rule(
     "shading-reload",
-    "an edit changes what a running program can't exchange",
-    "undo the change, or start the program again",
+    "an edit changes something that can't be replaced while the program runs",
+    "undo the change, or restart the program",
 )

@@ -44,7 +44,7 @@ _STAGES: Final = frozenset(stage.value for stage in Stage)
 
 
 def foreign_stage_tip(name: str) -> str:
-    """Return what to do instead of a stage with this name; "" if it doesn't look like one."""
+    """A tip in place of a stage with this name; "" if it doesn't look like one."""
     plain = name.lower().replace("_", "")
     return FOREIGN_STAGES.get(plain, "") or FOREIGN_STAGES.get(_ENDING.sub("", plain), "")
 

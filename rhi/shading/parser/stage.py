@@ -89,7 +89,7 @@ def _collect(
 
 
 class _Uses:
-    """What the functions of a stage use.
+    """The names that the functions of a stage use.
 
     Attributes:
         functions: those that the entry point calls, and itself.

@@ -1,4 +1,4 @@
-"""What a command will write is checked before it does any work, and a refused path leaves nothing behind."""
+"""The output paths of a command are checked before it does any work, and a refused path leaves nothing behind."""
 
 from __future__ import annotations
 

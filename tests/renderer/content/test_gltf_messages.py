@@ -1,4 +1,4 @@
-"""What refusals of glTF files say, and what is told of those that are read: bounds in full, null as null, and
+"""Messages about refused glTF files and about parts that are left out: bounds in full, null as null, and
 each extension that isn't read, wherever it is used."""
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def write_changed(folder: Path, document: GltfDocument, path: tuple[Step, ...], 
 
 
 def explain(file: Path) -> tuple[str, str]:
-    """What a file is refused with, without its name: given and allowed; or what is told of it."""
+    """The refusal of a file without its name: given and allowed; or its omissions."""
     try:
         scene = load_model(file)
     except ValidationError as error:

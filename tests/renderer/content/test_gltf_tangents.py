@@ -44,7 +44,7 @@ LAYOUTS = {"upright": UV, "mirrored": UV * (-1, 1), "on its side": UV[:, ::-1] *
 
 
 def transform_uv(uv: np.ndarray[Any, Any], transform: dict[str, Any]) -> np.ndarray[Any, Any]:
-    """What KHR_texture_transform makes of texture coordinates, as its specification writes it."""
+    """Texture coordinates after KHR_texture_transform, as its specification writes it."""
     (x, y), angle = transform.get("scale", (1, 1)), transform.get("rotation", 0.0)
     scale = np.diag([x, y, 1.0])
     rotation = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""What a model file may ask for: bytes, pixels, vertices and time are limited, and files elsewhere aren't
+"""The limits of a model file: bytes, pixels, vertices and time are limited, and files elsewhere aren't
 read."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a frame needs: the effects that the scene has and the view shows."""
+"""The effects of a frame: those that the scene has and the view shows."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ def list_mentions(name: str) -> set[str]:
 
 
 def test_a_kind_of_lights_is_named_by_its_leaf_the_table_and_what_makes_scenes() -> None:
-    """What adds lights of the kind to a scene (content, the lab's scenes) names it, and nothing that draws
+    """Code that adds lights of the kind to a scene (content, the lab's scenes) names it, and none that draws
     them."""
     drawing = {path for path in list_mentions("spot") if not path.startswith(("content/", "lab/"))}
     assert drawing == {

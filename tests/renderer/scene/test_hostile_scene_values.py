@@ -1,4 +1,4 @@
-"""What a scene is built from: numbers, or a refusal by a rule, whatever NumPy would convert them to."""
+"""Values that a scene is built from: numbers, or a refusal by a rule, whatever NumPy would convert them to."""
 
 from __future__ import annotations
 

@@ -244,7 +244,7 @@ def test_local_lights_have_maps_as_long_as_there_is_room_for_the_smallest(
         renderer.shadows.settings = replace(SMALL, max_size=128, max_atlas_size=atlas)
         draw(renderer)
         reasons = [r.reason for r in renderer.shadows.reports if r.name.count("face") == 0]
-        assert reasons.count("there is no room left for its maps: it lights nothing") == dark
+        assert reasons.count("no room is left for its shadow maps, so it is disabled") == dark
         assert renderer.shadows.unshadowed_lights == dark
         assert len({key[1] for key in renderer.shadows.tiles}) == 100 - dark
 

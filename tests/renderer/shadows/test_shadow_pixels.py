@@ -1,4 +1,4 @@
-"""What shadow maps look like: filters against NumPy, acne and detached shadows, on each device that draws."""
+"""The look of shadow maps: filters against NumPy, acne and detached shadows, on each device that draws."""
 
 from __future__ import annotations
 

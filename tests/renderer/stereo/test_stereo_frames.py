@@ -161,7 +161,7 @@ class CountingCulling(FrustumCulling):
 def count(
     null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward"
 ) -> dict[str, Any]:
-    """Return what the frames of a walk cost, after the first ones."""
+    """The cost of a walk's frames, after the first ones."""
     algorithm = CountingCulling(scene)
     with Renderer(
         null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm

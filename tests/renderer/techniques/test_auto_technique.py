@@ -222,7 +222,7 @@ def test_a_device_that_draws_nothing_has_one_candidate_and_waits_for_nothing(
 
 
 class Device:
-    """What `list_candidates` asks of a device."""
+    """The members of a device that `list_candidates` reads."""
 
     def __init__(self, backend: str, name: str, *, compute: bool = True) -> None:
         self.backend_name = backend

@@ -27,7 +27,7 @@ SIZE = (64, 32)
 
 @dataclass(frozen=True)
 class Trace:
-    """What would be seen of an effect: patterns of the labels of buffers and textures, of the programs' text,
+    """The traces of an effect: patterns of the labels of buffers and textures, of the programs' text,
     and of the names of bindings."""
 
     labels: str

@@ -1,4 +1,4 @@
-"""What a geometry buffer stores: texels and positions."""
+"""The contents of a geometry buffer: texels and positions."""
 
 from __future__ import annotations
 

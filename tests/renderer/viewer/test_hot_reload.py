@@ -1,4 +1,4 @@
-"""What is saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the
+"""Files saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the
 image."""
 
 from __future__ import annotations

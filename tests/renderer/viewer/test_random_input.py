@@ -210,7 +210,7 @@ def settle(viewer: Viewer) -> None:
 
 
 class LiveResources(NamedTuple):
-    """What there is between two frames.
+    """The resources that exist between two frames.
 
     Attributes:
         programs: how many were made.

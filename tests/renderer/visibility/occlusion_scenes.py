@@ -186,7 +186,7 @@ def visible(result: FrameResult) -> set[int]:
 
 
 def delay_query_results(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
-    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there,
+    """Delay every query and query set by this many reads of `is_finished` before its answer is there,
     until the test ends."""
     for kind, name, method in delay_methods(looks):
         monkeypatch.setattr(kind, name, method)

@@ -1,4 +1,4 @@
-"""What a device keeps on gl and cl of what it has made, drawn and destroyed.
+"""The memory that a device on gl or cl keeps after it has created, drawn and destroyed.
 
 Objects are counted, since memory that the C heap keeps hides small leaks. The memory itself is measured by
 `benchmarks/memory.py`: its rows are nightly here, with the programs of a long day.

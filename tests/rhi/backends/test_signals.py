@@ -20,7 +20,7 @@ OTHERS = [signal.SIGVTALRM, signal.SIGPROF, signal.SIGWINCH, signal.SIGCHLD, sig
 
 
 class ArrivedError(Exception):
-    """What the handlers of these tests raise."""
+    """The exception that the handlers of these tests raise."""
 
 
 def come(number: int, frame: Any) -> None:

@@ -1,4 +1,4 @@
-"""What the formats say about themselves."""
+"""The properties of formats."""
 
 import pickle
 import re

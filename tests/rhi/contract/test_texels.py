@@ -1,4 +1,4 @@
-"""What formats store: conversions against exhaustive and exact references."""
+"""The values that formats store: conversions against exhaustive and exact references."""
 
 from fractions import Fraction
 

@@ -252,12 +252,12 @@ def empty(harness: CallHarness, value: Any) -> bool:
 
 
 def either(*takes: Takes) -> Takes:
-    """What one of several takes."""
+    """The values that one of several kinds takes."""
     return lambda harness, value: any(each(harness, value) for each in takes)
 
 
 def array(*dtypes: Any) -> Takes:
-    """What NumPy makes an array of one of these dtypes of."""
+    """Values that NumPy converts to an array of one of these dtypes."""
 
     def takes(harness: CallHarness, value: Any) -> bool:
         try:

@@ -51,7 +51,7 @@ print("parent goes on")
 
 
 def fork(backend: str, other: str) -> list[str]:
-    """Return what a child does with a device of its parent, and with another device, by the rules of
+    """The results of a child with a device of its parent, and with another device, by the rules of
     refusals."""
     command = [sys.executable, "-c", PROGRAM, backend, other]
     child, parent = subprocess.run(

@@ -83,7 +83,7 @@ class Canvas:
         return self.image.read()[1, 1].tolist()  # type: ignore[no-any-return]
 
     def draw_afresh(self, text: str) -> list[int] | None:
-        """What a text shows in a program that begins with it, by `from_source`, which knows of no reload."""
+        """The image of a text in a program that begins with it, by `from_source`, which knows of no reload."""
         try:
             shader = from_source(text, "Mine")
             if not (isinstance(shader, type) and issubclass(shader, Shader)):
@@ -204,7 +204,7 @@ def test_a_refused_text_leaves_no_use_of_a_struct_behind(import_text: Callable[[
 
 
 def test_an_import_that_is_gone_is_missed_unless_python_uses_it(import_text: Callable[[str], Any]) -> None:
-    """What a program that begins with the text would miss is told; what a function that stays needs,
+    """A name that a program with the new text would miss is reported; a name that a function that stays needs,
     stays."""
     text = make_text((1.0, 0.4, 0.2)).replace(
         "GREEN =", "from rhi.shading import cos\nimport cmath\n\nGREEN ="

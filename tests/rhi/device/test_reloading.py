@@ -230,7 +230,7 @@ def test_lines_that_are_commented_out_are_a_warning_once(device: rhi.Device, imp
         reloader.reload(shaders, text)
     drawer.draw(more=0.5)
     reloader.reload(shaders, text.replace("    more:", "    # more:"))
-    with pytest.warns(rhi.ShaderWarning, match="'Flat' doesn't read 'more', which a draw gives") as caught:
+    with pytest.warns(rhi.ShaderWarning, match="'Flat' doesn't read 'more', which a draw passes") as caught:
         drawer.draw(more=0.5)
     assert [each.filename for each in caught] == [__file__]
     drawer.draw(more=0.5)

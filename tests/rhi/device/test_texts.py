@@ -1,4 +1,4 @@
-"""What `print` and a debugger show of what users hold."""
+"""The texts that `print` and a debugger show of users' objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What other threads may do for a device: type-check shaders, record commands, decode what it uploads."""
+"""Work that other threads may do for a device: type-check shaders, record commands, decode what it uploads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What counts as a number, a flag, a choice; and what a refusal says."""
+"""Which arguments are numbers, flags and choices, and the texts of refusals."""
 
 from __future__ import annotations
 

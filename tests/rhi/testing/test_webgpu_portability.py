@@ -1,4 +1,4 @@
-"""What WebGPU refuses at submission is an obstacle that `check_portability` names, with the capability."""
+"""A call that WebGPU refuses at submission is an obstacle that `check_portability` names, with the capability."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class RayTracer:
         if scene.bloom is not None:
             raise ValueError("bloom can't be rendered by single rays")
         if scene.shaders:
-            raise ValueError("what materials' own shaders say isn't known here")
+            raise ValueError("the reference ray tracer can't evaluate custom material shaders")
         self._scene, self._geometry = scene, Geometry(scene)
         self._tree = TriangleTree(self._geometry.corners)
         self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)

@@ -100,7 +100,7 @@ class Uploads:
         return page.address + start
 
     def release(self, event: cl.Event) -> None:
-        """Let all tables written so far be overwritten once `event` is complete."""
+        """Release all tables written so far; they are overwritten once `event` is complete."""
         self._page.event = event
         for page in self._waiting:
             page.event = page.event or event

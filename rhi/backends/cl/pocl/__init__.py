@@ -1,1 +1,1 @@
-"""What is specific to PoCL: its cache of kernels, its header, its threads, and the memory of its programs."""
+"""Code specific to PoCL: its cache of kernels, its header, its threads, and the memory of its programs."""

@@ -95,7 +95,7 @@ class Compiler:
         self._closed = True
 
     def close(self) -> None:
-        """Let the process end when it has finished its kernels. No thread may be in `compile`."""
+        """End the process when it has finished its kernels. No thread may be in `compile`."""
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
             with suppress(OSError):

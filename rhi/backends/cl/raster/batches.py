@@ -103,7 +103,7 @@ class BatchState:
         return self.bounds_depth and not self.raster.is_quick
 
     def identify_bounds(self) -> tuple[object, ...]:
-        """Return what the bounds of depth in memory depend on: surface, comparison, and changes other than
+        """The key of the depth bounds in memory: surface, comparison, and changes other than
         draws."""
         texture, depth = self.target.texture, self.target.depth
         surface = depth and (depth.address, depth.layout)

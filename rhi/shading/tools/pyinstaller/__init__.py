@@ -1,4 +1,4 @@
-"""What PyInstaller has to know: a program that imports `rhi` gets all backends, their kernels, and the
+"""Instructions for PyInstaller: a program that imports `rhi` gets all backends, their kernels, and the
 sources of shaders, without an option. `docs/errors.md` says what a program's own shaders need.
 """
 

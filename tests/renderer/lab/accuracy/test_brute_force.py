@@ -1,4 +1,4 @@
-"""What is chosen lies near the best of all combinations, each of which is drawn, compared and timed."""
+"""The choice is near the best of all combinations, each of which is drawn, compared and timed."""
 
 from __future__ import annotations
 

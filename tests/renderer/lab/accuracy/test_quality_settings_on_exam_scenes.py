@@ -55,7 +55,7 @@ EXCEPTIONS: Mapping[tuple[str, str], str] = {
         for title in (
             "spheres that touch the near plane, to an ulp",
             "slit of a pixel",
-            "what was seen is behind the camera",
+            "objects that were visible are behind the camera",
             "a parallel projection whose near plane cuts boxes",
         )
     },

@@ -161,7 +161,7 @@ def test_what_an_absence_changes_is_an_error_unless_hidden_objects_are_simulated
     assert rest.mean_error > simulated.mean_error == 0.0
     assert rest.is_default
     assert set(sweep_setting(TINY, "hidden_simulations").left_out.values()) == {
-        "the scene lacks something that an absence would change"
+        "the scene lacks a simulation that depends on its history"
     }
 
 

@@ -20,7 +20,7 @@ TEXT = "AVATAR To.\tWAVE 0123456789\nÄöüß éñ÷ \x07\tgjpqy |_"
 def draw(
     device: rhi.Device, size: tuple[int, int], add: Callable[[Canvas], object], font: Font | None = None
 ) -> NDArray[np.uint8]:
-    """Return what `add` draws on black, as linear RGBA8."""
+    """The image that `add` draws on black, as linear RGBA8."""
     canvas = Canvas(device, font or Font.load())
     with device.texture(size, Format.RGBA8) as image:
         add(canvas)

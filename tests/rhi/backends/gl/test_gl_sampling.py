@@ -1,4 +1,4 @@
-"""What llvmpipe does otherwise when it samples: known faults, of which a test fails when they have gone.
+"""Sampling on llvmpipe: known faults, of which a test fails when they have gone.
 
 One of them is avoided: devices have no anisotropy there.
 """

@@ -1,4 +1,4 @@
-"""What wgpu keeps of frames and of closed devices: the same, however many there were."""
+"""The memory that wgpu keeps of frames and of closed devices: the same, however many there were."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ print(raised, len(parts))
 
 
 def interrupt_reads(count: int, folder: Path) -> str:
-    """Return what a program prints whose reads are interrupted at parts of their time."""
+    """The output of a program whose reads are interrupted at parts of their time."""
     parts = [str(round(1.05 * (i + 0.5) / count, 4)) for i in range(count)]
     program = folder / "interrupted.py"  # shaders are compiled from files
     program.write_text(_INTERRUPTED, encoding="utf-8")

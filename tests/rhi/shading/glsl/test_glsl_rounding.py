@@ -120,7 +120,7 @@ class Vector:
 
 
 def expected_values(text, inputs):
-    """Return what Python computes with NumPy's float32 (row, form)."""
+    """The results of Python with NumPy's float32 (row, form)."""
     names = {"Shader": object, "Storage": list, "StorageRW": list, "vec2": Vector}
     exec(text.replace("from rhi.shading import *", ""), names)
     shader = names["Rounded"]()

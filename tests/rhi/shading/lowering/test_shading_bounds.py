@@ -53,7 +53,7 @@ class AffineTransform(Base):
 
 
 class Swayed(Base):
-    """What is not affine is the same for all vertices."""
+    """A shader whose non-affine part is the same for all vertices."""
 
     def world_position(self, v: Vertex) -> sl.vec3:
         world_position = -v.position * sl.cos(self.view.time)

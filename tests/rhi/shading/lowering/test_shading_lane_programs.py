@@ -44,7 +44,7 @@ numbers = itertools.count()
 
 
 def masks(count):
-    """What makes an index of `count` elements be inside, or nothing."""
+    """Masks that keep an index within `count` elements, or none."""
     return st.sampled_from([f" & {count - 1}", " | x - x"])  # no constant: one outside would be refused
 
 

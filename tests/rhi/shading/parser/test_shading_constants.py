@@ -26,7 +26,7 @@ def shader(*lines, before="", fields="", **scope):
 
 
 def result_of(expression, **options):
-    """Return what an expression computes, which is stored to a buffer."""
+    """The result of an expression, which is stored to a buffer."""
     return run_compute(shader(f"self.out[0] = {expression}", **options), out=1)["out"].tolist()[0]
 
 

@@ -14,7 +14,7 @@ from rhi.conformance.operation import test_compute, test_language
 
 
 class Host:
-    """What the kit's tests of compute shaders ask of a device, in one language."""
+    """The members of a device that the kit's tests of compute shaders use, in one language."""
 
     def __init__(self, run):
         self._run = run

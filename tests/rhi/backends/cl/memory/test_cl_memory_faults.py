@@ -244,7 +244,7 @@ def move(device: rhi.Device, keep: Keep) -> Results:
 
 
 class Commands:
-    """Lets OpenCL's commands, and waits for all of them, fail once for each place that enqueues them,
+    """Makes OpenCL's commands, and waits for all of them, fail once for each place that enqueues them,
     identified by the innermost calls.
 
     Attributes:

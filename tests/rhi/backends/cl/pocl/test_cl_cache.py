@@ -532,7 +532,7 @@ def test_a_key_that_others_can_read_is_none(
         assert trust.read_key() == b""
     assert trust.read_key() == key.read_bytes()
     key.chmod(0o644)
-    with pytest.warns(RuntimeWarning, match="no key can be kept"):
+    with pytest.warns(RuntimeWarning, match="no key can be stored"):
         assert kernel_cache.choose_folder() != environment
     key.chmod(0o600)
     key.write_bytes(b"short")

@@ -1,4 +1,4 @@
-"""What the text of the rasteriser's kernels must be like."""
+"""Rules for the text of the rasteriser's kernels."""
 
 from __future__ import annotations
 

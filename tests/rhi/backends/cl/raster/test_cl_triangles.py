@@ -47,7 +47,7 @@ def draw(device: Device, rows: np.ndarray, format: Format, *states: rhi.State) -
 
 @pytest.mark.parametrize("family", [exam.slivers, exam.through_the_near_plane])
 def test_every_sample_has_the_same_depth_under_any_scissor(device: Device, family: Family) -> None:
-    """What is drawn again, in four windows, passes EQUAL in all samples."""
+    """The same triangle drawn again, in four windows, passes EQUAL in all samples."""
     program, query, seen = device.program(FlatColored), device.occlusion_query(), 0
     windows = [Scissor(0, 0, 23, 31), Scissor(23, 0, 41, 31), Scissor(0, 31, 23, 33), Scissor(23, 31, 41, 33)]
     with device.texture(SIZE, Format.D32F, samples=8) as depth:
