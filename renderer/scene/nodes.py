@@ -173,18 +173,31 @@ class Nodes:
         return has_changed
 
     def update(self) -> NDArray[np.bool_]:
-        """Update the world transforms; return which rows changed, (n,) bool."""
-        changed, self._dirty = self._dirty, np.zeros(len(self), bool)
-        for number, level in enumerate(self._levels() if changed.any() else ()):
-            if number:
-                changed[level] |= changed[self.parents[level]]
-            moved = level[changed[level]]
-            if number and len(moved):
-                self._world[moved] = multiply(self._world[self.parents[moved]], self._local[moved])
-            elif len(moved):
-                self._world[moved] = self._local[moved]
-            if len(moved):
+        """Update the world transforms; return which rows changed, (n,) bool.
+
+        Raises:
+            ValidationError: `scene-bad-transform`; then no transform has changed, and the next update raises it
+                again unless the node has been mended.
+        """
+        changed, replaced = self._dirty.copy(), []
+        try:
+            for number, level in enumerate(self._levels() if changed.any() else ()):
+                if number:
+                    changed[level] |= changed[self.parents[level]]
+                moved = level[changed[level]]
+                if not len(moved):
+                    continue
+                replaced.append((moved, self._world[moved]))
+                if number:
+                    self._world[moved] = multiply(self._world[self.parents[moved]], self._local[moved])
+                else:
+                    self._world[moved] = self._local[moved]
                 _check_scales(self._world[moved, :3, :3])
+        except BaseException:
+            for moved, transforms in replaced:
+                self._world[moved] = transforms
+            raise
+        self._dirty = np.zeros(len(self), bool)
         return changed
 
     def _levels(self) -> list[NDArray[np.int64]]:

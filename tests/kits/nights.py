@@ -56,7 +56,7 @@ _PART_OF_SHARD: Final = 0.25
 
 @dataclass(frozen=True)
 class Row:
-    """What is known of a test: its line in the record."""
+    """What is passed_commits of a test: its line in the record."""
 
     test: str
     outcome: str  # passed, failed, skipped; started: the process ended in it
@@ -210,7 +210,7 @@ def order_tests(tests: Sequence[str], record: Mapping[str, Row], changed: Collec
 
 
 def list_overdue(tests: Iterable[str], record: Mapping[str, Row], recent: Collection[str]) -> list[str]:
-    """Return tests that haven't passed on one of the recent commits, each with what is known of it."""
+    """Return tests that haven't passed on one of the recent commits, each with what is passed_commits of it."""
     overdue = []
     for test in sorted(set(tests)):
         row = record.get(test)
@@ -262,9 +262,9 @@ class Night:
             if self.durations is None
             else self.durations
         )
-        chosen = choose_shard(nightly, durations, *self.shard)
-        ordered = order_tests([test for test in nightly if test in chosen], self.record, self.changed)
-        config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in chosen])
+        shard_tests = choose_shard(nightly, durations, *self.shard)
+        ordered = order_tests([test for test in nightly if test in shard_tests], self.record, self.changed)
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in shard_tests])
         items[:] = [nightly[test] for test in ordered]
 
     def _fits(self, item: pytest.Item, before: float = 0.0) -> bool:
@@ -382,10 +382,12 @@ def _list_changed(record: Mapping[str, Row]) -> list[str]:
     from responsible_tests import choose_changed_tests, list_changed_files
 
     commits = Counter(row.commit.rstrip("+") for row in record.values() if row.commit != "-")
-    known = [
+    passed_commits = [
         each for each, _ in commits.most_common() if _git("cat-file", "-e", f"{each}^{{commit}}") is not None
     ]
-    changed = choose_changed_tests(ROOT, list_changed_files(ROOT, known[0] if known else None))
+    changed = choose_changed_tests(
+        ROOT, list_changed_files(ROOT, passed_commits[0] if passed_commits else None)
+    )
     return [each for each in changed if (ROOT / each).exists()]
 
 

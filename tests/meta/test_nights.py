@@ -186,7 +186,7 @@ def test_tests_of_a_file_stay_together() -> None:
 
 @pytest.fixture
 def folder(pytester: pytest.Pytester) -> pytest.Pytester:
-    pytester.makeini("[pytest]\nmarkers = nightly: by night")
+    pytester.makeini("[pytest]\nmarkers = nightly: takes long")
     pytester.makepyfile(test_some=TESTS)
     return pytester
 
@@ -254,10 +254,10 @@ def test_a_budget_ends_the_night_and_the_next_goes_on(folder: pytest.Pytester) -
     ran: list[str] = []
     while len(set(ran)) < 9 and nights_needed < 9:
         night = Night(path, "a", budget=12.0, clock=Clock())
-        some = run(folder, night)
-        assert 0 < len(some) < 9
-        assert sorted([*some, *night.left]) == sorted(night.tests)
-        ran += some
+        tests = run(folder, night)
+        assert 0 < len(tests) < 9
+        assert sorted([*tests, *night.left]) == sorted(night.tests)
+        ran += tests
         nights_needed += 1
     assert len(set(ran)) == 9
     assert nights_needed > 1
@@ -274,7 +274,7 @@ def test_a_test_longer_than_what_is_left_waits_and_a_shorter_one_runs(folder: py
 
 
 def test_fixtures_of_a_file_are_set_up_once_though_a_test_is_left_out(pytester: pytest.Pytester) -> None:
-    pytester.makeini("[pytest]\nmarkers = nightly: by night")
+    pytester.makeini("[pytest]\nmarkers = nightly: takes long")
     pytester.makepyfile(
         test_shared="""
         import pytest
@@ -315,7 +315,7 @@ sys.exit(pytest.main({list(arguments)!r}, plugins=[Night(Path({str(path)!r}), "a
 
 @pytest.mark.parametrize("end", ["os._exit(3)", "raise KeyboardInterrupt"])
 def test_an_interrupted_run_keeps_what_passed(pytester: pytest.Pytester, end: str) -> None:
-    pytester.makeini("[pytest]\nmarkers = nightly: by night")
+    pytester.makeini("[pytest]\nmarkers = nightly: takes long")
     pytester.makepyfile(
         test_some=f"""
         import os, pytest

@@ -70,6 +70,18 @@ def test_an_update_without_moves_changes_nothing():
     assert not nodes.update().any()
 
 
+def test_an_update_that_is_refused_changes_nothing_until_the_node_is_mended():
+    nodes = Nodes([-1, 0], np.tile(np.eye(4), (2, 1, 1)), dynamic=True)
+    before = nodes.world.copy()
+    nodes.set_local([0, 1], np.array([np.diag([2.0, 2, 2, 1]), np.diag([1e31, 1, 1, 1])]))
+    for _ in range(2):
+        assert refused_rule(nodes.update) == "scene-bad-transform"
+        assert np.array_equal(nodes.world, before)
+    nodes.set_local([1], np.eye(4)[None])
+    assert nodes.update().all()
+    assert np.array_equal(nodes.world, np.tile(np.diag([2.0, 2, 2, 1]), (2, 1, 1)))
+
+
 def test_what_hangs_on_a_dynamic_node_is_dynamic():
     nodes = Nodes([-1, 0, 1, -1], np.tile(np.eye(4), (4, 1, 1)), dynamic=[False, True, False, False])
     assert nodes.dynamic[nodes.index_of_id].tolist() == [False, True, True, False]

@@ -238,32 +238,32 @@ KINDS = ("write", "copy", "clear", "draw", "draw with a value", "forget")
 @settings(max_examples=40)
 @given(st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 2), st.integers(0, 9)), max_size=30))
 def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
-    """Also after the stream was cleared: bytes written since are known, and no others."""
+    """Also after the stream was cleared: bytes written since are is_known, and no others."""
     with rhi.create_device("null") as device:
         sample_frame = SampleFrame(device)
         lights = [device.uniform(Light(offset=(i, 0, 0, 0))) for i in range(3)]
-        known = np.ones((3, 16), np.bool_)
+        is_known = np.ones((3, 16), np.bool_)
         expected: list[list[float] | None] = []
         with device.render_pass(depth=sample_frame.map):
             for kind, which, number in steps:
                 if kind == "write":
                     lights[which].write(Light(offset=(number, 1, 2, 3)))
-                    known[which] = True
+                    is_known[which] = True
                 elif kind == "copy":
                     target = (which + 1) % 3
                     lights[which].owner.copy_to(lights[target].owner, size=8, offset=4, target_offset=0)
-                    known[target, :8] = known[which, 4:12]
+                    is_known[target, :8] = is_known[which, 4:12]
                 elif kind == "clear":
                     lights[which].owner.clear(number)
-                    known[which] = True
+                    is_known[which] = True
                 elif kind == "forget":
                     device.stream.clear()
-                    known[:] = False
+                    is_known[:] = False
                     expected.clear()
                 elif kind == "draw":
                     device.draw(sample_frame.shadow, sample_frame.walls, light=lights[which])
                     content = lights[which].owner.read()["offset"][0].tolist()
-                    expected.append(content if known[which].all() else None)
+                    expected.append(content if is_known[which].all() else None)
                 else:
                     device.draw(
                         sample_frame.shadow, sample_frame.walls, light=Light(offset=(number, 4, 5, 6))

@@ -538,7 +538,7 @@ class KernelCache:
                     record.unlink()
         recorded = {program for *_, program in entries}
         leases.remove_stale(folder)
-        held = leases.list_held(folder)
+        leased = leases.list_held(folder)
         abandoned = min(time.time() - _OLD, leases.oldest_begin(folder))  # older than all who may use it
         recorded.update((folder / binaries.LINKS).glob("*"))  # which belong to processes
         for program in (
@@ -552,7 +552,7 @@ class KernelCache:
         for _, size, record, program in sorted(entries):
             if total <= LIMIT:
                 break
-            if record.name in held:
+            if record.name in leased:
                 continue
             self._remove(record.name, program)
             total -= size
