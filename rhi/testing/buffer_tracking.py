@@ -77,7 +77,7 @@ class BufferTracker:
         self.done = index
 
     def _buffer(self, buffer: Id) -> _Bytes | None:
-        """Return what is tracked of a buffer, nothing being known of one that is older; None if it isn't one."""
+        """Return the tracked bytes of a buffer, none of them known if it is older; None if it is no buffer."""
         tracked = self.buffers.get(buffer)
         descriptor = self.context.resources.get(buffer)
         if tracked is None and isinstance(descriptor, BufferDescriptor):

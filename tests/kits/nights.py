@@ -56,7 +56,7 @@ _PART_OF_SHARD: Final = 0.25
 
 @dataclass(frozen=True)
 class Row:
-    """What is passed_commits of a test: its line in the record."""
+    """A test's line in the record."""
 
     test: str
     outcome: str  # passed, failed, skipped; started: the process ended in it
@@ -210,7 +210,7 @@ def order_tests(tests: Sequence[str], record: Mapping[str, Row], changed: Collec
 
 
 def list_overdue(tests: Iterable[str], record: Mapping[str, Row], recent: Collection[str]) -> list[str]:
-    """Return tests that haven't passed on one of the recent commits, each with what is passed_commits of it."""
+    """Return tests that haven't passed on one of the recent commits, each with its line of the record."""
     overdue = []
     for test in sorted(set(tests)):
         row = record.get(test)

@@ -70,7 +70,7 @@ class GpuBuffer:
 
     @property
     def copy(self) -> bytearray | None:
-        """What a STREAM buffer holds, as long as only the CPU writes it."""
+        """The content of a STREAM buffer, as long as only the CPU writes it."""
         return None if self.device_wrote else self.shadow
 
 

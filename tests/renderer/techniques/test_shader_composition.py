@@ -52,6 +52,7 @@ def build_scene(
     has_colors: bool = False,
     mixes_coordinates: bool = False,
     shader: type[MaterialShader] | None = None,
+    has_bloom: bool = True,
 ) -> Scene:
     """Build an opaque, a masked and a transparent box, with or without a light of each kind, in fog and with
     bloom."""
@@ -82,7 +83,9 @@ def build_scene(
         builder.lights.add_directional((0, -1, 0))
         builder.lights.add_point((0, 2, 0), 4.0)
         builder.lights.add_spot((0, 2, 0), (0, -1, 0), 4.0, 0.3, 0.5)
-    builder.fog, builder.bloom = Fog(0.1), Bloom()
+    builder.fog = Fog(0.1)
+    if has_bloom:
+        builder.bloom = Bloom()
     builder.views["eye"] = EYE
     return builder.build()
 
@@ -97,6 +100,7 @@ def build_scenes() -> tuple[Scene, ...]:
         build_scene(has_lights=False, mixes_coordinates=True),
         build_scene(mixes_coordinates=True),
         build_scene(shader=PlainMaterial),
+        build_scene(has_bloom=False),  # whose layers of transparency need less than single floats
     )
 
 

@@ -140,7 +140,7 @@ def test_lines_that_come_over_the_socket_are_run_by_the_next_frame(viewer_screen
         reply = b""
         while reply.count(b"\n") < 3:
             reply += client.recv(999)
-        assert reply.startswith(b"ok\nok technique deferred\nerror: a command's argument")
+        assert reply.startswith(b"ok\nok technique deferred\nerror: a command doesn't accept this argument")
     assert viewer_screen.viewer.session.display.technique == "deferred"
 
 

@@ -157,7 +157,7 @@ def test_a_text_that_lacks_what_is_used_is_refused_at_its_end(import_text: Calla
             assert what in str(error.value)
             assert error.value.site is not None
             assert error.value.site.file == module.__file__
-            assert "save the file whole again" in error.value.tip
+            assert "save the complete file again" in error.value.tip
         assert reloader.reload(module, text[: text.index("class Unused")]) == 0  # which nothing uses
 
 

@@ -238,7 +238,7 @@ KINDS = ("write", "copy", "clear", "draw", "draw with a value", "forget")
 @settings(max_examples=40)
 @given(st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 2), st.integers(0, 9)), max_size=30))
 def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
-    """Also after the stream was cleared: bytes written since are is_known, and no others."""
+    """Also after the stream was cleared: bytes written since are known, and no others."""
     with rhi.create_device("null") as device:
         sample_frame = SampleFrame(device)
         lights = [device.uniform(Light(offset=(i, 0, 0, 0))) for i in range(3)]

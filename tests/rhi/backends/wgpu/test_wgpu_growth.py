@@ -130,6 +130,7 @@ class Long(Shader):
             x = x * 1.0000001 + 0.5
         self.out[global_id().x] = x
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it for background jobs
 raised = 0
 with rhi.create_device("wgpu") as device:
     program, out, turns = device.program(Long), device.storage(float, 64 * 64), 2000
