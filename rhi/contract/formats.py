@@ -161,17 +161,20 @@ class Format(Choice):
 
 
 class IndexFormat(Choice):
-    """The type of the elements of an index buffer. `size` is in bytes."""
+    """The type of the elements of an index buffer. `size` is in bytes. `restart` is the largest index, which
+    ends a primitive."""
 
     UINT16 = "u2"
     UINT32 = "u4"
 
     dtype: np.dtype[np.generic]
     size: int
+    restart: int
 
     def __init__(self, code: str) -> None:
         self.dtype = np.dtype(code)
         self.size = self.dtype.itemsize
+        self.restart = (1 << 8 * self.size) - 1
 
 
 COLOR_FORMATS: Final = tuple(f for f in Format if not f.is_depth)

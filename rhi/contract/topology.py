@@ -25,6 +25,9 @@ CORNERS: Final = {
 }
 """Corners of the listed primitives: quads become triangles."""
 
+LISTS: Final = frozenset({Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES})
+"""The topologies whose primitives share no vertices by their order."""
+
 
 def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart: int) -> NDArray[np.uint32]:
     """Return the corners of all primitives, one after the other. An index equal to `restart` ends a

@@ -137,6 +137,11 @@ def read_record(path: Path) -> dict[str, Row]:
     return parse_record(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
+def list_durations(record: Mapping[str, Row]) -> dict[str, float]:
+    """Return the seconds of the tests that have run to their end, by test."""
+    return {test: row.seconds for test, row in record.items() if row.seconds}
+
+
 def append_row(path: Path, row: Row) -> None:
     """Add a line to a record, which other processes may write too."""
     with path.open("a", encoding="utf-8") as file:
@@ -257,11 +262,7 @@ class Night:
         if self.lists_only:
             items[:] = []
             return
-        durations = (
-            {test: row.seconds for test, row in self.record.items() if row.seconds}
-            if self.durations is None
-            else self.durations
-        )
+        durations = list_durations(self.record) if self.durations is None else self.durations
         shard_tests = choose_shard(nightly, durations, *self.shard)
         ordered = order_tests([test for test in nightly if test in shard_tests], self.record, self.changed)
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in shard_tests])
@@ -448,7 +449,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.shard,
         None if options.minutes is None else 60.0 * options.minutes,
         _list_changed(record),
-        {test: row.seconds for test, row in parse_record(committed).items() if row.seconds},
+        list_durations(parse_record(committed)),
     )
     return int(pytest.main(every, plugins=[night]))
 

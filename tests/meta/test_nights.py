@@ -50,9 +50,17 @@ def test_is_expected_to_fail():
 """
 
 
-def row(test: str, outcome: str = "passed", ran: str = "2020-01-01T00:00:00Z", **rest: object) -> Row:
-    values = {"seconds": 1.0, "seed": 1, "commit": "-", "passed": "-"} | rest
-    return Row(test, outcome, ran, **values)  # type: ignore[arg-type]
+def row(
+    test: str,
+    outcome: str = "passed",
+    ran: str = "2020-01-01T00:00:00Z",
+    *,
+    seconds: float = 1.0,
+    seed: int = 1,
+    commit: str = "-",
+    passed: str = "-",
+) -> Row:
+    return Row(test, outcome, ran, seconds, seed, commit, passed)
 
 
 rows = st.builds(

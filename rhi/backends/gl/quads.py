@@ -108,8 +108,7 @@ class QuadIndices:
 def expand_indices(indices: bytes, index_format: IndexFormat) -> NDArray[np.generic]:
     """Return the triangle indices (n,) of indexed quads. The largest index restarts."""
     values = np.frombuffer(indices, index_format.dtype)
-    restart = (1 << 8 * index_format.size) - 1
-    if values.size and values.max() == restart:
-        return list_primitives(Primitive.QUADS, values, restart).astype(index_format.dtype)
+    if values.size and values.max() == index_format.restart:
+        return list_primitives(Primitive.QUADS, values, index_format.restart).astype(index_format.dtype)
     whole = values[: values.size // 4 * 4].reshape(-1, 4)
     return np.ascontiguousarray(whole[:, CORNERS]).reshape(-1)

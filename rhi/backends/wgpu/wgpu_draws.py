@@ -34,12 +34,11 @@ from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 from rhi.contract.limits import count_elements, draw_faults
 from rhi.contract.states import StateChange, clamp_rectangle
-from rhi.contract.topology import list_primitives
+from rhi.contract.topology import LISTS, list_primitives
 
 _FAN: Final = Primitive.TRIANGLE_FAN
 _QUADS: Final = Primitive.QUADS
 _CONVERTED: Final = frozenset({_FAN, _QUADS})
-_LISTS: Final = frozenset({Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES})
 _MAX_LISTED: Final = 64
 """Ranges of an index buffer with restarts whose whole primitives are kept."""
 _INDEX_FORMATS: Final = {
@@ -260,7 +259,7 @@ class Draws:
         copies = bool(program.written_images and program.textures)
         draw = self.draw
         indexed = array.indexed
-        lists = primitive in _LISTS
+        lists = primitive in LISTS
         streamed = indexed and self._buffers[array.descriptor.index_buffer].shadow is not None
         if (
             primitive in _CONVERTED
@@ -328,7 +327,7 @@ class Draws:
         """Draw fans or quads as triangles, and lists that restart as whole primitives; inside a clip of
         `draw_clipped`."""
         array = self.arrays[vertex_array]
-        if primitive in _LISTS:
+        if primitive in LISTS:
             corners, indices = self._list(array, primitive, first, count)
             if indices is not None:
                 self._draw_corners(
@@ -374,24 +373,25 @@ class Draws:
         array = self.arrays[vertex_array]
         buffer = self._buffers[array.descriptor.index_buffer]
         copy = buffer.copy
+        if primitive not in LISTS:
+            return False
         if copy is None:
-            return bool(buffer.restarts & array.restart_bit) and primitive in _LISTS
-        if not count or primitive not in _LISTS:
+            return bool(buffer.restarts & array.restart_bit)
+        if not count:
             return False
         form = array.descriptor.index_format
         values = np.frombuffer(copy, form.dtype, count, first * form.size)
-        return bool(values.max() == (1 << 8 * form.size) - 1)
+        return bool(values.max() == form.restart)
 
     def _list(
         self, array: GpuVertexArray, primitive: Primitive, first: int, count: int
     ) -> tuple[int, GpuObject | None]:
         """Return how many indices the whole primitives of a list have, and a buffer of them if any."""
         form = array.descriptor.index_format
-        restart = (1 << 8 * form.size) - 1
         buffer = self._buffers[array.descriptor.index_buffer]
         if buffer.copy is not None:
             values = np.frombuffer(buffer.copy, form.dtype, count, first * form.size)
-            corners = list_primitives(primitive, values, restart)
+            corners = list_primitives(primitive, values, form.restart)
             return corners.size, self._indices(corners) if corners.size else None
         if array.values is None or array.values[0] != buffer.version:
             data = self._buffers.read(array.descriptor.index_buffer, 0, buffer.descriptor.size)
@@ -401,7 +401,7 @@ class Draws:
         if key not in array.listed:
             if len(array.listed) == _MAX_LISTED:
                 array.listed.clear()
-            corners = list_primitives(primitive, array.values[1][first : first + count], restart)
+            corners = list_primitives(primitive, array.values[1][first : first + count], form.restart)
             array.listed[key] = corners.size, self._indices(corners) if corners.size else None
         return array.listed[key]
 
@@ -447,7 +447,7 @@ class Draws:
         """Return the triangles of an indexed fan, reading its indices back."""
         form = descriptor.index_format
         data = self._buffers.read(descriptor.index_buffer, first * form.size, count * form.size)
-        return expand_fan(np.frombuffer(data, form.dtype), (1 << 8 * form.size) - 1)
+        return expand_fan(np.frombuffer(data, form.dtype), form.restart)
 
     def draw_clipped(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], clips: NDArray[np.int64]

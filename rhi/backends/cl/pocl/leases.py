@@ -79,8 +79,9 @@ def hold(folder: Path, key: str) -> None:
 def is_held(folder: Path, key: str) -> bool:
     """Whether this process has named the program of this key as used, and nobody has removed that since."""
     lease = _leases.get(folder)
-    is_own = lease is not None and lease[0] == os.getpid()
-    return is_own and lease is not None and _lock_path(folder, lease[1]).with_name(key + _HELD).exists()
+    if lease is None or lease[0] != os.getpid():
+        return False
+    return _lock_path(folder, lease[1]).with_name(key + _HELD).exists()
 
 
 def list_held(folder: Path) -> set[str]:

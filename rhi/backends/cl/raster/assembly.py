@@ -25,13 +25,12 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.formats import IndexFormat
-from rhi.contract.topology import CORNERS, list_primitives
+from rhi.contract.topology import CORNERS, LISTS, list_primitives
 
 T = TypeVar("T")
 _Indices: TypeAlias = "NDArray[Any]"
 _ListKey: TypeAlias = tuple[Primitive, IndexFormat, int, int]
 
-LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
 _MAX_SCANNED: Final = 1 << 16  # indices of many draws that are scanned at once
 _MAX_ASSEMBLIES: Final = 4096
@@ -204,12 +203,11 @@ class Assembler(Generic[T]):
     ) -> Assembly[T]:
         assert contents.bytes is not None
         corners = CORNERS[primitive]
-        restart = 256**format.size - 1
         indices = _view(contents.bytes, format)[first : first + count]
         low, high = int(indices.min()), int(indices.max())
-        if primitive in LISTS and high != restart:
+        if primitive in LISTS and high != format.restart:
             return Assembly(corners, count - count % corners, first, 0, True, None, low, high)
-        listed = list_primitives(primitive, indices, restart)
+        listed = list_primitives(primitive, indices, format.restart)
         if not len(listed):
             return Assembly(corners, 0, 0)
         low, high = int(listed.min()), int(listed.max())

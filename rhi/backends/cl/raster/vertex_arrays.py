@@ -20,7 +20,7 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.cl.memory.cl_buffers import Buffers
 from rhi.backends.cl.memory.pools import IndexList
-from rhi.backends.cl.raster.assembly import LISTS, Assembler
+from rhi.backends.cl.raster.assembly import Assembler
 from rhi.backends.cl.raster.boxes import AttributeBoxes
 from rhi.backends.cl.raster.cl_bindings import Bindings
 from rhi.backends.cl.raster.cl_pipelines import Pipeline, VertexKernels
@@ -28,7 +28,7 @@ from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.kernel_structs import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.limits import MAX_ELEMENTS, ElementCounts, count_elements
-from rhi.contract.topology import CORNERS
+from rhi.contract.topology import CORNERS, LISTS
 
 
 class VertexArray:
