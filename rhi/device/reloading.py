@@ -28,6 +28,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
+from importlib.util import decode_source
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Final, Self
@@ -37,7 +38,7 @@ from rhi.contract.interrupts import DeferredInterrupts
 from rhi.contract.persistence import PersistentDict
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program, ProgramTable
-from rhi.errors import refuse
+from rhi.errors import ShaderError, refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
 from rhi.shading.compile import (
     compile_shader,
@@ -47,6 +48,7 @@ from rhi.shading.compile import (
     is_same,
     restore_compiled,
 )
+from rhi.shading.language import rules
 from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
 from rhi.shading.language.shader import Shader
 
@@ -99,6 +101,7 @@ class Reloader:
         self._imported = 0
         self._lock = threading.Lock()
         self._changed: dict[Path, None] = {}
+        self._links: dict[Path, Path] = {}  # from the names of files, which may become links, to the files
         self._stop: threading.Event | None = None
         self._thread: threading.Thread | None = None
 
@@ -124,9 +127,10 @@ class Reloader:
                 it is watched.
         """
         call = "Reloader.watch"
-        reloads, modules = dict(self._reloads), dict(self._modules)
+        reloads, modules, links = dict(self._reloads), dict(self._modules), dict(self._links)
         for each in sources:
-            path = Path(file_of(each) if isinstance(each, ModuleType) else each).resolve()
+            name = Path(file_of(each) if isinstance(each, ModuleType) else each)
+            path = links[_unlinked(name)] = name.resolve()
             if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
             if isinstance(each, ModuleType):
@@ -138,13 +142,13 @@ class Reloader:
             else:
                 reloads[path] = reload
         self._start(
-            call, frozenset(path.parent for path in reloads)
+            call, frozenset(path.parent for path in (*reloads, *links))
         )  # editors replace files: folders are watched
         fresh = modules.items() - self._modules.items()
-        self._reloads, self._modules = reloads, modules
+        self._reloads, self._modules, self._links = reloads, modules, links
         if fresh:
             with self._lock:
-                self._changed |= {path: None for path, module in fresh if _read(path) != text_of(module)}
+                self._changed |= {path: None for path, module in fresh if _has_changed(module)}
             self._has_untried_edits = bool(_list_untried_edits())
 
     def watch_shaders(self) -> None:
@@ -315,7 +319,7 @@ class Reloader:
         return [device._programs for device in self.devices]
 
     def _reload_saved(self, module: ModuleType, path: Path) -> None:
-        text, before = _read(path), text_of(module)
+        text, before = _read(module), text_of(module)
         if text != before:
             self.reload(module, text)
             self._latest[module] = before
@@ -326,7 +330,7 @@ class Reloader:
         if len(faulty) > 1:
             before = {module: text_of(module) for module in faulty.values()}
             with suppress(Exception):  # which each has reported
-                self._exchange({module: _read(path) for path, module in faulty.items()})
+                self._exchange({module: _read(module) for module in faulty.values()})
                 self._latest |= before
                 self.errors = {path: error for path, error in self.errors.items() if path not in faulty}
 
@@ -371,7 +375,9 @@ class Reloader:
 
     def _note(self, changes: Iterable[set[tuple[Any, str]]]) -> None:
         for lot in changes:
-            watched = [path for path in (Path(name).resolve() for _, name in lot) if path in self._reloads]
+            saved = {_unlinked(Path(name)): Path(name).resolve() for _, name in lot}
+            named = [path for link, path in self._links.items() if link in saved or link.resolve() in saved]
+            watched = [path for path in (*saved.values(), *named) if path in self._reloads]
             if watched:
                 with self._lock:
                     self._changed |= dict.fromkeys(path for path in watched if path.is_file())
@@ -382,10 +388,33 @@ def _programmed_shaders(tables: Iterable[ProgramTable]) -> set[object]:
     return {shader for table in tables for shader, _ in table.items()}
 
 
-def _read(path: Path) -> str:
-    """Return a file's text as `text_of` does: it ends with the end of a line."""
-    text = path.read_text(encoding="utf-8-sig")
+def _unlinked(name: Path) -> Path:
+    """Return the name of a file in the real folder; a file that is a link isn't followed."""
+    return name.parent.resolve() / name.name
+
+
+def _read(module: ModuleType) -> str:
+    """Return the text of a module's file as `text_of` does: it ends with the end of a line.
+
+    Raises:
+        ShaderError: `shading-text` if the file has bytes that its encoding hasn't.
+    """
+    content = Path(file_of(module)).read_bytes()
+    try:
+        text = decode_source(content)
+    except (UnicodeDecodeError, SyntaxError) as error:
+        call = f"reload of {module.__name__}({file_of(module)})"
+        raise ShaderError(rules.TEXT, call, f"{type(error).__name__}: {error}") from error
     return text if text.endswith("\n") else f"{text}\n"
+
+
+def _has_changed(module: ModuleType) -> bool:
+    """Return whether a module's file has another text than the module; `update` says what is wrong with
+    one that can't be read."""
+    try:
+        return _read(module) != text_of(module)
+    except (ShaderError, OSError):
+        return True
 
 
 def load_checkpoint() -> PersistentDict:

@@ -81,8 +81,10 @@ def check_order(value: Any) -> None:
     """Refuse what has no order, or a mask.
 
     Raises:
-        TypeError: for sets, mappings, iterators, and masked arrays.
+        TypeError: for sets, mappings, iterators, masked arrays, and bytes that can be written.
     """
+    if isinstance(value, bytearray):  # NumPy takes each byte for a number, but `bytes` for text
+        raise TypeError("bytes aren't numbers: numpy.frombuffer(value, dtype) reads numbers from them")
     if is_masked(value):
         raise TypeError(_MASK_REASON)
     if isinstance(value, (Set, Mapping)) or (hasattr(value, "__next__") and not hasattr(value, "__array__")):

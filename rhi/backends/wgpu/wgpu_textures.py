@@ -347,11 +347,15 @@ class Textures:
             copy_location, layout, _ = self._copy_sides(new, target_level, into, between, 0, row)
             encoder.copy_buffer_to_texture(layout, copy_location, size)
         else:
-            encoder.copy_texture_to_texture(
-                old.copy_location(source_level, r.x, r.y, r.layer),
-                new.copy_location(target_level, x, y, layer),
-                size,
-            )
+            # Mesa's lavapipe copies only the first of several slices of a volume to layers, so each is copied.
+            volumes = {each.descriptor.kind is TextureKind.D3 for each in (old, new)}
+            layers = 1 if len(volumes) == 2 else r.layers
+            for first in range(0, r.layers, layers):
+                encoder.copy_texture_to_texture(
+                    old.copy_location(source_level, r.x, r.y, r.layer + first),
+                    new.copy_location(target_level, x, y, layer + first),
+                    (r.width, r.height, layers),
+                )
 
     def copy_whole(self, source: Id) -> GpuObject:
         """Return a copy of a texture, made at this point of the stream."""

@@ -480,6 +480,18 @@ def test_gather_gives_the_four_texels_of_a_linear_filter(device: Device) -> None
         back = sampled(device, Gather2D, texture.sampled(LINEAR), [(0.5, 0.5), (0.25, 0.75)])
     assert_same(back[0], (9, 10, 6, 5))
     assert_same(back[1], (12, 13, 9, 8))
+    # Each of the two texels along an axis is wrapped by itself, so that reflected ones are in reverse order.
+    index = np.arange(-9, 14)
+    for wrap in (Wrap.REPEAT, Wrap.MIRROR, Wrap.CLAMP):
+        x0, x1 = wrapped(index, wrap, 4), wrapped(index + 1, wrap, 4)
+        sampler = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, wrap, wrap)
+        beside = np.full(len(index), 0.4375)  # between rows and columns 1 and 2
+        along_u = np.stack([(index + 0.75) / 4, beside], axis=1)
+        with device.texture(data, Format.RGBA32F) as texture:
+            back = sampled(device, Gather2D, texture.sampled(sampler), along_u)
+            assert_same(back, np.stack([8 + x0, 8 + x1, 4 + x1, 4 + x0], axis=1))
+            back = sampled(device, Gather2D, texture.sampled(sampler), along_u[:, ::-1])
+            assert_same(back, np.stack([1 + 4 * x1, 2 + 4 * x1, 2 + 4 * x0, 1 + 4 * x0], axis=1))
 
 
 class Compared(sl.Shader):

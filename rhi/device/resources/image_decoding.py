@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import stat
 from typing import Any, BinaryIO, Final, NoReturn, TypeAlias
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.errors import DeviceError, RhiError, refuse
+from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import IMAGE_FILE, IMAGE_LIBRARY
 
 IMAGE_FORMATS: Final = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "DDS", "TGA")
@@ -48,10 +50,13 @@ def open_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS, call: str
             178 million.
 
     Raises:
-        ValidationError: `image-file` if the source is no such image, or can't be read.
+        ValidationError: `image-file` if the source is no such image, or can't be read; `device-argument` if
+            `max_pixels` is no number of pixels.
         DeviceError: `image-library` without Pillow.
     """
     library = import_pillow(call)
+    if max_pixels != math.inf:
+        max_pixels = ArgumentChecker(call).number("max_pixels", max_pixels, 1)
     try:
         content = _read(source)
     except Exception as error:

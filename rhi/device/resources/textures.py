@@ -554,12 +554,19 @@ class Texture(TextureBinding, Resource):
         return level, Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
 
     def _region(self, call: str, level: int, layer: int, region: Region | None) -> tuple[int, Region]:
-        """Return a level, and `region` or else all texels of the layer."""
+        """Return a level, and `region` or else all texels of the layer; either says which layer it is."""
         level, layer = self._check(call, level, layer)
         if region is None:
             return level, Region(0, 0, *self.descriptor.level_size(level), layer)
         region = self._as_region(call, region)
+        if layer and not region.layer:
+            region = replace(region, layer=layer)
         self._check_region(call, level, region)
+        if region.layers != 1 or region.layer != (layer or region.layer):
+            tip = "Texture.read_layers reads all layers of a level"
+            self.core.refuse(
+                rules.TEXTURE_REGION, call, f"{region}, layer={layer}", "a region of one layer", tip
+            )
         return level, region
 
     def _as_region(self, call: str, region: Region) -> Region:

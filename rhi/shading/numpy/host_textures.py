@@ -118,14 +118,14 @@ class HostTexture:
     def gather(self, dtype: Any, component: int, u: Any, v: Any, z: Any) -> FourArrays:
         """Return one component of the four texels around a point: counterclockwise from the lower left, with
         v up."""
-        taps, _ = self._taps(dtype, 0, *self._locate(dtype, u, v, z))
+        taps, _ = self._taps(dtype, 0, *self._locate(dtype, u, v, z), in_order=True)
         return tuple(taps[tap][..., int(component)] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
 
     def gather_compare(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any) -> FourArrays:
         """Compare the four texels around a point with a reference, in the order of `gather`."""
         u, v, z, reference = np.broadcast_arrays(u, v, z, reference)
         where = self._locate(dtype, u, v, z)
-        taps, _ = self._taps(dtype, 0, *where, lambda texels: self._compare(dtype, reference, texels))
+        taps, _ = self._taps(dtype, 0, *where, lambda texels: self._compare(dtype, reference, texels), True)
         return tuple(taps[tap][..., 0] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
 
     def load(self, dtype: Any, x: Any, y: Any, z: Any, level: Any) -> FourArrays:
@@ -225,11 +225,19 @@ class HostTexture:
         i = np.floor(_wrap(dtype, wrap, size, u)).astype(np.int32)
         return i if wrap is Wrap.BORDER and self.kind is not TextureKind.CUBE else clamp(i, size)
 
-    def _around(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> tuple[Array, Array, Array]:
+    def _around(
+        self, dtype: Any, wrap: Wrap, size: int, u: Array, in_order: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Return the texels before and after a coordinate, and the second one's weight. With `in_order` they
+        are in the coordinate's order also where it is reflected; then the weight isn't right there."""
         x = _wrap(dtype, wrap, size, u) - dtype(0.5)
         whole = np.floor(x)
         i = whole.astype(np.int32)
         j = i + 1
+        if in_order and wrap is Wrap.MIRROR:
+            is_reflected = np.floor(u) % 2 == 1
+            i = np.where(is_reflected, np.ceil(x).astype(np.int32), i)
+            j = np.where(is_reflected, i - 1, j)
         if wrap is Wrap.REPEAT:
             i, j = i % size, j % size
         elif wrap is not Wrap.BORDER:
@@ -244,14 +252,15 @@ class HostTexture:
         v: Array,
         layer: Array,
         compare: Callable[[Array], Array] | None = None,
+        in_order: bool = False,
     ) -> tuple[list[Array], tuple[Array, Array]]:
         """Return the four texels around a point in a layer, or their comparisons, and the second ones'
-        weights."""
+        weights; `in_order` as for `_around`."""
         compare = compare or (lambda texels: texels)
         _, height, width, _ = self.levels[level].shape
         wrap_u, wrap_v, _ = self._wraps()
-        x0, x1, near_x = self._around(dtype, wrap_u, width, u)
-        y0, y1, near_y = self._around(dtype, wrap_v, height, v)
+        x0, x1, near_x = self._around(dtype, wrap_u, width, u, in_order)
+        y0, y1, near_y = self._around(dtype, wrap_v, height, v, in_order)
         corners = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
         if self.kind is not TextureKind.CUBE:
             return [compare(self._tap(dtype, level, layer, y, x)) for x, y in corners], (near_x, near_y)

@@ -233,7 +233,7 @@ def _check_text(width: int) -> str:
 _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]] = {
     "rhi_abs": (
         """FLOAT rhi_abs(FLOAT x) { return fabs(x); }
-#INT rhi_abs(INT x) { return as_INT(abs(x)); }""",
+#INT rhi_abs(INT x) { return max(x, as_INT((UINT)(0) - as_UINT(x))); }""",
         (),
     ),
     # One instruction for vectors, unlike PoCL's own functions.

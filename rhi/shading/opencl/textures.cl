@@ -121,6 +121,16 @@ static RHI_INLINE FLOAT rhi_wrap(int wrap, FLOAT u) {
     return u;
 }
 
+// Whether a coordinate lies in a reflected part, where the next texel is the one before. Such a coordinate is
+// brought to the part that isn't reflected, a step down, so that a texel's center follows the one before.
+static RHI_INLINE INT rhi_reflect(int wrap, FLOAT *u) {
+    if (wrap != RHI_MIRROR) return (INT)0;
+    FLOAT whole = rhi_floor(*u);
+    INT back = whole - 2.0f * rhi_floor(whole * 0.5f) > 0.5f;
+    *u = SELECT(*u, rhi_wrap(wrap, *u) * 0x1.fffffep-1f, back);
+    return back;
+}
+
 // Clamps a coordinate in texels that is far outside or NaN.
 static RHI_INLINE FLOAT rhi_near(FLOAT x, float low, float high) {
     x = SELECT((FLOAT)low, x, x > low);
@@ -663,11 +673,16 @@ static RHI_CALLED void rhi_square(
     FLOAT near[2];
     rhi_description level = w + RHI_LEVELS;
     if (RHI_CUBES && w[RHI_SHAPE] == RHI_CUBE) z = convert_FLOAT(rhi_face(&u, &v, z));
+    INT left = rhi_reflect(w[RHI_WRAP_U], &u), up = rhi_reflect(w[RHI_WRAP_V], &v);
     rhi_taps(t, w, level, u, v, rhi_layer(w, level, z), compared, reference, taps, near);
-    r[0] = taps[8 + component];
-    r[1] = taps[12 + component];
-    r[2] = taps[4 + component];
-    r[3] = taps[component];
+    UINT a = SELECT(taps[component], taps[4 + component], left);
+    UINT b = SELECT(taps[4 + component], taps[component], left);
+    UINT c = SELECT(taps[8 + component], taps[12 + component], left);
+    UINT d = SELECT(taps[12 + component], taps[8 + component], left);
+    r[0] = SELECT(c, a, up);
+    r[1] = SELECT(d, b, up);
+    r[2] = SELECT(b, d, up);
+    r[3] = SELECT(a, c, up);
 }
 
 static RHI_INLINE void rhi_gather(

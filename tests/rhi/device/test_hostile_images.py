@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import io
+import math
 import os
 import random
 import warnings
@@ -144,6 +145,14 @@ def test_an_image_at_the_limit_is_read_and_one_beyond_is_not() -> None:
         assert image.size == (9, 6)
     with pytest.raises(ValidationError, match=r"rhi\.open_image"):
         rhi.open_image(content, max_pixels=53)
+
+
+@pytest.mark.parametrize("limit", [None, "x", math.nan, 0, -1, -math.inf, True, 1j, [54]])
+def test_a_limit_that_is_no_number_of_pixels_is_refused(limit: Any) -> None:
+    content = save("PNG", TEXELS)
+    assert rhi.load_image(content, max_pixels=math.inf).shape == (6, 9, 4)
+    with pytest.raises(ValidationError, match=r"(?s)^\[device-argument\].*max_pixels"):
+        rhi.load_image(content, max_pixels=limit)
 
 
 @pytest.mark.parametrize("side", [9_500, 14_000, 50_000])  # Pillow warns, and refuses, at sizes of its own

@@ -103,6 +103,7 @@ HOSTILE: Values = {
     "map": lambda shape: map(float, range((shape or (1,))[0])),
     "texts": lambda shape: np.full(shape, "1"),
     "bytes": lambda shape: b"1" * (shape or (1,))[0],
+    "bytes that can be written": lambda shape: bytearray(np.ones(shape, np.float32).tobytes()),
     "dates": lambda shape: np.full(shape, np.datetime64("2020-01-01")),
     "time spans": lambda shape: np.full(shape, np.timedelta64(1, "s")),
     "nothing in objects": lambda shape: np.full(shape, None),

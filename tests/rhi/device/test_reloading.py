@@ -452,6 +452,63 @@ def test_a_saved_module_is_exchanged_by_update(device: rhi.Device, shaders: Any,
         assert "0.375" in glsl(program)
 
 
+@pytest.mark.parametrize("watched_as_link", [False, True])
+def test_a_module_that_is_a_link_shows_what_it_leads_to(
+    device: rhi.Device, shaders: Any, tmp_path: Path, watched_as_link: bool
+) -> None:
+    """A file that becomes a link, a link that leads elsewhere, and an edit behind a link are saves."""
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    path, folder = Path(shaders.__file__), tmp_path / "versions"
+    device.program(shaders.Flat)
+
+    def link(version: str) -> None:
+        (folder / version).write_text(TEXT.replace("SHARE = 1.0", f"SHARE = {version}"))
+        (tmp_path / "new").symlink_to(folder / version)
+        (tmp_path / "new").replace(path)
+
+    folder.mkdir()
+    if watched_as_link:
+        (folder / "first").write_text(TEXT)
+        path.unlink()
+        path.symlink_to(folder / "first")
+    with Reloader(device) as reloader:
+        reloader.watch(shaders)
+        for version in ("0.375", "0.625"):
+            link(version)
+            assert update(reloader)
+            assert float(version) == shaders.SHARE
+        if watched_as_link:
+            (folder / "0.625").write_text(TEXT.replace("SHARE = 1.0", "SHARE = 0.75"))
+            assert update(reloader)
+            assert shaders.SHARE == 0.75
+
+
+@pytest.mark.parametrize(
+    ("content", "share"),
+    [
+        (b"# -*- coding: latin-1 -*-\n# \xe9\n", 0.375),
+        (b"\xef\xbb\xbf# \xc3\xa9\n", 0.375),
+        (b"# \xe9\n", 1.0),
+        (b"# -*- coding: nothing -*-\n", 1.0),
+        (b"\xff\xfe", 1.0),
+        (b"\x00", 1.0),
+    ],
+)
+def test_a_saved_module_is_decoded_as_python_decodes_it(
+    device: rhi.Device, shaders: Any, content: bytes, share: float
+) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    device.program(shaders.Flat)
+    with Reloader(device) as reloader:
+        Path(shaders.__file__).write_bytes(content + TEXT.replace("SHARE = 1.0", "SHARE = 0.375").encode())
+        reloader.watch(shaders)
+        reloader.update()
+        assert share == shaders.SHARE
+        if share == 1.0:
+            assert isinstance(reloader.error, ShaderError)
+            assert reloader.error.rule.id == "shading-text"
+
+
 @pytest.mark.parametrize("replaces", [True, False])
 def test_an_error_of_a_saved_module_lasts_until_it_is_mended(
     device: rhi.Device, shaders: Any, replaces: bool

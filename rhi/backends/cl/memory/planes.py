@@ -104,8 +104,9 @@ class TexelPlane:
     def copy(
         self, queue: cl.CommandQueue, region: Region, target: TexelPlane, x: int, y: int, layer: int
     ) -> None:
-        # OpenCL can't copy between two pitches of one buffer.
-        if self.memory is target.memory and self._pitches != target._pitches:
+        # OpenCL can't copy between two pitches of one buffer. It may also take two levels of equal pitches
+        # for boxes of one level that overlap.
+        if self.memory is target.memory and self.start != target.start:
             box = region.width, region.height, region.layers
             size = pitches_of(self.texel_bytes, *box[:2])[1] * region.layers
             with translate_errors("Texture.copy_to", f"{size} bytes between two levels"):

@@ -162,6 +162,23 @@ def test_a_region_must_lie_in_the_level(recording: Device, x: int, y: int, width
         texture.write(np.ones((1, 1), "u1"), x=3, y=3)
 
 
+def test_a_region_that_is_read_has_one_layer(recording: Device) -> None:
+    """The call or the region says which; they may not say two."""
+    texels = np.arange(48, dtype=np.uint8).reshape(3, 4, 4, 1)
+    texture = recording.texture(texels, Format.R8, kind=TextureKind.D2_ARRAY)
+    reads: list[Callable[[int, Region], Any]] = [
+        lambda layer, region: texture.read(0, layer, region),
+        lambda layer, region: texture.read_async(0, layer, region).result(),
+        lambda layer, region: texture.lock(Access.READ, 0, layer, region).__enter__()[..., 0],
+    ]
+    for read in reads:
+        for layer, in_region in ((2, 0), (0, 2), (2, 2)):
+            assert_same(read(layer, Region(1, 1, 2, 3, in_region)), texels[2, 1:4, 1:3, 0])
+        for layer, region in ((2, Region(1, 1, 2, 3, 1)), (0, Region(0, 0, 4, 4, 0, 2))):
+            with refuses(rules.TEXTURE_REGION, recording):
+                read(layer, region)
+
+
 @pytest.mark.parametrize(("width", "height"), [(0, 1), (1, 0)])
 def test_a_region_is_not_empty(recording: Device, width: int, height: int) -> None:
     with recording.texture((4, 4), Format.R8) as texture, refuses(rules.TEXTURE_REGION, recording):

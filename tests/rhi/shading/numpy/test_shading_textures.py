@@ -583,12 +583,18 @@ class GatherCube(At):
         self.results[sl.global_id().x] = self.source.gather(self.coordinates[sl.global_id().x].xyz, 1)
 
 
-@pytest.mark.parametrize(("shader", "kind"), [(Gather2D, D2), (GatherCube, CUBE)], ids=name)
+@pytest.mark.parametrize(
+    ("shader", "kind", "wrap"),
+    [(Gather2D, D2, Wrap.REPEAT), (Gather2D, D2, Wrap.MIRROR), (GatherCube, CUBE, Wrap.REPEAT)],
+    ids=name,
+)
 def test_gather_gives_a_component_of_four_texels(
-    device: Device, shader: type[sl.Shader], kind: TextureKind
+    device: Device, shader: type[sl.Shader], kind: TextureKind, wrap: Wrap
 ) -> None:
     texels = random_levels(Format.RGBA32F, 5, 5, SHAPES[kind][1], kind, levels=1)
-    texture = sl.HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
+    texture = sl.HostTexture(
+        texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None, wrap, wrap)
+    )
     results = read_everywhere(
         device, shader, {"source": texture}, 8, coordinates=coordinates(6), results=COUNT
     )
