@@ -6,7 +6,7 @@ which the links and images of the README are made absolute, those of this versio
     RHI_HOME=https://HOST/OWNER/NAME python -m build
 
 Without `RHI_HOME` the README is taken as it is, and no addresses are written. All other metadata is in
-pyproject.toml.
+pyproject.toml. The pages of the documentation become a part of the package.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import tomllib
 from pathlib import Path
 
 from setuptools import setup
+from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
 IMAGE_SUFFIXES = (".webp", ".png")
@@ -37,10 +38,26 @@ def list_urls(home: str, version: str) -> dict[str, str]:
     """Return the addresses of the metadata."""
     return {
         "Homepage": home,
-        "Documentation": f"{home}/blob/v{version}/docs/index.md",
+        "Documentation": f"{home}/blob/v{version}/docs/contents.md",
         "Changelog": f"{home}/blob/v{version}/CHANGELOG.md",
         "Issues": f"{home}/issues",
     }
+
+
+class BuildWithPages(build_py):
+    """Puts the pages of the documentation into the package, where `python -m rhi docs` looks for them."""
+
+    def run(self) -> None:
+        super().run()
+        if not self.editable_mode:  # a checkout has them
+            self.copy_pages()
+
+    def copy_pages(self) -> None:
+        """Copy the pages to where the package is built."""
+        folder = Path(self.build_lib) / "rhi" / "documentation"
+        self.mkpath(str(folder))
+        for page in sorted((ROOT / "docs").glob("*.md")):
+            self.copy_file(str(page), str(folder / page.name))
 
 
 if __name__ == "__main__":
@@ -48,6 +65,7 @@ if __name__ == "__main__":
     home = os.environ.get("RHI_HOME", "").rstrip("/")
     number = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     setup(
+        cmdclass={"build_py": BuildWithPages},
         long_description=link_absolutely(readme, home, number) if home else readme,
         long_description_content_type="text/markdown",
         project_urls=list_urls(home, number) if home else {},

@@ -18,15 +18,8 @@ def run() -> int:
     open_standard_streams()
     if sys.argv[1:2] == ["view"]:  # before the renderer's shaders are imported
         rhi.install_fallback()
-    try:
-        from renderer.cli import main
-    except ModuleNotFoundError as missing:
-        if missing.name not in ("PIL", "tqdm"):
-            raise
-        from renderer.rules import describe_missing
+    from renderer.cli import main
 
-        print(f"error: {describe_missing(missing.name, 'renderer')}", file=sys.stderr)
-        return 2
     return run_until_pipe_closes(main)
 
 

@@ -81,6 +81,7 @@ from rhi.device.command_buffer import CommandBuffer as CommandBuffer
 from rhi.device.core.containers import FixedQueue as FixedQueue
 from rhi.device.core.containers import FixedStack as FixedStack
 from rhi.device.core.core import Statistics as Statistics
+from rhi.device.core.memory_ledger import MemoryUse as MemoryUse
 from rhi.device.core.state_cache import StateScope as StateScope
 from rhi.device.core.state_cache import StateVector as StateVector
 from rhi.device.device import Device as Device

@@ -2,7 +2,8 @@
 the others.
 
 `python -m rhi trace` inspects traces, `python -m rhi shading accuracy` measures built-in functions,
-`python -m rhi new` starts a project, and `python -m rhi new-backend` a port.
+`python -m rhi new` starts a project, `python -m rhi new-backend` a port, and `python -m rhi docs` shows the
+documentation.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import dataclasses
 import json
 import os
 import platform
+import pydoc
 import sys
+import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +25,7 @@ import numpy as np
 import rhi
 from rhi.conformance.template import write_package
 from rhi.device.registry import BackendReport, default_precision
-from rhi.errors import RhiError
+from rhi.errors import RhiError, pages
 from rhi.errors.pipes import run_until_pipe_closes
 from rhi.testing.accuracy import report as accuracy
 from rhi.testing.projects import KINDS, write_project
@@ -34,6 +37,7 @@ commands, each with --help:
   shading accuracy  measure error and time of the shading language's built-in functions
   new               write a small project to start from: a game, a tool, or tests
   new-backend       write a package to start a port from
+  docs              show a page of the documentation in the terminal, or in a browser
 
 RHI_BACKEND=null python app.py runs a program on the backend of that name, RHI_PRECISION=fast with the faster
 functions of OpenCL.
@@ -41,8 +45,8 @@ functions of OpenCL.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report, or run `trace …`, `shading …`, `new …` or `new-backend …`. Return 0 if a backend that
-    renders works, else 1."""
+    """Print the report, or run `trace …`, `shading …`, `new …`, `new-backend …` or `docs …`. Return 0 if a
+    backend that renders works, else 1."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["trace"]:
         return trace_cli.main(given[1:])
@@ -52,6 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _new(given[1:])
     if given[:1] == ["new-backend"]:
         return _new_backend(given[1:])
+    if given[:1] == ["docs"]:
+        return _docs(given[1:])
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         usage="%(prog)s [-h] [--json]\n       %(prog)s COMMAND …",
@@ -116,6 +122,37 @@ def _new_backend(arguments: Sequence[str]) -> int:
     hint = "pip install --editable {root}, then let the conformance kit tell what to implement first:\n"
     hint += f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} -q"
     return _write(lambda: write_package(options.name, options.folder), hint)
+
+
+def _docs(arguments: Sequence[str]) -> int:
+    """Show a page of the documentation, or list them. Return 0, or 2 on an error."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rhi docs",
+        description="Show a page of the documentation, as Markdown. Without a topic, list the pages.",
+        epilog="example:\n  python -m rhi docs traces\n  python -m rhi docs testing --browser",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("topic", nargs="?", metavar="TOPIC", help="such as traces, or the beginning of it")
+    parser.add_argument("--browser", action="store_true", help="show it in a browser")
+    options = parser.parse_args(arguments)
+    try:
+        if options.topic is None:
+            topics = pages.list_topics()
+            text = "\n".join(f"{topic:<24}{title}" for topic, title in topics.items())
+        else:
+            text = pages.read_page(options.topic)
+    except pages.PageError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if options.browser:
+        address = pages.write_html(text).as_uri()
+        print(address)
+        return 0 if webbrowser.open(address) else 1
+    if sys.stdout.isatty():
+        pydoc.pager(text)
+    else:
+        print(text)
+    return 0
 
 
 def _as_json(reports: list[BackendReport]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The pytest plugin: fixtures for tests of code that uses `rhi`, and the option `--rhi-backend`.
 
+- `--rhi-update-streams` has `rhi.testing.assert_stream_matches` write the files that differ.
 - `null_device`: a null device. `command_stream`: the commands of that device.
 - `rhi_device`: a recording device on each backend that `--rhi-backend` names (default: `RHI_BACKEND`, else
   null), so that the same test runs without a GPU and, where there is one, with it.
@@ -20,11 +21,18 @@ import pytest
 if TYPE_CHECKING:
     from rhi import CommandStream, Device
 
+UPDATE_OPTION: Final = "--rhi-update-streams"
+UPDATE_VARIABLE: Final = "RHI_UPDATE_STREAMS"
 OPTION: Final = "--rhi-backend"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add `--rhi-backend NAME`, which may be given several times."""
+    """Add `--rhi-backend NAME`, which may be given several times, and `--rhi-update-streams`."""
+    parser.getgroup("rhi").addoption(
+        UPDATE_OPTION,
+        action="store_true",
+        help="write the files of rhi.testing.assert_stream_matches that differ",
+    )
     parser.getgroup("rhi").addoption(
         OPTION,
         action="append",
@@ -34,9 +42,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Stop at once, with one line, if `--rhi-backend` names a backend that isn't there."""
+    """Stop at once, with one line, if `--rhi-backend` names a backend that isn't there. Tell `rhi.testing`
+    whether to write files of streams."""
     for name in config.getoption(OPTION) or ():
         _check_name(name, OPTION)
+    if config.getoption(UPDATE_OPTION):
+        before = os.environ.get(UPDATE_VARIABLE)
+        os.environ[UPDATE_VARIABLE] = "1"
+        config.add_cleanup(lambda: _restore(before))
+
+
+def _restore(before: str | None) -> None:
+    os.environ.pop(UPDATE_VARIABLE, None)
+    if before is not None:
+        os.environ[UPDATE_VARIABLE] = before
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -92,8 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise  # the reader of the output has gone away
     except (OutputError, OSError) as error:
         _fail(str(error))
-    except ModuleNotFoundError as error:
-        _fail(rules.describe_missing(error.name, "renderer"))
+    except ModuleNotFoundError as error:  # the viewer's extra has all that the renderer's has
+        extra = "viewer" if parsed.run is view.COMMAND.run else "renderer"
+        _fail(rules.describe_missing(error.name, extra))
     except KeyboardInterrupt:
         return 130
     return 0

@@ -10,8 +10,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
-from PIL import Image
-
 from renderer.cli.output import draw_chart
 from renderer.lab.accuracy import (
     QUALITY_SETTINGS,
@@ -220,6 +218,8 @@ def write_images(
     }
     if points:
         drawn["pareto_front"] = partial(draw_pareto_front, points=points, choice=choice)
+    from PIL import Image  # optional
+
     charts = []
     for name, draw in drawn.items():
         charts.append(folder / f"{name}.png")

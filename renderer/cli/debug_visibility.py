@@ -13,11 +13,10 @@ it. The frames before are drawn first, for algorithms that use the results of ea
 from __future__ import annotations
 
 import argparse
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
 import rhi
 from renderer.cli import options
@@ -35,6 +34,9 @@ from renderer.lab.measure.culling_images import (
 )
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _LEGEND = 22
 """Height in pixels of the line of text below the images."""
@@ -94,6 +96,8 @@ def compose(
     """Join both images side by side above a legend of the colours."""
     side_by_side = np.concatenate([pixels[:, :, :3] for pixels in images], axis=1)
     height, width = side_by_side.shape[:2]
+    from PIL import Image, ImageDraw  # optional
+
     image = Image.new("RGB", (width, height + _LEGEND))
     image.paste(Image.fromarray(side_by_side))
     draw = ImageDraw.Draw(image)

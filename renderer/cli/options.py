@@ -302,7 +302,9 @@ def technique(name: str = AutoTechnique.name, *, has_defaults: bool = True) -> t
     )
 
 
-STEREO_OUTPUT: Final = choice("--stereo", "draw two eyes, and show them like this (docs/stereo.md)", OUTPUTS)
+STEREO_OUTPUT: Final = choice(
+    "--stereo", "draw two eyes, and show them like this (python -m rhi docs stereo)", OUTPUTS
+)
 STEREO: Final = (
     STEREO_OUTPUT,
     length("--eye-distance", "metres between the eyes", "comfortable for the first frame, at most 0.063"),

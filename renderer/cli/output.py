@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numpy.typing import NDArray
-from PIL import Image
-from tqdm import tqdm
 
 import rhi
 from renderer.scene import Scene
@@ -28,6 +26,8 @@ class OutputError(Exception):
 def show_progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
     """Yield the items with a progress bar on stderr, shown on a terminal if the work takes more than a
     second. `total` is the number of items that don't know it themselves."""
+    from tqdm import tqdm  # optional
+
     bar: Iterator[T] = tqdm(
         items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
     )
@@ -69,6 +69,8 @@ def short_name(scene: Scene) -> str:
 
 def prepare_image(path: Path, option: str = "--output") -> Path:
     """Check that an option's image can be written, before any work is done for it; return `path`."""
+    from PIL import Image  # optional
+
     return _prepare(
         path, option, Image.registered_extensions(), "has no known image extension; end it with .png"
     )
@@ -94,6 +96,8 @@ def _prepare(path: Path, option: str, suffixes: Collection[str], wrong: str) -> 
 
 def write_image(path: Path, pixels: NDArray[Any]) -> None:
     """Write (height, width, 4) sRGB pixels without their alpha."""
+    from PIL import Image  # optional
+
     Image.fromarray(pixels[:, :, :3]).save(path, optimize=True)
 
 

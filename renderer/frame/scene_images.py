@@ -20,7 +20,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from renderer import rules
 from renderer.scene import Scene
@@ -268,5 +267,7 @@ def _make_array(device: Device, scene: Scene, array: ImageArray) -> Texture:
 def _resize(image: NDArray[np.uint8], size: Size, *, nearest: bool) -> NDArray[np.uint8]:
     if (image.shape[1], image.shape[0]) == size:
         return image
+    from PIL import Image  # optional
+
     filter = Image.Resampling.NEAREST if nearest else Image.Resampling.LANCZOS
     return np.asarray(Image.fromarray(image).resize(size, filter))

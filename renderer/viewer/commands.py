@@ -10,8 +10,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from PIL import Image
-
 from renderer import rules
 from renderer.content import parse_camera, parse_camera_path
 from renderer.frame import Blending
@@ -178,6 +176,8 @@ def _files(session: ViewerSession) -> Iterable[ViewerCommand]:
 
     def screenshot(path: Path | None = None) -> str:
         path = session.resolve_output(path or free_path(session, ".png"))
+        from PIL import Image  # optional
+
         if path.suffix.lower() not in Image.registered_extensions():
             refuse(rules.BAD_ARGUMENT, "screenshot", path.name, "a name that ends with .png")
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ from typing import Final, TypeAlias
 
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import (
+    DRAW,
     BufferDescriptor,
     ProgramDescriptor,
     QueryKind,
@@ -113,6 +114,12 @@ END_OPS: Final = {
 """By the op that opens something, the op that closes it."""
 DRAWS: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
 DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
+DRAW_ARGUMENTS: Final = DRAW.names or ()
+"""The arguments that `draw_indirect` reads from a buffer, for each of its draws."""
+WORK: Final = DRAWS | DISPATCHES
+"""The ops whose shaders may write storage buffers."""
+BUFFER_WRITES: Final = WORK | {Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER, Op.COPY_TEXTURE_TO_BUFFER}
+"""The ops that may change bytes of a buffer that exists."""
 WIDTHS: Final = tuple(1 + len(op.parameters) + 2 for op in Op)
 """Number of list elements per command in a stream: its op, its arguments, and two for its call site."""
 

@@ -17,8 +17,12 @@ from itertools import islice
 from types import CodeType
 from typing import Any, Final, overload
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.commands.buffer_bytes import BufferBytes, UnknownDataError
 from rhi.commands.context import CONTEXT_OPS, StreamContext
-from rhi.commands.ops import DRAWS, WIDTHS, Descriptor, Op, States
+from rhi.commands.ops import BUFFER_WRITES, DRAW_ARGUMENTS, DRAWS, WIDTHS, WORK, Descriptor, Op, States
 from rhi.commands.text import describe_call
 from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
 from rhi.errors import RhiError, refuse
@@ -118,6 +122,26 @@ class Command(DeviceObject):
         return self.arguments[name]
 
     @property
+    def draw_arguments(self) -> NDArray[np.void]:
+        """The draws of a DRAW or DRAW_INDIRECT, such as those of `device.draw_many`: an array (n,) of
+        `rhi.DRAW`, whether the mesh has indices or not.
+
+        The draws of an indirect command are derived from what was written to its buffer before. Conditional
+        rendering may drop them on the device.
+
+        Raises:
+            UnknownDataError: the device wrote them, or they were written before the stream.
+            ValidationError: `command-argument` for any other command.
+        """
+        if self.op not in DRAWS:
+            refuse(COMMAND_ARGUMENT, f"{self.op.method}: draw_arguments", "no draw", "draw, draw_indirect")
+        self._check_generation()
+        stream = self._stream
+        if stream._bytes is None:
+            stream._bytes = BufferBytes(stream)
+        return stream._bytes.read_draws(self.index)
+
+    @property
     def site(self) -> CallSite | None:
         """The user's line that made the call, or None if no user code was on the stack."""
         return call_site_at(self._code, self.offset)
@@ -158,17 +182,45 @@ class Command(DeviceObject):
         return {b.name: slots[b.kind, b.slot] for b in bindings if (b.kind, b.slot) in slots}
 
     def _context(self) -> StreamContext:
+        self._check_generation()
+        return self._stream.context(self.index)
+
+    def _check_generation(self) -> None:
         if self._generation != self._stream.generation:
             refuse(COMMAND_CLEARED, f"command {self.index} ({self.op.method})", "a cleared stream")
-        return self._stream.context(self.index)
 
     def __str__(self) -> str:
         call = describe_call(self.op.method, self.arguments)
         site = f"  {self.site}" if self._code is not None else ""
         failure = f"  FAILED [{self.failure.error}]" if self.failure is not None else ""
-        return f"{call}{site}{failure}"
+        return f"{call}{self._show_draws()}{site}{failure}"
+
+    def _show_draws(self) -> str:
+        if self.op is not Op.DRAW_INDIRECT or self._generation != self._stream.generation:
+            return ""
+        return f"  draws: {self.describe_draws()}"
+
+    def describe_draws(self) -> str:
+        """Return the draws of a draw command as text, at most `MAX_PRINTED_DRAWS` of them."""
+        try:
+            draws = self.draw_arguments
+        except UnknownDataError as error:
+            return f"unknown, {error}"
+        text = "; ".join(map(_describe_draw, draws[:MAX_PRINTED_DRAWS].tolist())) or "none"
+        more = len(draws) - MAX_PRINTED_DRAWS
+        return f"{text}; … and {more} more" if more > 0 else text
 
     __repr__ = __str__
+
+
+MAX_PRINTED_DRAWS: Final = 4
+"""Number of an indirect command's draws that its text shows."""
+
+
+def _describe_draw(draw: tuple[int, ...]) -> str:
+    """Return a draw's numbers as text, without those after `instances` that are 0."""
+    numbers = zip(DRAW_ARGUMENTS, draw, strict=True)
+    return ", ".join(f"{name}={value}" for i, (name, value) in enumerate(numbers) if i < 2 or value)
 
 
 def _check_argument(op: Op, name: str) -> None:
@@ -310,6 +362,7 @@ class CommandStream(Commands):
 
     __slots__ = (
         "_base",
+        "_bytes",
         "_cursor",
         "_gaps",
         "_refusals",
@@ -330,8 +383,9 @@ class CommandStream(Commands):
         self._starts = array("Q")  # where each command begins in data, as far as it was read
         self._base = StreamContext()  # the context before the first command
         self._gaps: list[
-            tuple[int, int, tuple[Any, ...]]
+            tuple[int, Op, tuple[Any, ...]]
         ] = []  # (index, op, arguments) of commands that weren't kept
+        self._bytes: BufferBytes | None = None  # since the first indirect draw that was looked at
         self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context includes
 
     def indices(self) -> range:
@@ -387,10 +441,21 @@ class CommandStream(Commands):
         Returns:
             How many skipped commands the context includes now, which is the next call's `first`.
         """
-        while first < len(self._gaps) and self._gaps[first][0] <= index:
-            context.apply(*self._gaps[first][1:])
+        for op, arguments in self.skipped(first, index):
+            context.apply(op, arguments)
             first += 1
         return first
+
+    def skipped(self, first: int, index: int) -> Iterator[tuple[Op, tuple[Any, ...]]]:
+        """Return (op, arguments) of the commands that were skipped up to `index`, from the `first` of them on:
+        those that change the context, or bytes of a buffer.
+
+        Of a skipped `write_buffer` the third argument is the number of bytes, since the bytes weren't kept. Of
+        several draws and dispatches in a row only the first is here: the others write the same bindings.
+        """
+        while first < len(self._gaps) and self._gaps[first][0] <= index:
+            yield self._gaps[first][1:]
+            first += 1
 
     def clear(self) -> None:
         """Remove all commands. States, labels, program and pass remain known for the commands that follow."""
@@ -399,6 +464,7 @@ class CommandStream(Commands):
         self.failures.clear()
         self._refusals.clear()
         self._gaps.clear()
+        self._bytes = None
         self._starts = array("Q")
         self._cursor = (0, 0, self._base.copy())
         self.generation += 1
@@ -407,13 +473,20 @@ class CommandStream(Commands):
     def assume(self, resource: Id, descriptor: Descriptor) -> None:
         """Declare a resource that was created before the first command."""
         self._base.resources[resource] = descriptor
+        self._bytes = None
         self._cursor = (0, 0, self._base.copy())
 
     def skip(self, entry: tuple[Any, ...]) -> None:
         """Update the context by a command without keeping it; used instead of `data.extend(entry)`."""
         self.is_complete = False
-        if entry[0] in CONTEXT_OPS:
-            self._gaps.append((len(self), entry[0], entry[1:-2]))
+        op, arguments, index, gaps = _OPS[entry[0]], entry[1:-2], len(self), self._gaps
+        if op not in _KEPT_OF_SKIPPED or (
+            op in WORK and gaps and gaps[-1][0] == index and gaps[-1][1] in WORK
+        ):
+            return
+        if op is Op.WRITE_BUFFER:
+            arguments = (*arguments[:-1], len(arguments[-1]))
+        gaps.append((index, op, arguments))
 
     def note_refusal(self, error: RhiError) -> None:
         """Record that a call was refused at this point of the stream."""
@@ -434,3 +507,4 @@ class CommandStream(Commands):
 
 
 _OPS: Final[tuple[Op, ...]] = tuple(Op)
+_KEPT_OF_SKIPPED: Final = CONTEXT_OPS | BUFFER_WRITES

@@ -24,6 +24,8 @@ pytest_plugins = ("rhi_pytest",)
 
 PROPERTY: Final = "rhi-conformance"
 """Key of the user property that holds the backend and group of a kit test."""
+MISSED: Final = pytest.StashKey[str]()
+"""The backend method because of which a test failed."""
 MISSING: Final = "rhi-missing-method"
 """Key of the user property that holds the missing backend method of a failed test."""
 FAILED: Final = pytest.StashKey[bool]()
@@ -85,7 +87,10 @@ def pytest_runtest_makereport(
     method = ""
     if call.excinfo is not None and _board_key(item) is not None:
         method = missing_method(call.excinfo.value)
+        if call.when == "teardown":  # it fails because of what the test has left behind
+            method = method or item.stash.get(MISSED, "")
         if method:
+            item.stash[MISSED] = method
             try:
                 pytest.fail(f"{method} is missing", pytrace=False)
             except pytest.fail.Exception as missing:
@@ -181,7 +186,7 @@ def describe_next(board: Board) -> list[str]:
     if number > len(STEPS):
         return []
     step = STEPS[number - 1]
-    lines = [f"next: step {number}, {step.title} (docs/porting.md)"]
+    lines = [f"next: step {number}, {step.title} (python -m rhi docs porting)"]
     early = {method for each in STEPS[:number] for method in each.methods}
     lacking = [method for method in board.missing if method in early]
     lacking.sort(key=lambda method: -len(board.missing[method]))

@@ -1,7 +1,7 @@
 """The steps of writing a port: the backend methods of each step, and the groups of the kit that test them.
 
 One table orders the template of a new backend, sorts the scoreboard and names the next step. A step's groups
-need only the methods of this step and those before it. docs/porting.md explains the steps one by one.
+need only the methods of this step and those before it. `python -m rhi docs porting` explains the steps.
 """
 
 from __future__ import annotations

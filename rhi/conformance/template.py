@@ -52,7 +52,7 @@ pip install --editable .[test]
 pytest --pyargs rhi.conformance --rhi-backend {name} -q
 ```
 
-`rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` explains what
+`rhi_{name}/backend.py` has the methods in the order to write them; `python -m rhi docs porting` explains what
 each must do.
 """
 

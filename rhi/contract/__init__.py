@@ -2,7 +2,7 @@
 
 A port implements `Backend`, says what it can do in `Capabilities`, and is given plain frozen values. It
 imports nothing else of `rhi` but `rhi.shading`, where it needs more of a shader than its text. See
-docs/porting.md.
+`python -m rhi docs porting`.
 """
 
 from rhi.contract.backend import FOREVER as FOREVER

@@ -375,6 +375,14 @@ class SupportsFilledBuffers(Protocol):
         """Create a STATIC buffer with these contents, which are as long as it is."""
 
 
+class SupportsHostMemory(Protocol):
+    """Optional part of the contract: buffers that lie in memory of the CPU, which it reads without a copy."""
+
+    def host_memory(self, buffer: BufferId) -> NDArray[np.uint8] | None:
+        """Wait for all earlier commands, then return the memory of a buffer, at least as long as it is; None if
+        it lies elsewhere. The array keeps the memory alive. It is only read."""
+
+
 class Backend(Protocol):
     """The methods that a platform implements. Sizes and offsets are in bytes unless stated otherwise.
 

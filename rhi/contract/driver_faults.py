@@ -9,11 +9,12 @@ from typing import Final
 _WALKS: Final = re.compile(r"Mesa 22\.3\b")
 _OPT_IN: Final = "RHI_SLOW_ANISOTROPY"
 _ZEROS: Final = (
-    "compressed textures: SwiftShader reads zeros from them; the CPU decodes them (docs/backends-wgpu.md)"
+    "compressed textures: SwiftShader reads zeros from them; the CPU decodes them "
+    "(python -m rhi docs backends-wgpu)"
 )
 _REASON: Final = (
     "anisotropy: llvmpipe of Mesa 22.3 may take minutes for a pixel; "
-    f"{_OPT_IN}=1 allows it (docs/backends-gl.md)"
+    f"{_OPT_IN}=1 allows it (python -m rhi docs backends-gl)"
 )
 
 

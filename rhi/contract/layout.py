@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhi.contract.formats import Choice
 
@@ -292,6 +293,40 @@ def accepts(expected: np.dtype[Any], actual: np.dtype[Any]) -> bool:
     if expected.names is None or actual.names is None or expected.itemsize != actual.itemsize:
         return False
     return set(describe_layout(expected)) <= set(describe_layout(actual))
+
+
+def repack(expected: np.dtype[Any], array: NDArray[Any]) -> NDArray[Any] | None:
+    """Return a structured array with the offsets of `expected`, None if a name or a type differs.
+
+    NumPy drops the padding of structs where it makes a new dtype: in `concatenate`, `append`, `hstack`. Fields
+    are matched by name, those of nested structs too.
+    """
+    if expected.names is None or array.dtype.names is None or not _agrees(expected, array.dtype):
+        return None
+    packed = np.zeros(array.shape, expected)
+    _copy_fields(packed, array)
+    return packed
+
+
+def _agrees(expected: np.dtype[Any], actual: np.dtype[Any]) -> bool:
+    """Whether two dtypes have the same names and types, at any depth; offsets may differ."""
+    base, shape = expected.subdtype or (expected, ())
+    actual_base, actual_shape = actual.subdtype or (actual, ())
+    if shape != actual_shape:
+        return False
+    if base.names is None or actual_base.names is None:
+        return base == actual_base
+    if base.fields is None or actual_base.fields is None or set(base.names) != set(actual_base.names):
+        return False
+    return all(_agrees(base.fields[name][0], actual_base.fields[name][0]) for name in base.names)
+
+
+def _copy_fields(target: NDArray[Any], source: NDArray[Any]) -> None:
+    if target.dtype.names is None:
+        target[...] = source
+        return
+    for name in target.dtype.names:
+        _copy_fields(target[name], source[name])
 
 
 def compare_layouts(expected: np.dtype[Any], actual: np.dtype[Any]) -> str:

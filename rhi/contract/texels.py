@@ -207,3 +207,21 @@ def from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 _LINEAR: Final = from_srgb(np.arange(256) / 255.0)  # a power takes long, and there are only these
+
+
+def add_channel_axis(texels: NDArray[Any], components: int, has_layers: bool) -> NDArray[Any]:
+    """Return texels of one channel in layers, (layers, height, width), with an axis for the channel; others as
+    they are."""
+    if has_layers and components == 1 and texels.ndim == 3 and texels.shape[2] != 1:
+        return texels[..., None]
+    return texels
+
+
+def convert_float64(texels: NDArray[Any], format: Format) -> NDArray[Any] | None:
+    """Return texels of float64, NumPy's default, as the format's floats; others as they are. None if the format
+    can't hold a number."""
+    if texels.dtype != np.float64 or format.dtype.kind != "f":
+        return texels
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted = texels.astype(format.dtype)
+    return converted if (np.isfinite(converted) | ~np.isfinite(texels)).all() else None

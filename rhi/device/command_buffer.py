@@ -349,7 +349,7 @@ class CommandBuffer(Encoder):
             if arena.buffer not in self._owned:
                 descriptor = BufferDescriptor(len(arena.data), label="command buffer")
                 with DeferredInterrupts():
-                    device.create(device.backend.create_buffer, arena.buffer, descriptor)
+                    device.create(device.backend.create_buffer, arena.buffer, descriptor, descriptor.size)
                     self._owned.append(arena.buffer)
             device.backend.write_buffer(arena.buffer, 0, bytes(arena.data))
             device.upload_bytes += len(arena.data)

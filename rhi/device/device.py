@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, cast, overload
 
 import numpy as np
@@ -35,10 +36,14 @@ from rhi.contract.descriptors import (
     TextureKind,
 )
 from rhi.contract.formats import Format
+from rhi.contract.layout import repack
 from rhi.contract.limits import full_levels
 from rhi.contract.states import State
+from rhi.contract.texels import add_channel_axis
+from rhi.device.capture import FrameCapture
 from rhi.device.command_buffer import CommandBuffer, check_submissions
 from rhi.device.core.core import FORKED, NO_THREAD, Core, Statistics, ValidatingCore
+from rhi.device.core.memory_ledger import MemoryUse
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache
 from rhi.device.encoder import Encoder
@@ -54,7 +59,12 @@ from rhi.device.resources.buffers import (
     match_layout,
     storage_dtype,
 )
-from rhi.device.resources.images import ImageLike, as_texels, infer_format
+from rhi.device.resources.images import (
+    ImageLike,
+    as_texels,
+    infer_format,
+    tip_for_texels,
+)
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture
@@ -153,6 +163,7 @@ class Device(Encoder):
         surrounding = core.scopes.describe_open()
         core.scopes.close()
         self._backend.close()
+        core.timeline.memory.clear()
         if quiet or sys.exc_info()[0] is not None:
             return
         if surrounding:
@@ -168,7 +179,7 @@ class Device(Encoder):
 
         - On OpenGL: makes the device's context current and sets all of its states anew, whatever other code
           did to them. Between passes the device finds out by itself that another context is current; inside a
-          pass, call this after such code. See docs/threads.md.
+          pass, call this after such code. See `python -m rhi docs threads`.
         - A device that no thread owns (`release_current`) belongs to the calling thread from now on.
 
         Raises:
@@ -221,8 +232,20 @@ class Device(Encoder):
         self._core.check_thread("device.statistics")
         return self._core.statistics()
 
+    def memory(self) -> MemoryUse:
+        """Return the memory of the buffers and textures on this device, in bytes by kind and label, and the
+        peak; `print(device.memory())` shows it.
+
+        These are the bytes of their elements and texels, the device's own rings included. What a driver adds for
+        alignment, and what programs take, isn't known.
+        """
+        core = self._core
+        core.check_ready()
+        core.timeline.collect()
+        return core.timeline.memory.report(self.backend_name, core.timeline.retired_bytes)
+
     def reset_statistics(self) -> None:
-        """Set all counters to zero."""
+        """Set all counters to zero, and the peak of `memory` to what is in use."""
         self._core.check_thread("device.reset_statistics")
         self._core.reset_statistics()
 
@@ -299,7 +322,11 @@ class Device(Encoder):
         if not array.ndim and array.dtype.names is None:
             check.fail("source", source, "a number of elements, or an array")
         if requested is not None and array.dtype != requested:
-            self._core.refuse(rules.BUFFER_DTYPE, check.call, str(array.dtype), str(requested))
+            repacked = repack(requested, array)
+            if repacked is None:
+                tip = f"array.astype(np.{requested.name}) converts it" if not requested.names else ""
+                self._core.refuse(rules.BUFFER_DTYPE, check.call, str(array.dtype), str(requested), tip)
+            array = repacked
         return Buffer(self._core, array.size, array.dtype, usage, label, array)
 
     @overload
@@ -370,7 +397,9 @@ class Device(Encoder):
         """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels`
+        channels), top row first, of the format's dtype; alpha may be missing, and float64 becomes the
+        format's floats, see `Texture.write`. A volume of one channel may be (depth, height, width), and so may
+        layers; the depth isn't 1 to 4 then, or the format is named. `levels`
         None means all mip levels down to 1×1; they are generated from an array's texels if the format can be
         filtered. Images of Pillow are arrays, too.
 
@@ -387,12 +416,14 @@ class Device(Encoder):
             source = as_texels(source)
         if isinstance(source, np.ndarray):
             source = check.array("source", source)
+        has_layers = kind is not TextureKind.D2
         if format is None and isinstance(source, np.ndarray):
-            format = infer_format(source)
+            format = infer_format(source, has_layers)
             if format is None:
                 given = f"shape {source.shape} of {source.dtype}"
                 allowed = "1 to 4 channels of uint8, uint16, float16, float32, uint32 or int32, or a format"
-                self._core.refuse(rules.TEXTURE_DATA, "device.texture", given, allowed)
+                tip = tip_for_texels(source, None, has_layers)
+                self._core.refuse(rules.TEXTURE_DATA, "device.texture", given, allowed, tip)
         compressed = format if isinstance(format, CompressedFormat) else None
         format = compressed.decoded if compressed is not None else check.choice("format", format, Format)
         check.choice("kind", kind, TextureKind)
@@ -402,7 +433,9 @@ class Device(Encoder):
         check.text("label", label)
         data = None
         if isinstance(source, np.ndarray):
-            data = source
+            data = (
+                source if compressed is not None else add_channel_axis(source, format.components, has_layers)
+            )
             plain = compressed is None and format.components == 1
             if data.ndim not in (2, 3, 4) or (data.ndim == 2) > plain:
                 allowed = "(height, width, channels), or with layers in front"
@@ -660,6 +693,24 @@ class Device(Encoder):
         self.wait(self.signal())
         self._timers.collect()
 
+    def capture(self, path: str | Path | None = None) -> FrameCapture:
+        """Create a block that RenderDoc captures: `with device.capture() as capture:` around one or several
+        frames; `capture.file` is what it has written.
+
+        RenderDoc must be loaded into the process: `renderdoccmd capture python app.py`. If it isn't, nothing is
+        captured, and a warning is logged once a block. It captures OpenGL and Vulkan, so gl and wgpu; traces
+        (`rhi.trace.save`) capture any backend.
+
+        Args:
+            path: the beginning of the file's name, to which RenderDoc adds the frame and ".rdc"; None: where
+                RenderDoc is set to write.
+        """
+        check = ArgumentChecker("device.capture", self._core.refuse)
+        if path is not None:
+            check.instance("path", path, (str, Path), "a str or a Path")
+        self._core.check_ready()
+        return FrameCapture(self._core, None if path is None else Path(path))
+
     @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
@@ -704,7 +755,7 @@ class Device(Encoder):
         Blocks only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame is
         reused once the GPU has executed the frame. A device that was created beside the context of other code
         shows the image in its window or framebuffer, and that context is current afterwards
-        (docs/windows.md).
+        (`python -m rhi docs windows`).
 
         Raises:
             ValidationError: `pass-open` inside a render pass, `scope-open` inside any other scope, whose end

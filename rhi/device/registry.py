@@ -245,7 +245,7 @@ def load_backend_factory(name: str) -> Callable[..., Backend]:
     try:
         inspect.signature(create).bind(validation=False)
     except (TypeError, ValueError) as error:  # it isn't called: it may be any function of any module
-        given, tip = f"{name!r}: {error}", "see docs/porting.md"
+        given, tip = f"{name!r}: {error}", "see python -m rhi docs porting"
         raise DeviceError(DEVICE_UNKNOWN, call, given, "a function create(*, validation)", tip) from error
     return create
 

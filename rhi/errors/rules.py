@@ -238,6 +238,7 @@ NULL_ANSWER: Final = Rule("null-answer", "not a number of samples")
 # -- images ------------------------------------------------------------------------------------------------
 
 IMAGE_FILE: Final = Rule("image-file", "the file can't be read or written as an image")
+PLOT_LIBRARY: Final = Rule("plot-library", "plots need a library", 'pip install "rhi[renderer]"')
 IMAGE_LIBRARY: Final = Rule("image-library", "image files need a library", 'pip install "rhi[images]"')
 
 # -- cameras -----------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 A shader is a class derived from `Shader`. Its fields are its bindings and its methods are its stages. Structs
 are classes derived from `Struct`, helpers are methods or `@function`s. To editors and type checkers all of
 this is ordinary Python. It is parsed and never run: `compile_shader` builds a typed tree
-(`rhi.shading.ir.tree`) and from it the descriptor of a program. See docs/shading.md.
+(`rhi.shading.ir.tree`) and from it the descriptor of a program. See `python -m rhi docs shading`.
 """
 
 from importlib import import_module as _import_module

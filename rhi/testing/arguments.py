@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.commands.ops import ID_KINDS, Op
+from rhi.commands.ops import DRAW_ARGUMENTS, ID_KINDS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.contract.states import State
 from rhi.device.device import Device
@@ -55,7 +55,10 @@ def read_tolerance(call: str, tolerance: Any) -> float:
 
 def check_arguments(call: str, ops: Iterable[Op], arguments: Mapping[str, object]) -> None:
     """Refuse arguments that no command of these kinds has, and values that none can be equal to."""
+    ops = frozenset(ops)
     annotations = {name: kind for op in ops for name, kind in op.parameters.items()}
+    if Op.DRAW_INDIRECT in ops:
+        annotations.update((name, Op.DRAW.parameters[name]) for name in DRAW_ARGUMENTS)
     for name, value in arguments.items():
         if name not in annotations:
             refuse_name(call, "argument", name, annotations)

@@ -1,23 +1,17 @@
-"""The contents of uniform and storage bindings at a command, derived from the commands before it.
-
-Bytes are tracked through creations (which zero them), writes, copies and clears. Bytes that a program wrote,
-and bytes that were last written before the stream begins, are unknown: reading them raises an error, they are
-never guessed. A buffer may be older than the stream, as rings are after `stream.clear()`.
-"""
+"""The contents of uniform and storage bindings at a command, as elements of their types."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands.context import StreamContext
-from rhi.commands.ops import DISPATCHES, DRAWS, Op
-from rhi.commands.stream import Command, CommandStream
-from rhi.contract.descriptors import Binding, BindingKind, BufferDescriptor, Id, ProgramDescriptor
+from rhi.commands.buffer_bytes import BufferBytes, UnknownDataError
+from rhi.commands.stream import Command
+from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor
 from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Struct, value_type_of
 from rhi.testing.arguments import checker, read_command
@@ -25,106 +19,11 @@ from rhi.testing.arguments import checker, read_command
 RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
 
 
-class UnknownDataError(Exception):
-    """The contents can't be derived from the stream; the message says why."""
-
-
 @dataclass(slots=True)
-class _Bytes:
-    """The bytes of a buffer, and which of them are known.
+class BufferTracker(BufferBytes):
+    """Tracks the contents of a stream's bindings from command to command."""
 
-    Attributes:
-        is_older: bytes that no command of the stream has touched, in a buffer that is older than the stream.
-    """
-
-    data: NDArray[np.uint8]
-    is_known: NDArray[np.bool_]
-    is_older: NDArray[np.bool_]
-
-
-@dataclass(slots=True)
-class BufferTracker:
-    """Tracks the contents of a stream's buffers from command to command.
-
-    Attributes:
-        done: number of commands that have been applied.
-        skipped: number of commands, skipped by the stream, that the context includes.
-        context: program and bindings after these commands.
-        buffers: contents of each buffer that the stream created or touched, by id.
-    """
-
-    stream: CommandStream
-    done: int = 0
-    skipped: int = 0
-    context: StreamContext = field(init=False)
-    buffers: dict[Id, _Bytes] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.context = self.stream.initial_context()
-
-    def advance(self, index: int) -> None:
-        """Apply all commands before `index`, starting over if some of the later ones have been applied."""
-        if index < self.done:
-            self.done, self.skipped, self.buffers = 0, 0, {}
-            self.context = self.stream.initial_context()
-        for each in range(self.done, index):
-            self.skipped = self.stream.apply_skipped(self.context, self.skipped, each)
-            if each not in self.stream.failures:
-                op, values, _, _ = self.stream.entry(each)
-                self._follow(op, values)
-                self.context.apply(op, values)
-        self.skipped = self.stream.apply_skipped(self.context, self.skipped, index)
-        self.done = index
-
-    def _buffer(self, buffer: Id) -> _Bytes | None:
-        """Return the tracked bytes of a buffer, none of them known if it is older; None if it is no buffer."""
-        tracked = self.buffers.get(buffer)
-        descriptor = self.context.resources.get(buffer)
-        if tracked is None and isinstance(descriptor, BufferDescriptor):
-            size = descriptor.size
-            tracked = _Bytes(np.zeros(size, np.uint8), np.zeros(size, np.bool_), np.ones(size, np.bool_))
-            self.buffers[buffer] = tracked
-        return tracked
-
-    def _follow(self, op: Op, values: tuple[Any, ...]) -> None:
-        if op is Op.CREATE_BUFFER:
-            size = values[1].size
-            all_bytes = np.ones(size, np.bool_)
-            self.buffers[values[0]] = _Bytes(np.zeros(size, np.uint8), all_bytes, np.zeros(size, np.bool_))
-        elif op is Op.WRITE_BUFFER:
-            buffer, offset, data = values
-            self._set(buffer, offset, np.frombuffer(data, np.uint8), True)
-        elif op is Op.CLEAR_BUFFER:
-            buffer, offset, size, value = values
-            pattern = np.full(size // 4, value & 0xFFFFFFFF, "<u4").view(np.uint8)
-            self._set(buffer, offset, pattern, True)
-        elif op is Op.COPY_BUFFER:
-            source, source_offset, target, target_offset, size = values
-            copied = self._buffer(source)
-            if copied is None:
-                self._set(target, target_offset, np.zeros(size, np.uint8), False)
-            else:
-                part = slice(source_offset, source_offset + size)
-                self._set(target, target_offset, copied.data[part].copy(), copied.is_known[part].copy())
-        elif op is Op.COPY_TEXTURE_TO_BUFFER:
-            _, _, region, target, offset, row_bytes = values
-            self._set(target, offset, np.zeros(row_bytes * region.height * region.layers, np.uint8), False)
-        elif op in DRAWS or op in DISPATCHES:
-            for binding in _program_bindings(self.context.resources.get(self.context.program)):
-                bound = self.context.slots.get((binding.kind, binding.slot))
-                if binding.kind is BindingKind.STORAGE and binding.writes and bound:
-                    self._set(bound[0], bound[1], np.zeros(bound[2], np.uint8), False)
-
-    def _set(self, buffer: Id, offset: int, data: NDArray[np.uint8], is_known: Any) -> None:
-        tracked = self._buffer(buffer)
-        if tracked is None:
-            return
-        part = slice(offset, min(offset + len(data), len(tracked.data)))
-        tracked.data[part] = data[: part.stop - part.start]
-        tracked.is_known[part] = is_known
-        tracked.is_older[part] = False
-
-    def read(self, command: Command, name: str) -> NDArray[Any]:
+    def read_binding(self, command: Command, name: str) -> NDArray[Any]:
         """Return the contents of a binding at a command, see `binding_data`."""
         self.advance(command.index)
         bindings = bindings_of(command)
@@ -135,21 +34,11 @@ class BufferTracker:
         if name not in command.bindings:
             raise UnknownDataError(f"nothing is bound as {name!r}")
         buffer, offset, size = command.bindings[name]
-        content, dtype = self._buffer(buffer), _dtype(binding)
-        if content is None:
-            raise UnknownDataError(f"{name!r} lies in buffer {buffer}, of which the stream has no size")
+        dtype = _dtype(binding)
         size = dtype.itemsize if binding.kind is BindingKind.UNIFORM else size - size % dtype.itemsize
-        part = slice(offset, offset + size)
-        if not content.is_known[part].all():
-            first = int(np.flatnonzero(~content.is_known[part])[0])
-            if content.is_older[part][first]:
-                raise UnknownDataError(
-                    f"byte {first} of {name!r} was last written before the stream: it is older than "
-                    "stream.clear(), or than the trace"
-                )
-            raise UnknownDataError(f"byte {first} of {name!r} was written on the device")
+        data = self.read(repr(name), buffer, offset, size)
         base, shape = dtype.subdtype or (dtype, ())
-        values = content.data[part].copy().view(base).reshape(-1, *shape)
+        values = data.view(base).reshape(-1, *shape)
         return values[0] if binding.kind is BindingKind.UNIFORM else values
 
 
@@ -164,7 +53,7 @@ def binding_data(command: Command, name: str) -> Any:
         UnknownDataError: there is no such binding, or its contents can't be derived from the stream.
     """
     checker("binding_data").text("name", name)
-    return BufferTracker(read_command("binding_data", command).stream).read(command, name)
+    return BufferTracker(read_command("binding_data", command).stream).read_binding(command, name)
 
 
 def describe_differences(values: Any, expected: Mapping[str, object], tolerance: float) -> str:
@@ -207,10 +96,7 @@ def _part(values: Any, path: str) -> Any:
 
 def bindings_of(command: Command) -> tuple[Binding, ...]:
     """Return the bindings of the program that is bound at a command; none if no program is."""
-    return _program_bindings(command.resource(command.program))
-
-
-def _program_bindings(program: object) -> tuple[Binding, ...]:
+    program = command.resource(command.program)
     return program.bindings if isinstance(program, ProgramDescriptor) else ()
 
 

@@ -13,7 +13,8 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from rhi.commands.ops import DRAWS, Op
+from rhi.commands.buffer_bytes import UnknownDataError
+from rhi.commands.ops import DRAW_ARGUMENTS, DRAWS, Op
 from rhi.commands.stream import Command
 from rhi.commands.text import describe
 from rhi.contract.descriptors import BindingKind, Id, ProgramDescriptor
@@ -26,7 +27,6 @@ from rhi.testing.arguments import refuse_name
 from rhi.testing.buffer_tracking import (
     RANGES,
     BufferTracker,
-    UnknownDataError,
     bindings_of,
     describe_differences,
 )
@@ -77,12 +77,34 @@ class Within:
 
 @dataclass(frozen=True)
 class HasArguments:
-    """The condition that the command has these arguments; `pytest.approx` gives a tolerance."""
+    """The condition that the command has these arguments; `pytest.approx` gives a tolerance.
+
+    Of an indirect command, one of its draws has those that `DRAW_ARGUMENTS` names.
+    """
 
     expected: Mapping[str, object]
 
     def miss(self, command: Command) -> str:
         arguments = command.arguments
+        if command.op is Op.DRAW_INDIRECT and not self.expected.keys() <= arguments.keys():
+            return self._miss_indirect(command, arguments)
+        return self._miss_arguments(arguments)
+
+    def _miss_indirect(self, command: Command, arguments: dict[str, Any]) -> str:
+        """Describe how the draw that comes nearest misses the condition."""
+        try:
+            draws = command.draw_arguments
+        except UnknownDataError as error:
+            return str(error)
+        misses = []
+        for draw in draws.tolist():
+            missed = self._miss_arguments({**arguments, **dict(zip(DRAW_ARGUMENTS, draw, strict=True))})
+            if not missed:
+                return ""
+            misses.append(missed)
+        return "of its draws, " + " / ".join(dict.fromkeys(misses)) if misses else "it has no draws"
+
+    def _miss_arguments(self, arguments: Mapping[str, Any]) -> str:
         wrong = [
             f"{name} is {describe(arguments[name])}" if name in arguments else f"it has no {name}"
             for name, value in self.expected.items()
@@ -245,7 +267,7 @@ class HasData:
         if not self.trackers or self.trackers[0].stream is not command.stream:
             self.trackers[:] = [BufferTracker(command.stream)]
         try:
-            values = self.trackers[0].read(command, self.binding)
+            values = self.trackers[0].read_binding(command, self.binding)
         except UnknownDataError as error:
             return str(error)
         wrong = describe_differences(values, self.expected, self.tolerance)

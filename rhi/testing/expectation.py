@@ -84,7 +84,8 @@ class Expectation:
     # -- conditions ---------------------------------------------------------------------------------------
 
     def draws(self, *, program: object = None, **arguments: object) -> Expectation:
-        """Select draws, indirect ones included, with these arguments of `Backend.draw` or `draw_indirect`.
+        """Select draws, indirect ones included, with these arguments of `Backend.draw` or `draw_indirect`. Of
+        an indirect command or `draw_many`, one of its draws has them.
 
         Args:
             program: the program, its id, its shader's class or the name of that.

@@ -22,6 +22,8 @@ from rhi.device.device import Device
 from rhi.errors import RhiError, refuse
 from rhi.errors.rules import ASSERTION_ARGUMENT
 from rhi.testing.arguments import checker
+from rhi.testing.messages import MAX_SHOWN
+from rhi.testing.rebinding import BoundBecause, needless_bindings
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,12 @@ class Portability:
     Attributes:
         obstacles: for each profile the refused calls, in the order in which the frame reaches them. A
             capability appears at most once, at the first call that lacks it.
+        warnings: what runs everywhere and costs time everywhere: commands that bind what is bound already
+            (`needless_bindings`).
     """
 
     obstacles: Mapping[str, tuple[Obstacle, ...]]
+    warnings: tuple[BoundBecause, ...] = ()
 
     @property
     def runs_on(self) -> list[str]:
@@ -65,6 +70,9 @@ class Portability:
         for name, obstacles in self.obstacles.items():
             lines.append(f"{name}: {'runs' if not obstacles else f'stopped by {len(obstacles)}'}")
             lines += [f"  {obstacle}" for obstacle in obstacles]
+        if self.warnings:
+            lines.append(f"bound needlessly: {len(self.warnings)}")
+            lines += [f"  {warning}" for warning in self.warnings[:MAX_SHOWN]]
         return "\n".join(lines)
 
 
@@ -86,11 +94,13 @@ def check_portability(
     if not profiles:
         refuse(ASSERTION_ARGUMENT, "check_portability", "no profiles", "capabilities by name")
     everything = get_profile("everything")
-    error = _run(frame, reported=everything, enforced=everything)
+    warnings: list[BoundBecause] = []
+    error = _run(frame, reported=everything, enforced=everything, warnings=warnings)
     if error is not None:
         raise error
     return Portability(
-        {name: _collect_obstacles(frame, get_profile(profile)) for name, profile in profiles.items()}
+        {name: _collect_obstacles(frame, get_profile(profile)) for name, profile in profiles.items()},
+        tuple(warnings),
     )
 
 
@@ -151,12 +161,17 @@ class _ProfiledDevice(Device):
 
 
 def _run(
-    frame: Callable[[Device], object], reported: Capabilities, enforced: Capabilities
+    frame: Callable[[Device], object],
+    reported: Capabilities,
+    enforced: Capabilities,
+    warnings: list[BoundBecause] | None = None,
 ) -> RhiError | None:
-    """Run the frame and return the error that it ends in."""
+    """Run the frame and return the error that it ends in. Append the bindings that are needless."""
     device = _ProfiledDevice(reported, enforced)
     try:
         frame(device)
+        if warnings is not None:
+            warnings += needless_bindings(device)
     except RhiError as error:
         return error
     finally:

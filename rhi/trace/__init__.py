@@ -3,8 +3,8 @@
     save(device, "frame.zip")                                    # recorded on the null device, for example
     image = replay(load("frame.zip"), on=gl_device).image
 
-- A trace is the recorder's stream since the creation of the device (`file`; docs/traces.md describes the
-  format).
+- A trace is the recorder's stream since the creation of the device (`file`; `python -m rhi docs traces`
+  describes the format).
 - `replay` executes it on any device, `diff` compares two traces label by label, `reduce` shrinks one that
   shows a fault.
 """

@@ -23,6 +23,7 @@ from typing import Any, Final, overload
 
 import numpy as np
 
+from rhi.commands.buffer_bytes import UnknownDataError
 from rhi.commands.ops import CREATIONS, ID_ARGUMENTS, ID_KINDS, Descriptor, Op
 from rhi.commands.stream import Command, Commands, CommandStream, Refusal
 from rhi.commands.text import describe
@@ -211,7 +212,14 @@ class _Side:
             for offset, buffer in _OFFSET_ARGUMENTS[op].items():
                 parts[offset] = self._locate(values[buffer], values[offset])
             key = self._keys[op, values, failure] = (op, *parts, failure)
-        return key
+        return key if op is not Op.DRAW_INDIRECT else (key, self.draws(self._index))
+
+    def draws(self, index: int) -> bytes:
+        """The draws of an indirect command; none if they are unknown."""
+        try:
+            return Command(self.stream, index).draw_arguments.tobytes()
+        except UnknownDataError:
+            return b""
 
     def _register(self, resource: Id, descriptor: Descriptor) -> tuple[Hashable, int]:
         """Name a resource; return what it is, and which of several equal ones."""
@@ -354,6 +362,8 @@ def _changes(left: _Side, right: _Side, a: Thing, b: Thing) -> list[str]:
             changes.append(
                 f"{name}: {texts[0]} → {texts[1]}" if texts[0] != texts[1] else f"{name}: its contents"
             )
+    if a.op is Op.DRAW_INDIRECT and left.draws(a.index) != right.draws(b.index):
+        changes.append(f"draws: {a.describe_draws()} → {b.describe_draws()}")
     if a.failure != b.failure:
         failures = [command.failure.error if command.failure is not None else "none" for command in (a, b)]
         changes.append(f"failure: {failures[0]} → {failures[1]}")

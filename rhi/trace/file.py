@@ -1,4 +1,4 @@
-"""`save` and `load`: a command stream as a file; docs/traces.md describes the format.
+"""`save` and `load`: a command stream as a file; `python -m rhi docs traces` describes the format.
 
 - A loaded trace has an ordinary stream. Loaded commands have everything that recorded ones have, call sites
   included.

@@ -47,4 +47,4 @@ def test_a_step_passes_with_the_methods_of_it_and_those_before(number: int) -> N
 def test_a_step_fails_without_its_own_methods(number: int) -> None:
     status, output = run_step(number, number - 1)
     assert status == 1, output
-    assert f"next: step {number}, {STEPS[number - 1].title} (docs/porting.md)" in output, output
+    assert f"next: step {number}, {STEPS[number - 1].title} (python -m rhi docs porting)" in output, output

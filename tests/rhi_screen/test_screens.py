@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing_kit import backend_works
 
 import rhi
 from rhi import DeviceError, Format, Op, ValidationError
@@ -137,3 +138,30 @@ def test_what_is_missing_is_named_with_what_to_install(
         open_canvas(kind)
     assert module in error.value.given
     assert tip in error.value.tip
+
+
+@pytest.mark.parametrize("backend", ["null", "gl", "cl", "wgpu"])
+def test_two_screens_of_one_device_show_their_own_images(backend: str) -> None:
+    if not backend_works(backend):
+        pytest.skip(f"no device of {backend} here")
+    with (
+        rhi.create_device(backend) as device,
+        open_screen(device, canvas="offscreen", size=(32, 16)) as first,
+        open_screen(device, canvas="offscreen", size=(20, 10)) as second,
+    ):
+        for shade, screen in ((0.0, first), (1.0, second)):
+
+            def draw(screen: Screen = screen, shade: float = shade) -> None:
+                image = device.texture(screen.size, rhi.Format.RGBA8)
+                with device.render_pass(image, clear=(shade, 0.2, 0.4, 1.0)):
+                    pass
+                screen.show(image)
+                image.destroy()
+
+            screen.canvas.request_draw(draw)
+        for _ in range(3):  # they take turns
+            images = [np.asarray(screen.canvas.draw()) for screen in (first, second)]
+        assert [image.shape[:2] for image in images] == [(16, 32), (10, 20)]
+        assert [image[0, 0].tolist() for image in images] == [[0, 51, 102, 255], [255, 51, 102, 255]]
+        first.close()
+        assert np.asarray(second.canvas.draw())[0, 0].tolist() == [255, 51, 102, 255]

@@ -11,13 +11,14 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 from nightly_reasons import CHEAPER_TEST
 from screens_kit import Display, WindowManager
+from testing_kit import backend_works
 
 import rhi
 from rhi import Format
@@ -346,10 +347,11 @@ def check_closing(_display: Display, backend: str) -> None:
         assert image.read().shape == (48, 64, 4), "the device lives on"
 
 
-def check_two(display: Display, backend: str) -> None:
+def check_two(display: Display, backend: str, shares_device: bool = False) -> None:
     with (
-        open_screen(backend, size=SIZE, update_mode="fastest") as first,
-        open_screen(backend, size=(30, 20)) as second,
+        rhi.create_device(backend) if shares_device else nullcontext(backend) as device,
+        open_screen(device, size=SIZE, update_mode="fastest") as first,
+        open_screen(device, size=(30, 20)) as second,
     ):
         import glfw
 
@@ -442,6 +444,13 @@ def test_a_window_that_is_closed_ends_the_loop(windows: Check, backend: str) -> 
 @pytest.mark.parametrize("backend", ["gl", "wgpu"])
 def test_two_windows_show_what_their_own_devices_draw(windows: Check, backend: str) -> None:
     windows(check_two, backend)
+
+
+@pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
+def test_two_windows_show_what_their_one_device_draws(windows: Check, backend: str) -> None:
+    if not backend_works(backend):
+        pytest.skip(f"no device of {backend} here")
+    windows(check_two, backend, True)
 
 
 def check_surface(display: Display) -> None:

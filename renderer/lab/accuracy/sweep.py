@@ -29,7 +29,6 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 import rhi
 from renderer.content import GENERATORS, change_options, load_scene, parse_camera, parse_camera_path
@@ -774,6 +773,8 @@ def crop_worst_region(reference: Floats, rendered: Floats, x: int, y: int) -> st
     difference = np.abs(rendered[part] - reference[part]).max(axis=2, keepdims=True).repeat(3, axis=2)
     panels: NDArray[Any] = np.concatenate([reference[part], rendered[part], 4.0 * difference], axis=1)
     file = io.BytesIO()
+    from PIL import Image  # optional
+
     Image.fromarray(np.clip(np.round(panels), 0, 255).astype(np.uint8)).save(file, "PNG", optimize=True)
     return b64encode(file.getvalue()).decode()
 

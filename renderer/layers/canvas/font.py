@@ -21,7 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ImageFont, features
 
 from renderer import rules
 from rhi import refuse
@@ -67,6 +66,8 @@ class Font:
         """Rasterise all glyphs of the font in `file`; `Font.load` keeps fonts."""
         if not 4 <= size <= 256:
             refuse(rules.FONT_SIZE, "Font.load", size, "4 to 256")
+        from PIL import ImageFont, features  # optional
+
         try:
             self._font = ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
             self.is_kerned = bool(features.check("raqm"))

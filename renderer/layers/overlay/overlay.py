@@ -41,6 +41,7 @@ _NAMES: Final = 130  # width of the names of counters
 _EVENTS: Final = 90  # width of the names of events
 _MAP: Final = 280  # width and height
 _SMALL: Final = (900, 500)  # images that aren't wider and higher than this have times and counters alone
+_MEMORY_FRAMES: Final = 30
 _COUNTERS: Final = (
     "draws",
     "queries",
@@ -70,6 +71,8 @@ class Overlay:
         self._counted = self._after = self._before
         self.draws = 0
         self.milliseconds = 0.0
+        self._memory = ("memory", "")
+        self._memory_frames = 0  # until it is asked for again, which takes a microsecond a resource
         self._device, self._was_timing = device, device.timing
         if device.capabilities.timestamps:
             device.timing = True
@@ -111,6 +114,8 @@ class Overlay:
         canvas, scale = self._canvas, self._scale
         counters = {name: getattr(counted, name) - getattr(self._before, name) for name in _COUNTERS}
         rows = _list_counters(frame, counters)
+        if not is_small:
+            rows.append(self._list_memory(device))
         timers = [] if is_small else device.timers
         line, pad = canvas.font.line_height * scale, _PAD * scale
         events = min(sum(1 for _ in list_events(timers)), MAX_EVENTS + 1)
@@ -128,6 +133,16 @@ class Overlay:
         y += graph_height
         y += draw_objects(canvas, inside.x, y, rows, _NAMES * scale, scale) + pad
         draw_timers(canvas, Rectangle(inside.x, y, width, height), timers, _EVENTS * scale, scale)
+
+    def _list_memory(self, device: Device) -> tuple[str, str]:
+        """Return the row of the memory, of one in 30 frames."""
+        if not self._memory_frames:
+            self._memory_frames = _MEMORY_FRAMES
+            memory = device.memory()
+            megabytes = f"{memory.total / 2**20:,.1f}, at most {memory.peak / 2**20:,.1f} MiB"
+            self._memory = ("memory", megabytes)
+        self._memory_frames -= 1
+        return self._memory
 
     def _describe_times(self) -> str:
         times = self._frames.values

@@ -202,6 +202,14 @@ class ClBackend:
         self._fence.release()
         return data
 
+    @_reports_errors_as("Buffer.read")
+    def host_memory(self, buffer: Id) -> NDArray[np.uint8] | None:
+        """See `rhi.contract.backend.SupportsHostMemory`."""
+        self._flush()
+        memory = self._buffers.host_memory(buffer)
+        self._fence.release()
+        return memory
+
     @_reports_errors_as("Buffer.copy_to")
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         self._flush()

@@ -280,9 +280,16 @@ class Core(DeviceObject):
             if error.rule is not rules.DEVICE_MEMORY or not self.timeline.reclaim():
                 raise
             make(resource, descriptor)
-        self.timeline.living[resource] = size
+        timeline = self.timeline
+        timeline.living[resource] = size
+        if size:  # a buffer or a texture; as `MemoryLedger.add`, without its call
+            memory = timeline.memory
+            memory.entries[resource] = descriptor, size
+            memory.total = total = memory.total + size
+            if total > memory.peak:
+                memory.peak = total
         if self._notes_sites and (site := find_call_site()) is not None:
-            self.timeline.sites[resource] = site
+            timeline.sites[resource] = site
         if self.created is not None:
             self.created.append(resource)
 
@@ -516,9 +523,9 @@ class Core(DeviceObject):
             ValidationError: `device-capability` for more anisotropy than the device supports, for a border
                 that it lacks, and for more than `MAX_SAMPLERS` different samplers.
         """
-        self.require("device.sampler", sampler_faults(descriptor, self.capabilities))
         sampler = self._samplers.get(descriptor)
         if sampler is None:
+            self.require("device.sampler", sampler_faults(descriptor, self.capabilities))
             self.check_ready()
             if len(self._samplers) >= MAX_SAMPLERS:
                 more = f"one more sampler, {descriptor}"
@@ -569,6 +576,7 @@ class Core(DeviceObject):
         self.draws = 0
         self.dispatches = 0
         self.upload_bytes = 0
+        self.timeline.memory.peak = self.timeline.memory.total
         self.states.reset_counters()
 
 

@@ -69,7 +69,9 @@ class ReadbackPool:
             while self.allocated + size > self.limit and (self._free or self._leases):
                 self._make_room()
             buffer = self._new_id()
-            self._backend.create_buffer(buffer, BufferDescriptor(size, BufferUsage.READBACK, "readback"))
+            descriptor = BufferDescriptor(size, BufferUsage.READBACK, "readback")
+            self._backend.create_buffer(buffer, descriptor)
+            self._timeline.memory.add(buffer, descriptor)
             self.allocated += size
         dropped = self._dropped
         reference = weakref.ref(owner, lambda _: dropped.append(buffer))

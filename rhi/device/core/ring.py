@@ -163,7 +163,9 @@ class Ring:
             capacity *= 2
         with DeferredInterrupts():
             buffer = self._new_id()
-            self._backend.create_buffer(buffer, BufferDescriptor(capacity, BufferUsage.STREAM, self.label))
+            descriptor = BufferDescriptor(capacity, BufferUsage.STREAM, self.label)
+            self._backend.create_buffer(buffer, descriptor)
+            self._timeline.memory.add(buffer, descriptor)
             if self.buffer:
                 self._outgrown.append(self.buffer)
                 self.generation += 1

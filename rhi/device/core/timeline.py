@@ -25,6 +25,7 @@ from weakref import WeakSet, ref
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
 from rhi.contract.interrupts import DeferredInterrupts
+from rhi.device.core.memory_ledger import MemoryLedger
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import DeviceError
 from rhi.errors.call_sites import CallSite
@@ -59,6 +60,7 @@ class Timeline:
         refusals: raises and keeps the errors of refused calls.
         living: by id, the sizes in bytes of the resources that exist and aren't retired, but for the device's
             own.
+        memory: the buffers and textures on the backend.
         sites: by id, the line that created the resource, if lines are noted.
         waited: the seconds that the CPU has waited for the GPU since the last call of `present`.
     """
@@ -75,6 +77,7 @@ class Timeline:
         "_waiting_bytes",
         "_watchers",
         "living",
+        "memory",
         "refusals",
         "signalled",
         "sites",
@@ -88,6 +91,7 @@ class Timeline:
         self.waited = 0.0  # seconds
         self._completed = 0
         self.living: dict[Id, int] = {}
+        self.memory = MemoryLedger()
         self.sites: dict[Id, CallSite] = {}
         self._dropped: deque[Id | _Holder] = deque()
         self._holders: dict[int, _Holder] = {}
@@ -187,7 +191,15 @@ class Timeline:
         completed = self.completed
         while self._retired and self._retired[0][0] <= completed:
             with DeferredInterrupts():
-                self._backend.destroy(self._retired.popleft()[1])
+                resource = self._retired.popleft()[1]
+                self._backend.destroy(resource)
+                if (entry := self.memory.entries.pop(resource, None)) is not None:
+                    self.memory.total -= entry[1]
+
+    @property
+    def retired_bytes(self) -> int:
+        """Bytes of what is destroyed as soon as the GPU has passed a value."""
+        return sum(self.memory.size_of(resource) for _, resource in self._retired)
 
     def reclaim(self) -> bool:
         """Wait for the GPU, to destroy every retired resource; return whether there was any."""

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rhi.contract.backend import SupportsFilledBuffers
+from rhi.contract.backend import SupportsFilledBuffers, SupportsHostMemory
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import (
     FLOAT,
@@ -24,9 +24,11 @@ from rhi.contract.layout import (
     compare_layouts,
     element_dtype,
     is_host_shareable,
+    repack,
 )
 from rhi.contract.limits import buffer_copy_faults
-from rhi.device.core.core import Core
+from rhi.device.core.core import Core, find_optional_part
+from rhi.device.resources.exchange import ArrayExchange
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
@@ -41,8 +43,9 @@ MAX_BYTES = 1 << 40
 _VECTORS_OF_3 = (vec3, ivec3, uvec3)
 
 
-class Buffer(Resource):
-    """Memory on the device: `count` elements of `dtype`.
+class Buffer(ArrayExchange, Resource):
+    """Memory on the device: `count` elements of `dtype`. `np.asarray(buffer)` and `from_dlpack(buffer)` of other
+    libraries read it, without a copy on cl.
 
     Attributes:
         id: the buffer's id in the command stream.
@@ -67,7 +70,7 @@ class Buffer(Resource):
         check.choice("usage", usage, BufferUsage)
         check.text("label", label)
         dtype = little_endian(dtype)
-        if not _is_plain(dtype) or dtype.itemsize == 0:
+        if (dtype.kind not in "biuf" and not _is_plain(dtype)) or dtype.itemsize == 0:
             core.refuse(rules.BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
         size = count * dtype.itemsize
         if not 0 < size < MAX_BYTES:
@@ -212,6 +215,20 @@ class Buffer(Resource):
         )
         core.backend.copy_buffer(self.id, offset, other.id, target_offset, size)
 
+    def _view(self) -> NDArray[Any] | None:
+        self._check("Buffer")
+        backend = find_optional_part(self.core.backend, "host_memory")
+        memory = cast("SupportsHostMemory", backend).host_memory(self.id) if backend is not None else None
+        if memory is None:
+            return None
+        base, shape = self.dtype.subdtype or (self.dtype, ())
+        view = memory[: self.size].view(base).reshape(self.count, *shape)
+        view.flags.writeable = False
+        return view
+
+    def _read_array(self) -> NDArray[Any]:
+        return self.read()
+
     def _check(self, call: str) -> None:
         self.core.check_ready()
         self.core.check_usable(self, call)
@@ -220,10 +237,14 @@ class Buffer(Resource):
         array = ArgumentChecker(call, self.core.refuse).array("data", data)
         base, shape = self.dtype.subdtype or (self.dtype, ())
         if array.dtype != base or (shape and array.shape[-len(shape) :] != shape):
-            given = f"shape {array.shape} of {array.dtype}"
+            if array.dtype != base and (repacked := repack(base, array)) is not None:
+                return repacked.reshape(-1)
+            given, tip = f"shape {array.shape} of {array.dtype}", ""
             if base.names:
                 given = compare_layouts(base, array.dtype)
-            self.core.refuse(rules.BUFFER_DTYPE, call, given, str(self.dtype))
+            elif array.dtype != base and array.dtype.names is None:
+                tip = f"array.astype(np.{base.name}) converts it"
+            self.core.refuse(rules.BUFFER_DTYPE, call, given, str(self.dtype), tip)
         return np.ascontiguousarray(array).reshape(-1, *shape)
 
     def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
@@ -367,8 +388,9 @@ class UniformArray(Resource, Generic[T]):
         self.buffer.destroy()
 
 
-class StorageBuffer(StorageRange[T], Resource):
-    """A buffer of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
+class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
+    """A buffer of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`. Other libraries read it
+    as they do a `Buffer`."""
 
     __slots__ = ("dtype",)
     owner: Buffer
@@ -383,6 +405,12 @@ class StorageBuffer(StorageRange[T], Resource):
 
     def __len__(self) -> int:
         return self.count
+
+    def _view(self) -> NDArray[Any] | None:
+        return self._typed()._view()
+
+    def _read_array(self) -> NDArray[Any]:
+        return self.read()
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of elements; waits for work that may write them."""
@@ -496,8 +524,8 @@ def match_layout(
     """Return an array as one of the expected dtype; refuse another layout, showing both side by side.
 
     Numbers outside of structs are converted: whole ones exactly or not at all, floats rounded as a mesh's
-    are. Vectors
-    of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4).
+    are. Vectors of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4). Structs
+    whose padding NumPy has dropped are padded again.
     """
     given = ArgumentChecker(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
@@ -507,6 +535,9 @@ def match_layout(
     if shape == (4,) and given.shape[-1:] == (3,) and given.dtype == base and element in _VECTORS_OF_3:
         given = np.concatenate([given, np.zeros_like(given[..., :1])], axis=-1)
     if not accepts(base, given.dtype):
+        repacked = repack(base, given)
+        if repacked is not None:
+            return repacked
         core.refuse(
             rules.LAYOUT_MISMATCH,
             call,

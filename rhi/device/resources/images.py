@@ -29,6 +29,7 @@ from rhi.errors import RhiError, refuse
 from rhi.errors.array_likes import to_array
 from rhi.errors.rules import IMAGE_FILE
 
+MAX_CHANNELS: Final = 4
 _DATA: Final = {"I;16": np.uint16, "I;16L": np.uint16, "I;16B": np.uint16, "F": np.float32}
 """Modes of Pillow whose texels are numbers rather than colors."""
 _ORIENTATION: Final = 0x0112  # the tag of EXIF that says how a camera was held
@@ -103,11 +104,33 @@ def as_texels(source: Any) -> NDArray[Any]:
     return np.array(source if dtype else source.convert("RGBA"), dtype)
 
 
-def infer_format(texels: NDArray[Any]) -> Format | None:
+def infer_format(texels: NDArray[Any], has_layers: bool = False) -> Format | None:
     """Return the format that fits an array of texels, ([layers, ]height, width[, channels]), or None. Three
-    channels get a format of four."""
+    channels get a format of four, float64 one of float32. With layers, three axes without channels are (layers,
+    height, width)."""
     channels = texels.shape[-1] if texels.ndim > 2 else 1
-    return _INFERRED.get((texels.dtype, {3: 4}.get(channels, channels)))
+    if has_layers and texels.ndim == 3 and channels > MAX_CHANNELS:
+        channels = 1
+    dtype = np.dtype(np.float32) if texels.dtype == np.float64 else texels.dtype
+    return _INFERRED.get((dtype, {3: 4}.get(channels, channels)))
+
+
+def tip_for_texels(texels: NDArray[Any], dtype: np.dtype[Any] | None, has_layers: bool) -> str:
+    """The tip that makes an array fit a format of `dtype` (None: any format); "" if there is no simple one."""
+    actual = texels.dtype
+    if actual == np.bool_:
+        return "a mask is mask.astype(np.uint8) * 255"
+    if actual.kind in "iuf" and dtype is not None and actual != dtype:
+        if actual.kind == "f" and dtype.kind != "f":
+            return f"scale it and convert it, e.g. (array * {np.iinfo(dtype).max}).astype(np.{dtype.name})"
+        return f"array.astype(np.{dtype.name}) converts it"
+    if dtype is None and actual.kind in "iu" and actual.itemsize == 8:
+        return "array.astype(np.int32) or another of these types converts it"
+    if texels.ndim == 3 and texels.shape[-1] > MAX_CHANNELS:
+        if has_layers:
+            return "layers of one channel are array[..., None]"
+        return "a volume of one channel is texture(array, kind=TextureKind.D3); channels are the last axis"
+    return ""
 
 
 def convert_to_image(format: Format, texels: NDArray[Any]) -> NDArray[Any] | None:

@@ -31,7 +31,7 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import IndexFormat
 from rhi.contract.interrupts import DeferredInterrupts
-from rhi.contract.layout import VectorType
+from rhi.contract.layout import VectorType, repack
 from rhi.contract.limits import vertex_faults
 from rhi.device.core.core import Core, Owner
 from rhi.device.resources.buffers import Buffer, StorageBuffer
@@ -563,6 +563,8 @@ def check_draws(
     draws beyond its per-instance data if the program's `attributes` read any."""
     expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
     array = ArgumentChecker(call, core.refuse).array("draws", draws)
+    if array.dtype != expected and (repacked := repack(expected, array)) is not None:
+        array = repacked
     if array.dtype != expected or array.ndim != 1:
         core.refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
     if len(array):

@@ -13,6 +13,7 @@ import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,15 @@ from rhi.contract.descriptors import (
     TextureKind,
 )
 from rhi.contract.formats import ChannelKind, Format
+from rhi.contract.texels import add_channel_axis, convert_float64
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
-from rhi.device.resources.images import convert_to_image, write_image
+from rhi.device.resources.exchange import ArrayExchange
+from rhi.device.resources.images import (
+    convert_to_image,
+    tip_for_texels,
+    write_image,
+)
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
@@ -71,8 +78,9 @@ class TextureTarget:
         return self.texture.descriptor.level_size(self.level)
 
 
-class Texture(TextureBinding, Resource):
-    """A texture on the device.
+class Texture(TextureBinding, ArrayExchange, Resource):
+    """A texture on the device. `np.asarray(texture)` and `from_dlpack(texture)` of other libraries read its
+    level 0, with an axis for layers where there are several.
 
     Attributes:
         id: the texture's id in the command stream.
@@ -81,7 +89,7 @@ class Texture(TextureBinding, Resource):
             compressed format: they are decoded when they are written.
     """
 
-    __slots__ = ("core", "descriptor", "destroyed", "id", "requested")
+    __slots__ = ("_bindings", "core", "descriptor", "destroyed", "id", "requested")
 
     def __init__(
         self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None
@@ -103,6 +111,7 @@ class Texture(TextureBinding, Resource):
         self.id = core.create_id()
         core.create(core.backend.create_texture, self.id, descriptor, _count_bytes(descriptor))
         self.destroyed = False
+        self._bindings: dict[object, ref[Any]] = {}
         super().__init__(self.id, sampler)
 
     def __del__(self) -> None:
@@ -169,28 +178,59 @@ class Texture(TextureBinding, Resource):
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
-        """Return a binding that reads this texture through another sampler."""
+        """Return a binding that reads this texture through another sampler.
+
+        It is the same object as long as a program or a variable refers to it, so draws that call this again
+        bind nothing again.
+        """
         core, call = self.core, "Texture.sampled"
         self._check(call)
         if isinstance(sampler, Sampler):
             descriptor = sampler.descriptor
             if core.sampler_descriptors.get(sampler.id) is descriptor:
-                return TextureBinding(self.id, sampler.id, self)
+                return self._intern_sampled(sampler.id)
         else:
             allowed = "a Sampler from device.sampler(…), or an rhi.SamplerDescriptor"
             descriptor = ArgumentChecker(call, core.refuse).instance(
                 "sampler", sampler, SamplerDescriptor, allowed
             )
-        return TextureBinding(self.id, core.sampler(descriptor), self)
+        return self._intern_sampled(core.sampler(descriptor))
+
+    def _intern_sampled(self, sampler: Id) -> TextureBinding:
+        """Return the binding with a sampler. It refers to the texture, so the texture refers to it weakly."""
+        bindings = self._bindings
+        reference = bindings.get(sampler)
+        binding: TextureBinding | None = None if reference is None else reference()
+        if binding is None:
+            binding = TextureBinding(self.id, sampler, self)
+            bindings[sampler] = ref(binding)
+        return binding
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
-        """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
+        """Return a binding of one level, with all layers or one, for a shader's loads and stores. It is the
+        same object as long as a program or a variable refers to it."""
         level, first = self._check("Texture.image", level, 0 if layer is None else layer)
         layer = None if layer is None else first
-        self.core.require("Texture.image", limits.plain_faults(self.requested))
-        return ImageBinding(self.id, level, layer, self)
+        if self.requested.compressed is not None:  # seldom: a list of faults takes a microsecond
+            self.core.require("Texture.image", limits.plain_faults(self.requested))
+        key = level, layer
+        reference = self._bindings.get(key)
+        binding: ImageBinding | None = None if reference is None else reference()
+        if binding is None:
+            binding = ImageBinding(self.id, level, layer, self)
+            self._bindings[key] = ref(binding)
+        return binding
 
     # -- memory ------------------------------------------------------------------------------------------
+
+    def _view(self) -> None:
+        """Return None: the texels of no backend are in the order of an array."""
+
+    def _read_array(self) -> NDArray[Any]:
+        """Return level 0 of all layers as one array."""
+        if self.layers == 1:
+            return self.read()
+        return np.stack([self.read(layer=layer) for layer in range(self.layers)])
 
     def read(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[Any]:
         """Return one layer: (height, width, channels), or (height, width) for one channel; top row first.
@@ -268,9 +308,10 @@ class Texture(TextureBinding, Resource):
         """Replace texels from (x, y) on.
 
         `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels) for several layers from `layer` on. For a format of red, green, blue and alpha it may lack
-        alpha, which becomes 1; that copies the array. To a compressed texture, write blocks: (rows, columns,
-        bytes) of uint8, with or without layers in front, from multiples of 4 texels on.
+        channels) for several layers from `layer` on; of volumes and layers of one channel (layers, height,
+        width). For a format of red, green, blue and alpha it may lack alpha, which becomes 1; that copies the
+        array, and so does float64, which is rounded to the format's floats. To a compressed texture, write
+        blocks: (rows, columns, bytes) of uint8, with or without layers in front, from multiples of 4 texels on.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -289,15 +330,26 @@ class Texture(TextureBinding, Resource):
         self.core.check_ready()
         array = check.array("texels", texels)
         components = self.format.components
+        has_layers = self.descriptor.kind is not TextureKind.D2
+        array = add_channel_axis(array, components, has_layers)
         if array.ndim == 2 and components == 1:
             array = array[None, :, :, None]
         elif array.ndim == 3:
             array = array[None]
         if array.ndim == 4 and array.shape[3] == 3 and components == 4 and not self.format.is_integer:
             array = _add_alpha(array, self.format)
+        converted = convert_float64(array, self.format)
+        if converted is None:
+            largest = np.abs(array[np.isfinite(array)]).max()
+            self.core.refuse(
+                rules.TEXTURE_DATA, call, f"{largest} of float64", f"what {self.format.dtype} holds"
+            )
+        array = converted
         if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != components:
             allowed = f"(height, width, {components}) of {self.format.dtype}"
-            self.core.refuse(rules.TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
+            tip = tip_for_texels(np.asarray(texels), self.format.dtype, has_layers)
+            given = f"shape {np.shape(texels)} of {array.dtype}"
+            self.core.refuse(rules.TEXTURE_DATA, call, given, allowed, tip)
         layers, height, width = array.shape[:3]
         region = Region(check.integer("x", x), check.integer("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
@@ -538,7 +590,8 @@ class Texture(TextureBinding, Resource):
         core = core or self.core
         core.check_open()
         core.check_usable(self, call)
-        self.core.require(call, limits.level_faults(self.descriptor, level, layer))
+        if level or layer:  # every texture has the first of both
+            self.core.require(call, limits.level_faults(self.descriptor, level, layer))
         return level, layer
 
     def _check_region(self, call: str, level: int, region: Region) -> None:

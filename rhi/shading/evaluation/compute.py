@@ -264,6 +264,8 @@ def storage_words(element: layout.HostType, value: Any, call: str) -> tuple[Arra
         whole = np.zeros((value, *shape), base)
     else:
         whole = np.array(to_little_endian(np.asarray(value)), order="C")
+        if whole.dtype != base and (repacked := layout.repack(base, whole)) is not None:
+            whole = repacked
         if whole.dtype != base or whole.shape[1:] != shape or whole.ndim < 1:
             refuse(
                 rules.WRONG_ARGUMENTS,

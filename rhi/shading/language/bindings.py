@@ -69,7 +69,7 @@ class StorageRange(DeviceObject, Generic[T]):
 class TextureBinding(DeviceObject):
     """The ids of a texture and of the sampler that reads it."""
 
-    __slots__ = ("_owner", "sampler", "texture")
+    __slots__ = ("__weakref__", "_owner", "sampler", "texture")
 
     def __init__(self, texture: int, sampler: int, owner: object = None) -> None:
         self.texture = texture
@@ -91,7 +91,7 @@ class TextureBinding(DeviceObject):
 class ImageBinding(DeviceObject):
     """A mip level of a texture, bound as an image: one layer of it, or all layers if `layer` is None."""
 
-    __slots__ = ("layer", "level", "owner", "texture")
+    __slots__ = ("__weakref__", "layer", "level", "owner", "texture")
 
     def __init__(self, texture: int, level: int = 0, layer: int | None = None, owner: object = None) -> None:
         self.texture = texture

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Filter, SamplerDescriptor, TextureKind, Wrap
 from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
-from rhi.contract.texels import decode, encode, unpack
+from rhi.contract.texels import add_channel_axis, convert_float64, decode, encode, unpack
 from rhi.errors import refuse
 from rhi.errors.arguments import to_little_endian
 from rhi.shading.ir.texture_words import anisotropy_of, border_color, has_fixed_depth
@@ -65,7 +65,8 @@ class HostTexture:
 
         Args:
             levels: one mip level or all of them, largest first. A single layer may be given as (height,
-                width, channels), and with one channel as (height, width).
+                width, channels), and with one channel as (height, width); layers of one channel as (layers,
+                height, width). They are copied: later changes of the arrays don't change the texture.
             format, kind: the format and the dimensions.
             sampler: defaults to the sampler that a device's textures have by default.
 
@@ -79,7 +80,7 @@ class HostTexture:
             else SamplerDescriptor()
         )
         all_levels = [levels] if isinstance(levels, np.ndarray) else list(levels)
-        self.levels = [_layered(level, format) for level in all_levels]
+        self.levels = [_layered(level, format, kind) for level in all_levels]
         self.format = format
         self.kind = kind
         self.sampler = sampler or default
@@ -400,8 +401,11 @@ class HostTexture:
         return result if result is not None else np.zeros((*lod.shape, 4), dtype)
 
 
-def _layered(level: Array, format: Format) -> Array:
+def _layered(level: Array, format: Format, kind: TextureKind) -> Array:
     array = np.array(to_little_endian(np.asarray(level)), order="C")
+    array = add_channel_axis(array, format.components, kind is not TextureKind.D2)
+    converted = convert_float64(array, format)
+    array = array if converted is None else converted
     if array.ndim == 2 and format.components == 1:
         array = array[None, :, :, None]
     elif array.ndim == 3:

@@ -15,6 +15,7 @@ from nightly_reasons import CHEAPER_TEST
 
 import rhi.conformance
 from rhi.__main__ import main
+from rhi.conformance.operation import test_compute
 from rhi.conformance.plugin import MISSING, Board, describe_next
 from rhi.conformance.port_steps import METHODS, STEPS, missing_method, step_of
 from rhi.conformance.template import write_package
@@ -65,9 +66,41 @@ def test_a_new_backend_fails_every_test_by_the_name_of_what_it_misses(tmp_path: 
     assert "NotImplementedError" not in output  # the scoreboard says it once
     assert len(output) < 2000
     assert output.rstrip().splitlines()[-1].startswith("91 missing")
-    assert output.splitlines().count("next: step 1, buffers (docs/porting.md)") == 1
+    assert output.splitlines().count("next: step 1, buffers (python -m rhi docs porting)") == 1
     last = output.rstrip().splitlines()[-2]  # behind it is only pytest's count
     assert last == "  write create_buffer: 91 tests stop there"
+
+
+def test_a_teardown_that_fails_because_of_a_missing_method_is_no_error(tmp_path: Path) -> None:
+    root = write_package("bare", tmp_path)
+    _, output = take_the_kit("rhi_bare:create_backend", root, "rhi.conformance.validation.test_scopes")
+    assert "ERROR" not in output
+    assert not re.search(r"\d errors?\b", output.rstrip().splitlines()[-1])
+
+
+@pytest.mark.nightly
+def test_the_numbers_of_the_guide_are_those_of_an_untouched_package(tmp_path: Path) -> None:
+    root = write_package("untouched", tmp_path)
+    _, output = take_the_kit("rhi_untouched:create_backend", root, "rhi.conformance")
+    assert "ERROR" not in output
+    assert not re.search(r"\d (errors?|failed)\b", output.rstrip().splitlines()[-1])
+    for line in re.findall(r"^  write \w+: \d+ tests stop there$", GUIDE, re.MULTILINE):
+        assert line in output
+    for group, failed in re.findall(r"^ \d (operation · \w+) +0 passed +(\d+) failed", GUIDE, re.MULTILINE):
+        assert re.search(rf"^ \d {group} +0 passed +{failed} failed", output, re.MULTILINE), group
+
+
+def test_the_guide_names_the_shaders_that_a_port_compiles_first() -> None:
+    """In the order of their classes in the module, which is that of the tests."""
+    table = GUIDE.partition("These are the first twelve programs")[2].partition("\n\n`descriptor.bindings`")[
+        0
+    ]
+    listed = re.findall(r"^- `([\w.]+)`: ", table, re.MULTILINE)
+    source = Path(test_compute.__file__).read_text(encoding="utf-8")
+    declared = re.findall(r"^class (\w+)\(sl\.Shader\)", source, re.MULTILINE)
+    assert len(listed) == 12
+    assert listed[:-1] == declared[:11]
+    assert listed[-1] == "image_copy.Copy"  # made from a text: the format is part of it
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
@@ -257,7 +290,7 @@ def test_the_earliest_step_is_next_with_the_methods_that_stop_most() -> None:
         )
     )
     assert group_names == [
-        "next: step 3, time and labels (docs/porting.md)",
+        "next: step 3, time and labels (python -m rhi docs porting)",
         "  write write_query: 2 tests stop there",
         "  write signal: 1 tests stop there",
     ]

@@ -19,6 +19,7 @@ from rhi.testing import (
     EffectPattern,
     assert_free,
     assert_same,
+    assert_stream_matches,
     binding_data,
     count_work,
     expect,
@@ -213,6 +214,18 @@ MISUSES: dict[str, tuple[Misuse, tuple[Any, ...]]] = {
     "assert_same": (lambda d, v: assert_same(d, v), NO_COMMANDS),
     "assert_same first": (lambda d, v: assert_same(v, d), NO_COMMANDS),
     "assert_same description": (lambda d, v: assert_same(d, d.stream[:1], description=v), (None, 3)),
+    "assert_stream_matches": (
+        lambda d, v: assert_stream_matches(v, "a.zip"),
+        (*NO_COMMANDS, rhi.create_device("null")),
+    ),
+    "assert_stream_matches part": (
+        lambda d, v: assert_stream_matches(v(d), "a.zip"),
+        (lambda d: d.stream[:], lambda d: frames(d)[0], lambda d: d.stream.draws()),
+    ),
+    "assert_stream_matches file": (
+        lambda d, v: assert_stream_matches(d, v),
+        (None, 3, "", b"a.zip", ["a.zip"], Flat, "a\0b", ".", "/", __file__ + "/a.zip", "x" * 5000),
+    ),
     "check_portability": (lambda d, v: check_portability(v), (None, 3, "frame", int, [])),
     "check_portability profiles": (
         lambda d, v: check_portability(lambda _: None, v),

@@ -10,6 +10,7 @@ from testing_kit import Corner, Light, SampleFrame
 
 import rhi
 from rhi import Device, Format
+from rhi.commands.recorder import Recorder
 from rhi.shading import Array, Shader, Storage, StorageRW, Struct, Uniform, array, global_id, mat3, vec3, vec4
 from rhi.testing import UnknownDataError, binding_data, expect
 from rhi.trace import load, save
@@ -232,7 +233,139 @@ def test_a_loaded_trace_says_that_it_has_no_layouts(sample_frame: SampleFrame, t
         binding_data(load(file).stream.draws()[-1], "tint")
 
 
-KINDS = ("write", "copy", "clear", "draw", "draw with a value", "forget")
+def _recorder(device: Device) -> Recorder:
+    recorder = device._backend  # type: ignore[attr-defined]
+    assert isinstance(recorder, Recorder)
+    return recorder
+
+
+class Doubling(Shader):
+    """Writes storage in a draw."""
+
+    powers: StorageRW[float]
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        self.powers[0] = 2.0 * self.powers[0]
+        return vec4(1.0)
+
+
+class WriteWays:
+    """Each method changes the bytes of `storage` in a way of its own."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.storage = device.storage(float, np.ones(4, np.float32))
+        self.other = device.storage(float, np.full(4, 3, np.float32))
+        self.texture = device.texture((4, 1), Format.R32F)
+        self.image = device.texture((4, 4), Format.RGBA8)
+        self.lights = device.storage(PointLight, np.ones(4, PointLight.dtype))
+        self.copying, self.doubling = device.program(Copying), device.program(Doubling)
+        self.triangle = device.mesh({"position": np.zeros((3, 2), np.float32)})
+
+    def written(self) -> None:
+        self.storage.write(np.zeros(4, np.float32))
+
+    def written_in_part(self) -> None:
+        self.storage.owner.write(np.float32([5]), 3)
+
+    def locked(self) -> None:
+        with self.storage.owner.lock(rhi.Access.WRITE) as bytes:
+            bytes[...] = 0
+
+    def copied(self) -> None:
+        self.other.write(np.full(4, 4, np.float32))
+        self.other.owner.copy_to(self.storage.owner)
+
+    def copied_from_a_texture(self) -> None:
+        self.texture.copy_to_buffer(self.storage.owner)
+
+    def dispatched(self) -> None:
+        self.device.dispatch(self.copying, 4, point_lights=self.lights, power=self.storage)
+
+    def dispatched_indirectly(self) -> None:
+        groups = self.device.storage(int, np.ones(3, np.int32))
+        self.device.dispatch_indirect(self.copying, groups, point_lights=self.lights, power=self.storage)
+
+    def submitted(self) -> None:
+        with self.device.record() as commands:
+            commands.dispatch(self.copying, 4, point_lights=self.lights, power=self.storage)
+        self.device.submit(commands)
+
+    def drawn(self) -> None:
+        with self.device.render_pass(self.image):
+            self.device.draw(self.doubling, self.triangle, powers=self.storage)
+
+    def drawn_many_times(self) -> None:
+        draws = self.triangle.draws(np.zeros(2, int), 3)
+        with self.device.render_pass(self.image):
+            self.device.draw_many(self.doubling, self.triangle, draws, powers=self.storage)
+
+
+WRITE_WAYS = [name for name, value in vars(WriteWays).items() if callable(value) and name[0] != "_"]
+
+
+@pytest.mark.parametrize("way", WRITE_WAYS)
+@pytest.mark.parametrize("is_cleared", [False, True])
+def test_bytes_that_change_while_paused_are_unknown(null_device: Device, way: str, is_cleared: bool) -> None:
+    ways = WriteWays(null_device)
+    if is_cleared:  # then all buffers are older than the stream
+        null_device.stream.clear()
+        ways.storage.write(np.ones(4, np.float32))
+    with _recorder(null_device).paused():
+        getattr(ways, way)()
+    null_device.dispatch(ways.copying, 1, point_lights=ways.lights, power=ways.storage)
+    dispatch = null_device.stream.filter(rhi.Op.DISPATCH)[-1]
+    byte = 12 if way == "written_in_part" else 0
+    with pytest.raises(UnknownDataError, match=f"byte {byte} of 'power' was written (while|on the device)"):
+        binding_data(dispatch, "power")
+    ways.storage.write(np.full(4, 7, np.float32))  # recorded again, so they are known
+    null_device.dispatch(ways.copying, 1, point_lights=ways.lights, power=ways.storage)
+    assert binding_data(null_device.stream.filter(rhi.Op.DISPATCH)[-1], "power").tolist() == [7] * 4
+
+
+@pytest.mark.parametrize("name", ["clear", "create"])
+def test_zeros_written_while_paused_are_known(null_device: Device, name: str) -> None:
+    ways = WriteWays(null_device)
+    storage = ways.storage
+    with _recorder(null_device).paused():
+        if name == "clear":
+            storage.owner.clear()
+        else:
+            storage = null_device.storage(float, 4)
+    null_device.dispatch(ways.copying, 1, point_lights=ways.lights, power=storage)
+    assert binding_data(null_device.stream.filter(rhi.Op.DISPATCH)[-1], "power").tolist() == [0] * 4
+
+
+def test_repeated_draws_while_paused_take_no_memory(null_device: Device) -> None:
+    sample_frame = SampleFrame(null_device)
+    with _recorder(null_device).paused(), null_device.render_pass(depth=sample_frame.map):
+        null_device.draw(sample_frame.shadow, sample_frame.walls, light=sample_frame.light)
+        before = len(null_device.stream._gaps)
+        for _ in range(100):
+            null_device.draw(sample_frame.shadow, sample_frame.walls, light=sample_frame.light)
+        assert len(null_device.stream._gaps) == before
+
+
+def test_an_expectation_is_used_again_after_the_stream_was_cleared(sample_frame: SampleFrame) -> None:
+    device = sample_frame.device
+    lit = expect(device).draws().with_data("light", Light(offset=(1, 0, 0, 0)))
+    for length, (x, number) in enumerate([(1.0, 1), (2.0, 0), (1.0, 1)]):
+        device.stream.clear()
+        sample_frame.light.write(Light(offset=(x, 0, 0, 0)))
+        for _ in range(10 * length):  # so the draw comes after all that the last stream had
+            device.signal()
+        with device.render_pass(depth=sample_frame.map):
+            device.draw(sample_frame.shadow, sample_frame.roof, light=sample_frame.light)
+        lit.exactly(number)
+
+
+KINDS = (
+    *("write", "copy", "clear", "draw", "draw with a value", "forget"),
+    *("write while paused", "copy while paused", "draw while paused"),
+)
 
 
 @settings(max_examples=40)
@@ -249,6 +382,18 @@ def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int
                 if kind == "write":
                     lights[which].write(Light(offset=(number, 1, 2, 3)))
                     is_known[which] = True
+                elif kind == "write while paused":
+                    with _recorder(device).paused():
+                        lights[which].write(Light(offset=(number, 1, 2, 3)))
+                    is_known[which] = False
+                elif kind == "copy while paused":
+                    target = (which + 1) % 3
+                    with _recorder(device).paused():
+                        lights[which].owner.copy_to(lights[target].owner, size=8, offset=4, target_offset=0)
+                    is_known[target, :8] = is_known[which, 4:12]
+                elif kind == "draw while paused":
+                    with _recorder(device).paused():
+                        device.draw(sample_frame.shadow, sample_frame.walls, light=lights[which])
                 elif kind == "copy":
                     target = (which + 1) % 3
                     lights[which].owner.copy_to(lights[target].owner, size=8, offset=4, target_offset=0)

@@ -120,6 +120,16 @@ class Buffers:
             cl.enqueue_copy(self._queue, data, memory.cl, src_offset=offset)
         return data.tobytes()
 
+    def host_memory(self, buffer: Id) -> NDArray[np.uint8] | None:
+        """Wait for the queue, and return the memory that kernels write; None if it isn't the host's."""
+        if not self._context.shares_memory:
+            return None
+        self._queue.finish()
+        memory = self._buffers[buffer]
+        host: Any = memory.cl.hostbuf
+        view: NDArray[np.uint8] = host[: memory.size]
+        return view
+
     def get_cpu_copy(self, buffer: Id) -> NDArray[np.uint8] | None:
         """Return the host's copy of a buffer, reading it back once; None if the device may have written the
         buffer."""

@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from rhi.errors import DeviceError
+from rhi.errors.rules import PLOT_LIBRARY
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -148,9 +151,16 @@ class ActivityTimeline:
         return self.format()
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Plot the timeline, and save the plot to `path` if given. Needs matplotlib."""
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Patch
+        """Plot the timeline, and save the plot to `path` if given.
+
+        Raises:
+            DeviceError: `plot-library` without matplotlib.
+        """
+        try:
+            from matplotlib.figure import Figure
+            from matplotlib.patches import Patch
+        except ImportError:
+            raise DeviceError(PLOT_LIBRARY, "timeline.plot", "matplotlib is missing") from None
 
         scale, unit = _time_unit(self.end)
         figure = Figure(figsize=(10, 2.6), layout="constrained")
