@@ -382,16 +382,15 @@ class Renderer:
         if self._animation_step:
             seconds = count_steps(seconds, self._animation_step) * self._animation_step
         self.scene.seconds = seconds
-        expected = self.simulator.drawn_objects
-        self.simulator.begin_frame(seconds)
+        simulator = resources.simulator
+        expected = simulator.drawn_objects
+        simulator.begin_frame(seconds)
         self.scene.refresh()
-        self.simulator.slow_down(around, self._targets.size[1], self._animation_lag)
+        simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
         resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
-        resources.simulate_expected(
-            around, expected, self.simulator.diverging if self.simulates_hidden else None
-        )
+        resources.simulate_expected(around, expected, simulator.diverging if self.simulates_hidden else None)
         effects = self._collect_effects(around, self._recent_features.choose_shader_features(around))
         plan = self._plan(effects)
         if plan is not self._last_plan:
@@ -426,9 +425,10 @@ class Renderer:
             with device.event("both eyes"):
                 image = pair.show(*frames)
         self.show(image)
-        counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
-        counters["simulation_steps"] = self.simulator.steps
-        counters["skipped_simulations"] = len(self.simulator) - self.simulator.drawn_count
+        counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS} | {
+            "simulation_steps": simulator.steps,
+            "skipped_simulations": len(simulator) - simulator.drawn_count,
+        }
         result = FrameResult(
             image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
         )

@@ -12,6 +12,7 @@ same arguments.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import Any, Final
 
 import numpy as np
@@ -97,11 +98,11 @@ class FrameBatch:
             self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
         if parts is not self._written:  # other passes and the second eye draw the same
             self._counts = [-(-len(part) // _STEP) * _STEP for part in parts]
-            self._starts = np.cumsum([0, *self._counts]).tolist()
-            object_indices = np.full(self._starts.pop(), len(draws))
+            *self._starts, count = accumulate(self._counts, initial=0)
+            object_indices = np.full(count, len(draws))
             for part, start in zip(parts, self._starts, strict=True):
                 object_indices[start : start + len(part)] = part
-            if not np.array_equal(object_indices, self._rows):
+            if object_indices.tobytes() != self._rows.tobytes():
                 self._buffer.write(self._with_nothing[object_indices])
                 self._rows = object_indices
             self._written = parts

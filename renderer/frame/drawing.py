@@ -229,8 +229,9 @@ class TechniqueDrawer:
     def key(self) -> tuple[object, ...]:
         """The values that the pass's commands depend on, besides the objects."""
         color = self._color
+        programs = [value for bound in self._programs for value in (bound.program, *bound.bindings.values())]
         return (
-            *(value for bound in self._programs for value in (bound.program, *bound.bindings.values())),
+            *programs,
             *(color if isinstance(color, list) else (color,)),
             self.depth,
             self._clear,
@@ -379,7 +380,7 @@ class TechniqueDrawer:
     def _sort(self, object_indices: NDArray[np.int64]) -> NDArray[np.int64]:
         """The objects, sorted front to back."""
         if len(object_indices) > 1:
-            object_indices = object_indices[np.argsort(self._farthest_depths(object_indices), kind="stable")]
+            object_indices = object_indices[self._farthest_depths(object_indices).argsort(kind="stable")]
         return object_indices
 
     def _farthest_depths(self, object_indices: NDArray[np.int64]) -> NDArray[np.float64]:

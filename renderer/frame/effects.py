@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -210,7 +211,7 @@ class EffectSources:
     layers: TransparentLayers
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class FrameEffects:
     """The effects that one frame needs, with their reasons.
 
@@ -278,7 +279,7 @@ class FrameEffects:
         """Whether the scene has lights that cast shadows, in view or not: their maps are kept."""
         return any(self.counts[effect] for effect in SHADOW_EFFECTS)
 
-    @property
+    @cached_property
     def key(self) -> tuple[object, ...]:
         """All that a technique's declaration depends on."""
         return (
@@ -349,7 +350,9 @@ def collect_frame_effects(
         widest: the color format with the most bits that the device blends.
         last: what the last frame of the scene needed: it is returned again if nothing has changed.
     """
-    lights = scene.lights.without_dark() if lights is None else lights
+    if lights is None:
+        scene.lights.refresh()
+        lights = scene.lights.without_dark()
     sources = _collect_effect_sources(scene, lights, None if last is None else last.sources)
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
     in_view |= {
@@ -371,18 +374,18 @@ def collect_frame_effects(
         VisibleFeatures(scene).collect(camera) if visible_features is None else visible_features
     )
     air = frozenset(
-        effect
-        for effect, is_seen in ((Effect.HAZE, is_haze_seen), (Effect.FOG, is_fog_seen))
-        if sources.counts[effect] and not is_seen(scene, camera)
+        [
+            effect
+            for effect, is_seen in ((Effect.HAZE, is_haze_seen), (Effect.FOG, is_fog_seen))
+            if sources.counts[effect] and not is_seen(scene, camera)
+        ]
     )
     same = (sources, blending, bloom, visible_features, air)
     if (
         last is not None
         and same == (last.sources, last.blending, last.bloom, last.visible_features, last.unseen_air)
-        and all(
-            object_indices.tobytes() == last.in_view[effect].tobytes()
-            for effect, object_indices in in_view.items()
-        )
+        and [indices.tobytes() for indices in in_view.values()]
+        == [last.in_view[effect].tobytes() for effect in in_view]
     ):
         return last
     for effect, row in LOCAL_LIGHTS.items():
@@ -430,7 +433,6 @@ def _layers_format(
 
 def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | None) -> EffectSources:
     """Find what may cause effects, or return what was found last if the scene is as it was."""
-    lights.refresh()
     state = (
         scene.material_version,
         len(scene.materials),

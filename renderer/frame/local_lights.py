@@ -154,10 +154,6 @@ class LocalLightBuffers:
             reaching: for each kind, whether any of its lights is needed.
             views: the constants of two eyes on the device.
         """
-        needed = [
-            lights.of_kind(kind) if is_needed else lights.of_kind(kind)[:0]
-            for kind, is_needed in zip(LOCAL_LIGHT_KINDS, reaching, strict=True)
-        ]
         runs = self._device.capabilities.compute and len(eyes) > 1
         state = runs, reaching, lights.local_snapshot, *(views if runs else ())
         is_new = state != self._state
@@ -165,6 +161,10 @@ class LocalLightBuffers:
             if self._runs and not runs:
                 self._stop_kernels()
             self._runs = runs
+            needed = [
+                lights.of_kind(kind) if is_needed else lights.of_kind(kind)[:0]
+                for kind, is_needed in zip(LOCAL_LIGHT_KINDS, reaching, strict=True)
+            ]
             self._pack(needed)
             self._write_radii(needed)
             self._state = state

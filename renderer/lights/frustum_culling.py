@@ -24,7 +24,7 @@ def select_lights_in_view(planes: Floats, positions: Floats, ranges: Floats) -> 
     if not len(positions):
         return np.zeros(0, np.int64)
     offsets = planes[:, 3]
-    reach = ranges + _MARGIN * (np.abs(positions).sum(1) + ranges)
+    reach = ranges + _MARGIN * (np.add.reduce(np.abs(positions), axis=1) + ranges)
     distance = positions @ planes[:, :3].T
     distance += offsets + _MARGIN * np.abs(offsets)
-    return np.flatnonzero((distance >= -reach[:, None]).all(1))
+    return np.logical_and.reduce(distance >= -reach[:, None], axis=1).nonzero()[0]

@@ -23,7 +23,7 @@ _LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, a
 def check_finite(call: str, **values: ArrayLike) -> None:
     """Refuse values that aren't finite: `scene-not-finite`."""
     for name, value in values.items():
-        if not np.isfinite(value).all():
+        if not np.logical_and.reduce(np.isfinite(value), axis=None):
             refuse(rules.NOT_FINITE, f"{call}: {name}", value, "finite numbers")
 
 

@@ -13,13 +13,16 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS, AllLightArrays
+
+KIND_NAMES: Final = tuple(kind.name for kind in LIGHT_KINDS)
+"""The names of the kinds of lights, which are those of their arrays in `Lights`."""
 
 
 @dataclass(eq=False)
@@ -55,7 +58,7 @@ class Lights(AllLightArrays):
 
     def refresh(self) -> None:
         """Update `snapshot` if lights have changed."""
-        snapshot = tuple(self.of_kind(kind).tobytes() for kind in LIGHT_KINDS)
+        snapshot = tuple([getattr(self, name).tobytes() for name in KIND_NAMES])
         if snapshot != self.snapshot:
             self.snapshot = snapshot
 

@@ -18,14 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.light_kinds.arrays import check_lights
-from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.height_fields import HeightField
-from renderer.scene.lights import Lights
+from renderer.scene.lights import KIND_NAMES, Lights
 from renderer.scene.material_instances import (
     CustomShader,
     MaterialTable,
@@ -384,7 +383,7 @@ class Scene:
         of range; they may be written to at any time."""
         lights = self.lights
         air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
-        checked = {kind.name: lights.of_kind(kind) for kind in LIGHT_KINDS}
+        checked = {name: getattr(lights, name) for name in KIND_NAMES}
         others = {"materials": self.materials, "sky, ground, background, haze": air}
         self._finite.check(call, checked | others, dict.fromkeys(checked, check_lights))
 

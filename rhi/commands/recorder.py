@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import linecache
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from types import CodeType, MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -23,6 +23,9 @@ from rhi.contract.backend import Backend, Capabilities
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
 from rhi.errors.call_sites import MARK, MARKED, mark_library
 from rhi.errors.device_objects import DeviceObject
+
+RepeatableCommand = tuple[tuple[Any, ...] | None, Callable[..., object], tuple[Any, ...]]
+"""A command's entry in the stream, or None, and a call with its arguments."""
 
 
 class CommandMethods(DeviceObject):
@@ -36,11 +39,13 @@ class CommandMethods(DeviceObject):
     Attributes:
         METHOD: the body of each generated method.
         GLOBALS: the global names that the body uses, besides Python's builtins. It sees no others.
+        GENERATED: the names of the methods that were generated.
     """
 
     __slots__ = ()
 
     METHOD: ClassVar[str]
+    GENERATED: ClassVar[frozenset[str]]
     GLOBALS: ClassVar[Mapping[str, object]] = MappingProxyType({})
 
     def __init_subclass__(cls) -> None:
@@ -50,7 +55,9 @@ class CommandMethods(DeviceObject):
         mark_library()
         if hasattr(sys.modules[cls.__module__], MARK):
             namespace[MARK] = True  # else the generated frames would pass for the user's
-        for name, method in _make_methods(cls, namespace).items():
+        methods = _make_methods(cls, namespace)
+        cls.GENERATED = frozenset(methods)
+        for name, method in methods.items():
             setattr(cls, name, method)
 
     if TYPE_CHECKING:  # the methods that __init_subclass__ generates
@@ -252,22 +259,29 @@ class Recorder(ForwardingBackend):
 
     def forward(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
         """Record a command that was called elsewhere, with its own call site, and forward it."""
-        self.repeat(*self.prepare(op, arguments, code, offset))
+        self.repeat([self.prepare(op, arguments, code, offset)])
 
     def prepare(
         self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int
-    ) -> tuple[Any, ...]:
-        """Return arguments for `repeat`, which can be called many times with them, in half the time of
-        `forward`."""
+    ) -> RepeatableCommand:
+        """Return a command for `repeat`, which takes less time than `forward` from the second call on."""
         return (int(op), *arguments, code, offset), *resolve_call(self.backend, op, arguments, code, offset)
 
-    def repeat(self, entry: tuple[Any, ...], call: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        """Record a command as the stream has it, and forward it."""
-        self._write(entry)
+    def repeat(self, commands: Iterable[RepeatableCommand]) -> None:
+        """Record commands as the stream has them, and forward them. A command without an entry is only
+        called: it records itself.
+
+        If a command raises, those after it stay in the iterator.
+        """
+        entry: tuple[Any, ...] | None = None
         try:
-            call(*arguments)
+            for entry, call, arguments in commands:
+                if entry is not None:
+                    self._write(entry)
+                call(*arguments)
         except BaseException as error:
-            self._fail(error)
+            if entry is not None:
+                self._fail(error)
             raise
 
     @contextmanager
@@ -294,8 +308,8 @@ class Recorder(ForwardingBackend):
 def forward(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
     """Call a backend's command that was called elsewhere, with its call site if the backend has a `forward`
     method."""
-    call, given = resolve_call(backend, op, arguments, code, offset)
-    call(*given)
+    call, call_arguments = resolve_call(backend, op, arguments, code, offset)
+    call(*call_arguments)
 
 
 def resolve_call(
@@ -303,6 +317,7 @@ def resolve_call(
 ) -> tuple[Callable[..., object], tuple[Any, ...]]:
     """Return the method that `forward` calls, and its arguments."""
     with_site = getattr(backend, "forward", None)
-    if with_site is None:
-        return getattr(backend, op.method), arguments
-    return with_site, (op, arguments, code, offset)
+    if with_site is not None:
+        return with_site, (op, arguments, code, offset)
+    resolve = getattr(backend, "resolve_command", None)
+    return resolve(op, arguments) if resolve is not None else (getattr(backend, op.method), arguments)

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.commands.ops import END_OPS, WIDTHS, Op
-from rhi.commands.recorder import CommandWriter, Recorder
+from rhi.commands.recorder import CommandWriter, Recorder, RepeatableCommand
 from rhi.commands.stream import CommandStream, call_site_at
 from rhi.contract.descriptors import BufferDescriptor, Id, Region
 from rhi.contract.interrupts import DeferredInterrupts
@@ -53,8 +53,6 @@ from rhi.device.transient import TransientMemory
 from rhi.errors import RhiError, rules
 from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.call_sites import find_user_frame
-
-PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
 _EMPTY = "not recorded"
 _RECORDING = "being recorded"
@@ -82,7 +80,7 @@ class CommandBuffer(Encoder):
         self.label = label
         self._state = _EMPTY
         self._programs: dict[Program[...], RecordedProgram] = {}
-        self._calls: list[PreparedCall] | None = None
+        self._calls: list[RepeatableCommand] | None = None
         self._first_change: int | None = (
             None  # index of the first command that sets states, if no draw comes before it
         )
@@ -320,8 +318,11 @@ class CommandBuffer(Encoder):
             device.send_states(_DEFAULTS)
         calls = iter(self._calls)
         try:
-            for call, arguments in calls:
-                call(*arguments)
+            if isinstance(backend := device.backend, Recorder):
+                backend.repeat(calls)
+            else:
+                for _, call, arguments in calls:
+                    call(*arguments)
             if self._first_change is not None or self._draws_with_defaults:
                 device.adopt_states(core.states.hardware.values)
         except BaseException as error:
@@ -365,7 +366,7 @@ class CommandBuffer(Encoder):
                 data.cache_vertex_array(program, program.id, vertex_array)
                 del core.vertex_arrays[key]
 
-    def _prepare_calls(self) -> list[PreparedCall]:
+    def _prepare_calls(self) -> list[RepeatableCommand]:
         """Return the commands as calls with their arguments. The first change of states starts from the
         hardware's states at execution and leads to the recorded ones."""
         device, stream = self._recorder.device, self.stream
@@ -376,17 +377,17 @@ class CommandBuffer(Encoder):
             (changes,) = stream[first].values
             self._later_changes -= len(changes)
             vector = StateVector(tuple(stream.context(first + 1).states.values()))
-            calls[first] = device.send_states, (vector,)
+            calls[first] = None, device.send_states, (vector,)
         return calls
 
-    def _prepare_commands(self) -> list[PreparedCall]:
+    def _prepare_commands(self) -> list[RepeatableCommand]:
         """Return the commands as calls of the backend."""
         device, data = self._recorder.device, self.stream.data
         backend = device.backend
         if isinstance(backend, Recorder):
             stream = self.stream
-            return [(backend.repeat, backend.prepare(*stream.entry(index))) for index in range(len(stream))]
-        calls: list[PreparedCall] = []
+            return [backend.prepare(*stream.entry(index)) for index in range(len(stream))]
+        calls: list[RepeatableCommand] = []
         tests_alpha, program = False, 0
         methods: list[Callable[..., object]] = [getattr(backend, op.method) for op in Op]
         draws: dict[tuple[Any, ...], Callable[[int], object]] = {}
@@ -403,16 +404,16 @@ class CommandBuffer(Encoder):
                 draw = draws.get(key)
                 if draw is None:
                     draw = draws[key] = device.prepare_draw(*key)
-                calls.append((draw, (instances,)))
+                calls.append((None, draw, (instances,)))
             elif op == Op.BIND_UNIFORM:
                 slot, buffer, offset, size = data[first : position - 2]
                 bind = uniforms.get(buffer)
                 if bind is None:
                     bind = uniforms[buffer] = device.prepare_uniform(buffer)
-                calls.append((bind, (slot, offset, size)))
+                calls.append((None, bind, (slot, offset, size)))
             else:
                 arguments = tuple(data[first : position - 2])
-                calls.append((methods[op], arguments))
+                calls.append((None, methods[op], arguments))
                 if op == Op.BIND_PROGRAM:
                     program = arguments[0]
                 elif op == Op.SET_STATES:

@@ -38,15 +38,25 @@ class Containment(IntEnum):
 def classify(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.uint8]:
     """Return (n,) of `Containment`: the positions of boxes (n, 3) relative to `planes` (p, 4) with unit
     normals inward, or each relative to planes of its own (n, p, 4)."""
+    before, reach, margin = _measure(planes, lower, upper)
+    inside = (before - reach >= margin).all(axis=1)
+    side = np.where(inside, Containment.INSIDE, Containment.CROSSING)
+    return np.where(_is_outside(before, reach, margin), Containment.OUTSIDE, side).astype(np.uint8)
+
+
+def _measure(planes: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the signed distance of the centre of each box from each plane (n, p), the box's reach along the
+    normal, and the margin of both."""
     normals, offsets = planes[..., :3], planes[..., 3]
     before = _project(normals, 0.5 * lower + 0.5 * upper) + offsets
     reach = _project(np.abs(normals), 0.5 * upper - 0.5 * lower)
-    scale = np.maximum(np.abs(lower), np.abs(upper)).sum(axis=1)
-    margin = _MARGIN * (scale[:, None] + reach + np.abs(offsets))
-    inside = (before - reach >= margin).all(axis=1)
-    outside = (before + reach < -margin).any(axis=1)
-    side = np.where(inside, Containment.INSIDE, Containment.CROSSING)
-    return np.where(outside, Containment.OUTSIDE, side).astype(np.uint8)
+    scale = np.add.reduce(np.maximum(np.abs(lower), np.abs(upper)), axis=1)
+    return before, reach, _MARGIN * (scale[:, None] + reach + np.abs(offsets))
+
+
+def _is_outside(before: Floats, reach: Floats, margin: Floats) -> NDArray[np.bool_]:
+    """Whether each box (n,) that was measured lies outside of one of its planes."""
+    return np.asarray(np.logical_or.reduce(before + reach < -margin, axis=1))
 
 
 def _project(normals: Floats, vectors: Floats) -> Floats:
@@ -65,8 +75,8 @@ def select_inside(scene: Scene, planes: Floats, object_indices: Indices) -> Indi
     """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside of
     `planes` (p, 4)."""
     object_indices = scene.objects.select_shown(object_indices)
-    side = classify(planes, scene.objects.lower[object_indices], scene.objects.upper[object_indices])
-    return np.asarray(object_indices.take(np.flatnonzero(side != Containment.OUTSIDE)))
+    lower, upper = scene.objects.lower[object_indices], scene.objects.upper[object_indices]
+    return object_indices[~_is_outside(*_measure(planes, lower, upper))]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -181,6 +181,16 @@ class NullBackend(CommandMethods):
         if self._queued_bytes > QUEUED_BYTES:
             self._run()
 
+    def resolve_command(
+        self, op: Op, arguments: tuple[Any, ...]
+    ) -> tuple[Callable[..., object], tuple[Any, ...]]:
+        """Return a call that does what a command's method does with these arguments. Where the method only
+        appends to the queue, it is the queue's own method: commands that are submitted again and again then
+        run no Python code here."""
+        name = op.method
+        is_queued = name in NullBackend.GENERATED and getattr(type(self), name) is getattr(NullBackend, name)
+        return (self._enqueue, ((op, *arguments),)) if is_queued else (getattr(self, name), arguments)
+
     # -- calls that execute the queue ----------------------------------------------------------------------
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:

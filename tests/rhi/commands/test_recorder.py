@@ -307,3 +307,50 @@ def test_generated_methods_see_the_names_that_their_class_declares_and_no_others
     assert backend.calls == [3]
     assert set(kind.dispatch.__globals__) == {"__name__", "__builtins__", "count_of"}
     assert kind.dispatch.__module__ == __name__
+
+
+def test_repeated_commands_are_written_down_and_passed_on_each_time():
+    inner = Listener()
+    recorder = Recorder(inner)
+    commands = [
+        recorder.prepare(Op.PUSH_LABEL, ("a",), None, -1),
+        recorder.prepare(Op.POP_LABEL, (), None, -1),
+    ]
+    recorder.repeat(commands)
+    recorder.repeat(commands)
+    assert [command.op for command in recorder.stream] == [Op.PUSH_LABEL, Op.POP_LABEL] * 2
+    assert [name for name, _ in inner.calls] == ["push_label", "pop_label"] * 2
+
+
+def test_a_repeated_command_without_an_entry_is_only_called():
+    inner = Listener()
+    recorder = Recorder(inner)
+    recorder.repeat([(None, inner.push_label, ("a",))])
+    assert len(recorder.stream) == 0
+    assert inner.calls == [("push_label", ("a",))]
+
+
+def test_a_repeated_command_that_fails_is_marked_and_leaves_those_after_it():
+    recorder = Recorder(Broken(DeviceError(DEVICE_MEMORY, "push_label", "")))
+    commands = iter([recorder.prepare(Op.PUSH_LABEL, (label,), None, -1) for label in "abc"])
+    with pytest.raises(DeviceError):
+        recorder.repeat(commands)
+    assert [command.failure.error for command in recorder.stream] == [DEVICE_MEMORY.id]
+    assert len(list(commands)) == 2
+
+
+def test_the_null_backend_queues_a_repeated_command_as_its_method_does():
+    by_method, repeated = create_backend(), create_backend()
+    by_method.push_label("a")
+    call, arguments = repeated.resolve_command(Op.PUSH_LABEL, ("a",))
+    call(*arguments)
+    assert repeated._queue == by_method._queue
+
+
+def test_a_command_that_the_null_backend_does_itself_is_not_queued():
+    backend = create_backend()
+    backend.create_buffer(1, descriptors.BufferDescriptor(4, descriptors.BufferUsage.STREAM))
+    call, arguments = backend.resolve_command(Op.WRITE_BUFFER, (1, 0, b"abcd"))
+    call(*arguments)
+    assert backend._queue == []
+    assert backend.read_buffer(1, 0, 4) == b"abcd"
