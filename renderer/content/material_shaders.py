@@ -44,7 +44,7 @@ class Parallax(MaterialShader):
         """Return the texture coordinates at which the ray from the eye meets the heights."""
         tangent = safe_normalize(at.tangent.xyz)
         up = sl.cross(at.normal, tangent) * (-1.0 if at.tangent.w < 0.0 else 1.0)
-        to_eye = safe_normalize(-at.position)
+        to_eye = self.direction_to_eye(at.position)
         steepness = sl.max(sl.dot(to_eye, at.normal), _FLAT)
         # The v of images counts down, so it falls along the bitangent.
         along = sl.vec2(-sl.dot(to_eye, tangent), sl.dot(to_eye, up)) / steepness

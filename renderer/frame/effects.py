@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
-from renderer.frame.thin_air import is_fog_seen, is_haze_seen
+from renderer.frame.thin_air import is_fog_seen, is_haze_seen, is_sky_fogged
 from renderer.frame.transparent_layers import TransparentLayers
 from renderer.frame.visible_features import VisibleFeatures
 from renderer.light_kinds.kind import LocalLightKind
@@ -230,6 +230,7 @@ class FrameEffects:
         layers_format: the format that transparent objects are added up in; None if they are blended to the
             image itself.
         unseen_air: haze and fog that change nothing in the view.
+        has_fogged_sky: whether fog changes the background.
         sources: what of this doesn't depend on the view.
         visible_features: those of surfaces that shaders have.
     """
@@ -245,6 +246,7 @@ class FrameEffects:
     sources: EffectSources
     visible_features: frozenset[str]
     unseen_air: frozenset[Effect]
+    has_fogged_sky: bool
     layers_format: Format | None
 
     @property
@@ -289,6 +291,7 @@ class FrameEffects:
             self.has_shadow_casters,
             self.blending,
             self.bloom,
+            self.has_fogged_sky,
             self.layers_format,
         )
 
@@ -352,7 +355,7 @@ def collect_frame_effects(
     """
     if lights is None:
         scene.lights.refresh()
-        lights = scene.lights.without_dark()
+        lights = scene.lights.without_dark(scene.strongest_response())
     sources = _collect_effect_sources(scene, lights, None if last is None else last.sources)
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
     in_view |= {
@@ -380,10 +383,20 @@ def collect_frame_effects(
             if sources.counts[effect] and not is_seen(scene, camera)
         ]
     )
-    same = (sources, blending, bloom, visible_features, air)
+    has_fogged_sky = bool(sources.counts[Effect.FOG]) and Effect.FOG not in air
+    has_fogged_sky = has_fogged_sky and is_sky_fogged(scene, camera)
+    same = (sources, blending, bloom, visible_features, air, has_fogged_sky)
     if (
         last is not None
-        and same == (last.sources, last.blending, last.bloom, last.visible_features, last.unseen_air)
+        and same
+        == (
+            last.sources,
+            last.blending,
+            last.bloom,
+            last.visible_features,
+            last.unseen_air,
+            last.has_fogged_sky,
+        )
         and [indices.tobytes() for indices in in_view.values()]
         == [last.in_view[effect].tobytes() for effect in in_view]
     ):
@@ -416,6 +429,7 @@ def collect_frame_effects(
         sources,
         visible_features,
         air,
+        has_fogged_sky,
         _layers_format(sources, in_view[Effect.TRANSPARENCY], blending, image, widest),
     )
 

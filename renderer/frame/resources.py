@@ -426,9 +426,11 @@ class SceneResources:
     @property
     def lights(self) -> Lights:
         """The scene's lights that shine; with a `light_cutoff`, they end where their light is fainter."""
-        key = self.scene.lights.snapshot, self.light_cutoff
+        scene = self.scene
+        response = scene.strongest_response() if scene.lights.has_faint else 1.0
+        key = scene.lights.snapshot, self.light_cutoff, response
         if self._chosen_lights[0] != key:
-            lights = self.scene.lights.without_dark()
+            lights = scene.lights.without_dark(response)
             self._chosen_lights = key, lights.with_cutoff(self.light_cutoff) if self.light_cutoff else lights
         return self._chosen_lights[1]
 

@@ -12,9 +12,18 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Fog, Scene
+from renderer.scene.arrays import Floats
+from renderer.scene.negligible import LEAST_LIGHT
+from rhi.math import is_parallel
 
 HALF_LEVEL: Final = 0.5 / 255.0
 """Half a level of an 8-bit image, whose channels are from 0 to 1."""
+
+_LEAST_LINEAR: Final = HALF_LEVEL / 12.92
+"""Half a level as a linear color from 0 to 1: sRGB raises dark colors by 12.92."""
+
+_BRIGHTEST_FOG: Final = 12.0
+"""More light than any color of fog is seen as: at 12, tones reach white."""
 
 _THIN: Final = 1e-5
 """The density per metre below which it is asked how far the view reaches. Denser air counts: most frames ask
@@ -28,7 +37,7 @@ def is_haze_seen(scene: Scene, camera: Camera) -> bool:
     """Return whether haze changes the color of any surface by more than half a level."""
     if scene.haze >= _THIN:
         return True
-    return bool(1.0 - np.exp(-scene.haze * _farthest(scene, camera)) > _threshold(scene))
+    return bool(-np.expm1(-scene.haze * _farthest(scene, camera)) > _threshold(scene, _LEAST_LINEAR))
 
 
 def is_fog_seen(scene: Scene, camera: Camera) -> bool:
@@ -40,20 +49,30 @@ def is_fog_seen(scene: Scene, camera: Camera) -> bool:
     eye = float(camera.position[1])
     if fog.density * np.exp(-min(fog.falloff * (eye - fog.base), _MAX_EXPONENT)) >= _THIN:
         return True
-    threshold = _threshold(scene)
-    lowest = min(eye, float(scene.bounds[0][1]))
-    if 1.0 - np.exp(-_density(fog, lowest) * _farthest(scene, camera)) > threshold:
+    threshold = _threshold(scene, LEAST_LIGHT / _BRIGHTEST_FOG)
+    start = _lowest_start(camera)
+    lowest = min(start, float(scene.bounds[0][1]))
+    if -np.expm1(-_density(fog, lowest) * _farthest(scene, camera)) > threshold:
         return True
-    if np.abs(np.subtract(fog.color, scene.background)).max() <= threshold:
+    return is_sky_fogged(scene, camera)
+
+
+def is_sky_fogged(scene: Scene, camera: Camera) -> bool:
+    """Return whether fog changes the background by more than half a level."""
+    fog = scene.fog
+    if fog is None or np.abs(np.subtract(fog.color, scene.background)).max() <= _threshold(
+        scene, _LEAST_LINEAR
+    ):
         return False
+    threshold, start = _threshold(scene, LEAST_LIGHT / _BRIGHTEST_FOG), _lowest_start(camera)
     # Light from infinitely far away gets through where rays leave the fog upwards.
     rise = fog.falloff * _least_rise(camera)
-    return bool(rise <= 0.0 or 1.0 - np.exp(-_density(fog, eye) / rise) > threshold)
+    return bool(rise <= 0.0 or -np.expm1(-_density(fog, start) / rise) > threshold)
 
 
-def _threshold(scene: Scene) -> float:
-    """Return the share of light that makes no difference. Light that blooms may be of any strength."""
-    return HALF_LEVEL if scene.bloom is None else 0.0
+def _threshold(scene: Scene, share: float) -> float:
+    """Return the `share` of light that makes no difference. Light that blooms may be of any strength."""
+    return share if scene.bloom is None else 0.0
 
 
 def _farthest(scene: Scene, camera: Camera) -> float:
@@ -67,9 +86,27 @@ def _density(fog: Fog, height: float) -> float:
     return float(fog.density * np.exp(min(-fog.falloff * (height - fog.base), _MAX_EXPONENT)))
 
 
+def _lowest_start(camera: Camera) -> float:
+    """Return the height at which the lowest ray of a view begins: the eye's, or with a parallel projection
+    that of a corner of the image in the eye's plane."""
+    eye = float(camera.position[1])
+    if not is_parallel(camera.projection):
+        return eye
+    points, rays = _rays_of_border(camera)
+    starts = points - rays * ((points @ camera.forward) / (rays @ camera.forward))[:, None]
+    return eye + float(starts[:, 1].min())
+
+
 def _least_rise(camera: Camera) -> float:
     """Return the sine of the lowest elevation of all rays of a view: that of a corner, or of an edge between
     two."""
+    rays = _rays_of_border(camera)[1]
+    return float((rays[:, 1] / np.linalg.norm(rays, axis=1)).min())
+
+
+def _rays_of_border(camera: Camera) -> tuple[Floats, Floats]:
+    """Return points (k, 3) relative to the eye on rays through the border of the image, and the directions
+    (k, 3) of these rays, away from the eye."""
     matrix = np.linalg.inv(camera.relative_view_projection)
     edge = np.linspace(-1.0, 1.0, 33)
     sides = [np.stack(np.broadcast_arrays(edge, side), 1) for side in (-1.0, 1.0)]
@@ -79,5 +116,4 @@ def _least_rise(camera: Camera) -> float:
     ]
     near, far = (points[:, :3] / points[:, 3:] for points in ends)
     rays = far - near
-    rays *= np.sign(rays @ camera.forward)[:, None]
-    return float((rays[:, 1] / np.linalg.norm(rays, axis=1)).min())
+    return near, rays * np.sign(rays @ camera.forward)[:, None]

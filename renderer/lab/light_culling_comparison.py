@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Frame, FrameEffects, FramePass, Target
+from renderer.frame.pixel_rays import compute_pixel_rays
 from renderer.lab.comparison import Record, Subject, compare, median_of, time
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.lights.culling.cells import ClusterGrid, block_cell, slice_start
@@ -36,7 +37,6 @@ from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats, list_ranges
 from renderer.techniques.parts.bloom import bloom_passes
 from renderer.techniques.parts.depth import draw_depth
-from renderer.techniques.parts.full_screen import compute_pixel_rays
 from renderer.techniques.parts.light_list_reader import light_list_pass, lit_by_cells
 from renderer.techniques.parts.variants import draw_lit
 from rhi import Device, Texture

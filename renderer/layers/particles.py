@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
@@ -21,10 +22,13 @@ import rhi.shading as sl
 from renderer.frame import Effect, Frame, SceneLayer
 from renderer.frame.drawing import NEARER
 from renderer.frame.fog import bind_fog
+from renderer.frame.pixel_rays import bind_rays
 from renderer.scene.arrays import Floats, Indices
 from renderer.shaders import ViewConstants, tone_map
-from renderer.shaders.fog import FogConstants, fog_transmittance
+from renderer.shaders.fog import FogReader, fog_transmittance
+from renderer.shaders.pixels import ViewRayShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
+from rhi.math import is_parallel
 
 _CORNERS: Final = 6  # of the two triangles
 _CAPACITY: Final = 1024  # particles at first
@@ -57,7 +61,7 @@ class ParticleVarying(sl.Struct):
     quad_position: sl.vec2
 
 
-class ParticleShader(sl.Shader):
+class ParticleShader(ViewRayShader):
     """Draws particles as soft sprites that face the eye."""
 
     view: sl.Uniform[ViewConstants]
@@ -74,12 +78,13 @@ class ParticleShader(sl.Shader):
         if sl.dot(along, along) < 1e-12:
             along = sl.vec3(0.0, 1e-6, 0.0)
         along = along / sl.length(along)
-        aside = sl.cross(along, particle.centre)
+        toward = -particle.centre
+        if self.has_parallel_rays:
+            toward = self.direction_to_eye(particle.centre)
+        aside = sl.cross(toward, along)
         aside = aside / sl.max(sl.length(aside), 1e-6)
         offset = along * (self.radius * x) + particle.displacement * (0.5 * x) + aside * (self.radius * y)
-        offset -= particle.centre * (
-            self.radius / sl.max(sl.length(particle.centre), 1e-6)
-        )  # before the drop itself
+        offset += toward * (self.radius / sl.max(sl.length(toward), 1e-6))  # before the drop itself
         return ParticleVarying(
             clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0),
             quad_position=sl.vec2(x, y),
@@ -100,15 +105,14 @@ class FogParticleVarying(sl.Struct):
     transmittance: float
 
 
-class FogParticleShader(ParticleShader):
+class FogParticleShader(FogReader, ParticleShader):
     """Draws particles in fog: their colours are mixed with the fog's, both as the image has them."""
-
-    fog: sl.Uniform[FogConstants]
 
     def vertex(self) -> FogParticleVarying:  # type: ignore[override]  # more varyings
         v = super().vertex()
         centre = self.particles[sl.vertex_index() // 6].centre
-        transmittance = fog_transmittance(centre, self.fog)
+        path = self.path_from_eye(centre)
+        transmittance = fog_transmittance(path, self.fog_at(centre - path))
         return FogParticleVarying(
             clip=v.clip,
             quad_position=v.quad_position,
@@ -145,7 +149,7 @@ class Particles(SceneLayer):
             corners = _CORNERS << (len(array) - 1).bit_length()
             old, self._mesh = self._mesh, device.mesh(corners, label="particles")
             old.destroy()
-        shader, fog = _select_shader(frame)
+        shader, bindings = _select_shader(frame)
         program: Any = self._device.program(shader)
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
         with (
@@ -159,7 +163,7 @@ class Particles(SceneLayer):
                 view=frame.view.buffer,
                 particles=device.transient.storage(Particle, array),
                 radius=self._radius,
-                **fog,
+                **bindings,
             )
 
     def destroy(self) -> None:
@@ -169,10 +173,19 @@ class Particles(SceneLayer):
 
 
 def _select_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
-    """Return the shader for the fog of the frame, and what it binds for that."""
-    if Effect.FOG not in frame.effects.enabled:
-        return ParticleShader, {}
-    return FogParticleShader, {"fog": bind_fog(frame)}
+    """Return the shader for the fog and the projection of the frame, and what it binds for those."""
+    has_fog, is_seen_in_parallel = Effect.FOG in frame.effects.enabled, is_parallel(frame.camera.projection)
+    shader = FogParticleShader if has_fog else ParticleShader
+    bindings: dict[str, Any] = {"fog": bind_fog(frame)} if has_fog else {}
+    if is_seen_in_parallel:
+        return _parallel_variant(shader), {**bindings, "rays": bind_rays(frame)}
+    return shader, bindings
+
+
+@cache
+def _parallel_variant(shader: type[ParticleShader]) -> type[ParticleShader]:
+    """Return the shader of particles for parallel projections."""
+    return type(f"Parallel{shader.__name__}", (shader,), {"__module__": __name__, "has_parallel_rays": True})
 
 
 def collect_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:

@@ -53,8 +53,9 @@ class PointVolume(LightVolume):
     def vertex(self, v: VolumeCorner) -> VolumeVarying:
         light_index = self.volume_lights[instance_index()]
         light = self.point_lights[light_index]
-        offset = v.position * light.range
-        reach = light.range * FARTHEST_CORNER
+        extent = self.volume_range(light.position, light.range)
+        offset = v.position * extent
+        reach = extent * FARTHEST_CORNER
         return VolumeVarying(
             clip=self.project_volume(light.position, offset, reach, self.view, self.rays), light=light_index
         )

@@ -93,13 +93,14 @@ class SpotVolume(LightVolume):
         # the cone.
         cosine = sl.max(1.0 - light.outer_versine - 1e-6, 1e-3)
         slope = sl.sqrt(sl.max(1.0 - cosine * cosine, 0.0)) / cosine
-        width = light.range * (slope if v.cone > 0.0 else 1.0)
+        extent = self.volume_range(light.position, light.range)
+        width = extent * (slope if v.cone > 0.0 else 1.0)
         up = sl.vec3(0.0, 1.0, 0.0) if sl.abs(light.direction.y) < 0.9 else sl.vec3(1.0, 0.0, 0.0)
         aside = sl.normalize(sl.cross(up, light.direction))
         across = sl.cross(light.direction, aside)
         offset = (aside * v.position.x + across * v.position.y) * width
-        offset += light.direction * (v.position.z * light.range)
-        reach = sl.max(light.range, width) * FARTHEST_CORNER
+        offset += light.direction * (v.position.z * extent)
+        reach = sl.max(extent, width) * FARTHEST_CORNER
         return VolumeVarying(
             clip=self.project_volume(light.position, offset, reach, self.view, self.rays), light=light_index
         )

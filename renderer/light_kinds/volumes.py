@@ -63,6 +63,11 @@ class LightVolume(Shader):
         rays: Any
         volume_lights: Any
 
+        def volume_range(self, position: vec3, range: float) -> float:
+            """The range in metres, of a light at `position`, that its volume needs to hold all that the view
+            shows of it."""
+            raise NotImplementedError
+
         @staticmethod
         def project_volume(center: vec3, offset: vec3, reach: float, view: Any, rays: Any) -> vec4:
             """The clip position of a corner, `offset` from the light, of a volume that reaches at most

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Indices
-from renderer.scene.material_instances import CustomShader, needs_tangents
-from renderer.scene.materials import TEXTURES, AlphaMode, ShadingModel
+from renderer.scene.material_instances import CustomShader
+from renderer.scene.materials import TEXTURES, ShadingModel
+from renderer.scene.negligible import LEAST_LIGHT, SurfaceBounds, flag_bent, flag_blended, flag_cut
 from rhi import SamplerDescriptor, Wrap
 
 _Words = NDArray[np.uint64]
@@ -52,8 +53,11 @@ class MaterialFeatures:
         textures: NDArray[Any],
         samplers: Sequence[SamplerDescriptor],
         shaders: Sequence[CustomShader],
+        bounds: SurfaceBounds | None = None,
     ) -> None:
-        self._shaders = shaders
+        """`bounds` are those of what textures and vertices multiply colors by; by default of none."""
+        self._bends = np.array([False, *(custom.shader.reads_tangents for custom in shaders)], bool)
+        self._bounds = SurfaceBounds(textures, ()) if bounds is None else bounds
         self._textures = textures
         self._repeats = np.array(
             [(sampler.wrap_u, sampler.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for sampler in samplers], bool
@@ -78,10 +82,10 @@ class MaterialFeatures:
 
     def compute_flags(self) -> dict[str, NDArray[np.bool_]]:
         """Return which of the materials (k,) have each of the features of `counts`."""
-        rows = np.stack([self._previous_materials[name] for name in TEXTURES], axis=1)
+        rows = np.stack([self._list_textures(self._previous_materials, name) for name in TEXTURES], axis=1)
         reads, textures = rows >= 0, self._textures
         flags = dict(zip(_FEATURES, self._flags.T, strict=True)) | {
-            "images": self._previous_materials["texture"] >= 0
+            "images": self._read_colors(self._previous_materials) >= 0
         }
         for name, has in (
             ("second uvs", textures["uv_set"] > 0),
@@ -117,22 +121,35 @@ class MaterialFeatures:
     def _examine(self, materials: NDArray[Any]) -> NDArray[np.bool_]:
         """Return which of the materials (k,) have which of `_FEATURES`, (k, features)."""
         is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
-        emits = materials["emissive"].any(axis=1)
+        emitted = materials["base_color"][:, :3].max(axis=1) * materials["emission"].astype(np.float64)
+        emits = (materials["emissive"] > LEAST_LIGHT).any(axis=1)
         has = {name: materials[name] >= 0 for name in TEXTURES}
+        tells_metal = (materials["metallic"] > 0.0) | (materials["roughness"] > 0.0)
         columns = {
-            "emission": materials["emission"] != 0,
+            "emission": emitted * self._bounds.max_color > LEAST_LIGHT,
             "metals": is_metal,
             "emissive colors": emits,
-            "normal maps": needs_tangents(materials, self._shaders),
-            "roughness maps": is_metal & has["metallic_roughness_texture"],
-            "occlusion maps": has["occlusion_texture"],
+            "normal maps": flag_bent(materials, self._bounds) | self._bends[materials["shader"]],
+            "roughness maps": is_metal & has["metallic_roughness_texture"] & tells_metal,
+            "occlusion maps": has["occlusion_texture"] & (materials["occlusion_strength"] > 0.0),
             "emissive maps": emits & has["emissive_texture"],
-            "masks": materials["alpha_mode"] == AlphaMode.MASK,
+            "masks": flag_cut(materials, self._bounds),
             "two sides": materials["double_sided"] != 0,
             "mixed coordinates": self._flag_mixed_coordinates(materials),
             "material shaders": materials["shader"] > 0,
         }
         return np.stack([columns[name] for name in _FEATURES], axis=1)
+
+    def _read_colors(self, materials: NDArray[Any]) -> NDArray[np.int32]:
+        """Return the texture (k,) of the base color of materials, -1 where it is black and covers all."""
+        shows = materials["base_color"][:, :3].any(axis=1) | (materials["shader"] > 0)
+        shows |= flag_cut(materials, self._bounds) | flag_blended(materials, self._bounds)
+        return np.where(shows, materials["texture"], -1)
+
+    def _list_textures(self, materials: NDArray[Any], name: str) -> NDArray[np.int32]:
+        """Return the texture (k,) of materials that a field names, -1 where it isn't read."""
+        rows: NDArray[np.int32] = self._read_colors(materials) if name == "texture" else materials[name]
+        return rows
 
     def _flag_mixed_coordinates(self, materials: NDArray[Any]) -> NDArray[np.bool_]:
         """Return which materials (k,) read textures at unlike places, or any that isn't repeated."""
@@ -149,10 +166,8 @@ class MaterialFeatures:
 
     def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:
         """Return how many of the materials have each texture (t,) as a base colour, and at all."""
-        by_use = [
-            np.bincount(materials[name][materials[name] >= 0], minlength=len(self._textures))
-            for name in TEXTURES
-        ]
+        used = [self._list_textures(materials, name) for name in TEXTURES]
+        by_use = [np.bincount(rows[rows >= 0], minlength=len(self._textures)) for rows in used]
         return by_use[list(TEXTURES).index("texture")], np.sum(by_use, axis=0)
 
     def _count(self) -> dict[str, int]:

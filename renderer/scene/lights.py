@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS, AllLightArrays
+from renderer.scene.arrays import Floats
+from renderer.scene.negligible import LEAST_LIGHT
 
 KIND_NAMES: Final = tuple(kind.name for kind in LIGHT_KINDS)
 """The names of the kinds of lights, which are those of their arrays in `Lights`."""
@@ -35,11 +37,13 @@ class Lights(AllLightArrays):
         sky, ground: linear colours (3,) of the ambient hemisphere.
         snapshot: the bytes of the lights of each kind, as of the last `refresh`; the same object while they
             are equal.
+        has_faint: whether any light is so faint that it may make no difference, as of the last `refresh`.
     """
 
     sky: tuple[float, float, float] = (0.10, 0.12, 0.16)
     ground: tuple[float, float, float] = (0.05, 0.045, 0.04)
     snapshot: tuple[bytes, ...] = (b"",) * len(LIGHT_KINDS)
+    has_faint: bool = False
 
     def of_kind(self, kind: LightKind) -> NDArray[Any]:
         """The lights (k,) of a kind."""
@@ -61,6 +65,7 @@ class Lights(AllLightArrays):
         snapshot = tuple([getattr(self, name).tobytes() for name in KIND_NAMES])
         if snapshot != self.snapshot:
             self.snapshot = snapshot
+            self.has_faint = self._has_faint_lights()
 
     def with_cutoff(self, cutoff: float) -> Lights:
         """A copy whose lights end where less than `cutoff` of their light arrives, above 0: 1 is what a
@@ -76,10 +81,23 @@ class Lights(AllLightArrays):
         shorter.refresh()
         return shorter
 
-    def without_dark(self) -> Lights:
+    def _has_faint_lights(self) -> bool:
+        """Whether any light is so faint that it may make no difference."""
+        return any(
+            bool((_strongest_irradiance(self.of_kind(kind)) < LEAST_LIGHT).any()) for kind in LIGHT_KINDS
+        )
+
+    def without_dark(self, response: float = np.inf) -> Lights:
         """The lights that shine: these, or a copy without those of no intensity or color, and without local
-        lights of no range. Their indices are those among what is left."""
+        lights of no range or angle. Their indices are those among what is left.
+
+        Args:
+            response: the most light that a surface sends to the eye for each unit of irradiance. Lights
+                that together make less of it than `LEAST_LIGHT` are left out as well.
+        """
         shining = {kind.name: _shine(self.of_kind(kind)) for kind in LIGHT_KINDS}
+        if self._has_faint_lights():
+            self._leave_out_faint(shining, LEAST_LIGHT / response)
         if all(shines.all() for shines in shining.values()):
             return self
         left = copy(self)
@@ -87,6 +105,15 @@ class Lights(AllLightArrays):
             setattr(left, name, getattr(self, name)[shines])
         left.refresh()
         return left
+
+    def _leave_out_faint(self, shining: dict[str, NDArray[np.bool_]], limit: float) -> None:
+        """Mark the faintest lights of all kinds as dark, as many as together give an irradiance of at most
+        `limit`."""
+        strengths = {kind.name: _strongest_irradiance(self.of_kind(kind)) for kind in LIGHT_KINDS}
+        ascending = np.sort(np.concatenate(list(strengths.values())))
+        faint = ascending[np.cumsum(ascending) <= limit]
+        for name, strength in strengths.items():
+            shining[name] &= strength > faint.max(initial=0.0)
 
     def __len__(self) -> int:
         return sum(len(self.of_kind(kind)) for kind in LIGHT_KINDS)
@@ -111,4 +138,16 @@ def _shine(lights: NDArray[Any]) -> NDArray[np.bool_]:
     shines = brightest >= np.finfo(np.float32).tiny
     if "range" in (lights.dtype.names or ()):
         shines &= lights["range"] > 0.0
+    if "outer" in (lights.dtype.names or ()):
+        shines &= lights["outer"] > 0.0
     return np.asarray(shines)
+
+
+def _strongest_irradiance(lights: NDArray[Any]) -> Floats:
+    """The irradiance (k,) that lights of a kind may have at most, of local lights next to them."""
+    strength: Floats = lights["color"].max(axis=1, initial=0.0).astype(np.float64) * lights["intensity"]
+    return strength / _NEAREST**2 if "range" in (lights.dtype.names or ()) else strength
+
+
+_NEAREST: Final = 1e-12
+"""The least distance of a surface from a local light, in metres: nearer ones are lit as from there."""

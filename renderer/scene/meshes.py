@@ -251,9 +251,20 @@ def _is_convex(corners: Floats) -> bool:
     return bool((in_front <= _FLATNESS * np.ptp(corners.reshape(-1, 3), axis=0).max()).all())
 
 
+def _replace_missing_normals(vertices: NDArray[Any], indices: NDArray[np.uint32]) -> NDArray[Any]:
+    """Return vertices whose normals of length 0 are those of the triangles around: a normal without a
+    direction would be another one with each technique."""
+    is_missing = ~vertices["normal"].any(axis=1)
+    if not is_missing.any():
+        return vertices
+    vertices = vertices.copy()
+    vertices["normal"][is_missing] = compute_normals(vertices["position"], indices)[is_missing]
+    return vertices
+
+
 def _normalize_extremes(vertices: NDArray[Any]) -> None:
     """Give unit length to the normals and tangents (v, 3) whose squared length a shader would round to 0 or
-    to infinity. Those of length 0 stay."""
+    to infinity. Tangents of length 0 stay."""
     for name in {"normal", "tangent"} & set(vertices.dtype.names or ()):
         directions = vertices[name][:, :3]
         largest = np.abs(directions).max(axis=1, initial=0.0)
@@ -289,7 +300,7 @@ class Meshes:
         geometries = [g.with_attributes(attributes) for g in geometries]
         fixed = bounds or [None] * count
         self.vertices: NDArray[Any] = np.concatenate(
-            [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
+            [_replace_missing_normals(g.vertices, g.indices) for g in geometries] or [np.empty(0, VERTEX)]
         )
         _normalize_extremes(self.vertices)
         self.indices: NDArray[np.uint32] = np.concatenate(

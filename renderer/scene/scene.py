@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,14 +35,21 @@ from renderer.scene.material_instances import (
 from renderer.scene.materials import (
     TEXTURE,
     TEXTURES,
-    AlphaMode,
     ImagePixels,
     TextureMap,
     TextureTable,
     check_image,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
-from renderer.scene.negligible import flag_points, flag_unseen_materials, select_static
+from renderer.scene.negligible import (
+    SurfaceBounds,
+    flag_blended,
+    flag_cut,
+    flag_points,
+    flag_unseen_materials,
+    select_placed,
+    strongest_response,
+)
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
 from renderer.scene.omissions import Omission, Omissions
@@ -59,6 +66,9 @@ from rhi import FixedStack, SamplerDescriptor
 from rhi.errors import refuse
 from rhi.math import Camera, is_affine, relative_to
 from rhi.math.arguments import read_floats
+
+_PATIENCE: Final = 60
+"""So many refreshes pass before objects that have lost their size are sought, and after each search."""
 
 
 class ObjectHandle(NamedTuple):
@@ -147,7 +157,10 @@ class Scene:
         self._last_parameters = [
             array.tobytes() for array in parameters
         ]  # copies of arrays have other padding
-        self._features = MaterialFeatures(materials, self.textures, samplers, self.shaders)
+        colors = meshes.vertices["color"] if "color" in (meshes.vertices.dtype.names or ()) else None
+        self._has_colors = colors is not None and bool((colors != 1.0).any())
+        self._bounds = SurfaceBounds(self.textures, images, colors)
+        self._features = MaterialFeatures(materials, self.textures, samplers, self.shaders, self._bounds)
         self._last_material = int(objects.material.max(initial=-1))
         self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
         spare = [] if reserved is None else reserved.tolist()
@@ -155,18 +168,18 @@ class Scene:
         for row in reversed(spare):
             self._spare.push(row)
         self._generations = dict.fromkeys(spare, 0)  # how often each of these was removed
-        self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Indices] = (
             -1,
             np.zeros(0, np.int64),
         )  # as of a version of the materials
         self._emitters: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # the same
-        alphas = meshes.vertices["color"][:, 3] if self._has_colors else np.ones(1)
-        self._max_alpha = float(alphas.max(initial=1.0))
         self._unseen: NDArray[np.bool_] = np.zeros(len(objects), bool)  # which cover nothing
         self._unseen_from = -1  # the version of the materials of which that is
-        self._static: Indices = np.zeros(0, np.int64)  # those whose transforms stay
-        self._static_nodes: NDArray[np.int32] = np.zeros(0, np.int32)  # and their nodes
+        self._static, self._movable = select_placed(objects)
+        self._static_nodes = np.unique(objects.node[self._static])
+        self._points: NDArray[np.bool_] = np.zeros(len(objects), bool)  # which have no size
+        self._refreshes = 0
+        self._next_points = _PATIENCE  # the refresh in which movable objects that have lost theirs are sought
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -214,22 +227,50 @@ class Scene:
     def _flag_unseen(self, moved: NDArray[np.bool_] | None) -> bool:
         """Find the objects that cover nothing, whatever the view, and return whether others may than before.
 
-        Those that may move count as seen: lists are made again when one appears.
-
         Args:
             moved: which nodes (n,) have moved; None if none has.
         """
         objects, version = self.objects, self.material_version
-        if self._unseen_from == version and (moved is None or not moved[self._static_nodes].any()):
+        have_points_changed = self._flag_points(moved)
+        if self._unseen_from == version and not have_points_changed:
             return False
         self._unseen_from = version
-        unseen = flag_unseen_materials(self.materials, self._max_alpha)[objects.material]
-        self._static = select_static(objects)
-        self._static_nodes = np.unique(objects.node[self._static])
-        unseen[self._static] |= flag_points(self.nodes.world[objects.node[self._static]])
+        unseen = (
+            flag_unseen_materials(self.materials, self._bounds.max_alpha)[objects.material] | self._points
+        )
         has_changed = not np.array_equal(unseen, self._unseen)
         self._unseen = unseen
         return has_changed
+
+    def _flag_points(self, moved: NDArray[np.bool_] | None) -> bool:
+        """Find the objects that have no size, and return whether others may than before.
+
+        Each change makes lists again. So an object that moves is seen in the frame in which it gets a size,
+        but those that lose theirs are sought only from time to time, ever more rarely.
+        """
+        objects, world, points = self.objects, self.nodes.world, self._points
+        is_first = self._refreshes == 0
+        self._refreshes += 1
+        before = points.copy()
+        if is_first or (moved is not None and moved[self._static_nodes].any()):
+            points[self._static] = flag_points(world[objects.node[self._static]])
+        if is_first or (moved is not None and self._refreshes >= self._next_points):
+            points[self._movable] = flag_points(world[objects.node[self._movable]])
+            if self._refreshes >= self._next_points:
+                is_new = bool((points & ~before).any())
+                self._next_points = self._refreshes + _PATIENCE
+                self._next_points += self._refreshes if is_new else 0
+        elif moved is not None and (hidden := self._movable[points[self._movable]]).size:
+            points[hidden] = flag_points(world[objects.node[hidden]])
+        return not np.array_equal(points, before)
+
+    def flag_cut(self) -> NDArray[np.bool_]:
+        """Return which materials (k,) are cut somewhere."""
+        return flag_cut(self.materials, self._bounds)
+
+    def strongest_response(self) -> float:
+        """Return more light than any surface sends to the eye for each unit of irradiance."""
+        return np.inf if self.shaders else strongest_response(self.materials, self._bounds)
 
     def count_features(self) -> Mapping[str, int]:
         """Return how many materials, images, textures or meshes have each feature that a scene may lack, as
@@ -421,7 +462,7 @@ class Scene:
     def list_transparent(self) -> Indices:
         """Return the indices of shown objects with blended materials, as of the last `refresh`."""
         if self._transparent[0] != self.material_version:
-            blended = self.materials["alpha_mode"] == AlphaMode.BLEND
+            blended = flag_blended(self.materials, self._bounds)
             rows = np.flatnonzero(blended[self.objects.material]) if blended.any() else np.zeros(0, np.int64)
             self._transparent = self.material_version, self.objects.select_shown(rows)
         return self._transparent[1]

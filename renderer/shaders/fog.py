@@ -8,7 +8,8 @@ up and down alike. Where a ray is nearly horizontal g is its series, because 1 -
 
 from __future__ import annotations
 
-from rhi.shading import Struct, abs, dot, exp, function, inversesqrt, length, max, min, mix, vec3
+from renderer.shaders.pixels import ViewRayShader
+from rhi.shading import Struct, Uniform, abs, dot, exp, function, inversesqrt, length, max, min, mix, vec3
 
 _LEVEL = 0.1
 """The rise below which g is computed by its series, in units of the height over which the fog thins to 1 / e.
@@ -53,6 +54,17 @@ def fog_transmittance(position: vec3, fog: FogConstants) -> float:
 
 
 @function
+def fog_from_height(fog: FogConstants, height: float) -> FogConstants:
+    """Return the fog for rays that begin `height` metres above the eye."""
+    return FogConstants(
+        color=fog.color,
+        density=fog.density,
+        falloff=fog.falloff,
+        height=fog.height + fog.falloff * height,
+    )
+
+
+@function
 def apply_fog(color: vec3, position: vec3, fog: FogConstants) -> vec3:
     """Return the light from `position`, relative to the eye, mixed with the fog's light between."""
     return mix(fog.color, color, fog_transmittance(position, fog))
@@ -66,3 +78,17 @@ def apply_fog_to_background(color: vec3, direction: vec3, fog: FogConstants) -> 
     if rise <= 0.0:
         return fog.color
     return mix(fog.color, color, exp(-density_at(fog, 0.0) / rise))
+
+
+class FogReader(ViewRayShader):
+    """The base of shaders that see through fog, if the scene has any."""
+
+    has_fog = False
+
+    fog: Uniform[FogConstants]
+
+    def fog_at(self, start: vec3) -> FogConstants:
+        """Return the fog for a ray that begins at `start`, relative to the eye."""
+        if self.has_parallel_rays:
+            return fog_from_height(self.fog, start.y)
+        return self.fog

@@ -68,6 +68,6 @@ def ambient_light(surface: SurfacePoint, ambient: Ambient, rim_strength: float, 
 
 
 @function
-def apply_haze(color: vec3, position: vec3, haze: Haze) -> vec3:
-    """Return a final colour at `position`, relative to the eye, as haze between them fades it to its own."""
-    return mix(haze.color, color, exp(-haze.density * length(position)))
+def apply_haze(color: vec3, path: vec3, haze: Haze) -> vec3:
+    """Return a final colour as haze on the `path` between it and the eye fades it to its own."""
+    return mix(haze.color, color, exp(-haze.density * length(path)))

@@ -27,6 +27,7 @@ from typing import ClassVar, Final
 import rhi.shading as sl
 from renderer.scene import AlphaMode
 from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.pixels import ViewRayShader
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, TextureUse, ViewConstants
 
 _NO_NORMAL: Final = 5e-5
@@ -39,7 +40,7 @@ _ROUNDING: Final = 2.0**-16
 """The most that an alpha may be below the cut and still be at it: filtering rounds."""
 
 
-class MaterialShader(sl.Shader):
+class MaterialShader(ViewRayShader):
     """The base of shaders that describe surfaces, and of materials' own shaders, which override `describe`.
 
     A shader of a material's own may declare `parameters`, a storage buffer of a struct, in which a material's

@@ -15,6 +15,7 @@ the way back from it.
 from __future__ import annotations
 
 import rhi.shading as sl
+from renderer.light_kinds.incidence import safe_normalize
 
 
 class PixelRays(sl.Struct):
@@ -60,7 +61,33 @@ def pixel_position(rays: PixelRays, pixel: sl.vec2, distance: float) -> sl.vec3:
     return rays.across @ sl.vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
 
-class PixelShader(sl.Shader):
+class ViewRayShader(sl.Shader):
+    """The base of shaders that ask from where a point is seen: from the eye, or with a parallel projection
+    from the plane of the eye, against the direction of the view.
+
+    Attributes:
+        has_parallel_rays: whether the view's projection is parallel. Only then is `rays` read for it.
+    """
+
+    has_parallel_rays = False
+
+    rays: sl.Uniform[PixelRays]
+
+    def direction_to_eye(self, position: sl.vec3) -> sl.vec3:
+        """Return the unit direction in which light leaves `position`, relative to the eye, to be seen."""
+        if self.has_parallel_rays:
+            return -safe_normalize(self.rays.along)
+        return safe_normalize(-position)
+
+    def path_from_eye(self, position: sl.vec3) -> sl.vec3:
+        """Return the way in metres on which `position` is seen, against the light: from the eye, or from its
+        plane. It is 0 for what a parallel projection shows behind that plane."""
+        if self.has_parallel_rays:
+            return self.rays.along * sl.max(sl.dot(position, self.rays.forward), 0.0)
+        return position
+
+
+class PixelShader(ViewRayShader):
     """The base of shaders that run once for each pixel: the fragment's, unless a derived shader overrides
     `get_pixel`."""
 

@@ -66,9 +66,7 @@ class SceneCasters:
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow & objects.is_shown
         may_move[list(scene.height_fields)] = True  # their triangles do
         self.coverage, self.appearance = coverage_key(scene), appearance_key(scene)
-        self.is_masked: NDArray[np.bool_] = (scene.materials["alpha_mode"] == AlphaMode.MASK)[
-            objects.material
-        ]
+        self.is_masked: NDArray[np.bool_] = scene.flag_cut()[objects.material]
         casts[scene.list_transparent()] = False
         self.static: Indices = np.flatnonzero(casts & ~may_move)
         self.dynamic: Indices = np.flatnonzero(casts & may_move)

@@ -23,6 +23,9 @@ from rhi.shading import Shader, Uniform, vec4
 MAX_ROUNDING: Final = 0.25
 """The greatest error of a caster's corners, in texels of the map, up to which it is drawn as it is."""
 
+MAX_RECEIVER_ROUNDING: Final = 2.0
+"""The greatest error of what shadows fall on, in texels of the map, about which nothing is said."""
+
 MAX_TRIANGLES: Final = 65_536
 """Meshes of more triangles are drawn as they are: none of these is as large."""
 
@@ -43,6 +46,12 @@ class CutCaster(Shader):
 def largest_extent(cascade: Cascade) -> float:
     """Return the extent of an object in metres up to which its corners are fine enough for a map."""
     return MAX_ROUNDING * cascade.texel / _CORNER_ERROR
+
+
+def widest_receiver(texel: float) -> float:
+    """Return the extent of an object in metres up to which the points that a view shows of it are right to
+    `MAX_RECEIVER_ROUNDING` texels of this width in metres."""
+    return MAX_RECEIVER_ROUNDING * texel / _CORNER_ERROR
 
 
 def is_huge(lower: Floats, upper: Floats, cascade: Cascade) -> NDArray[np.bool_]:

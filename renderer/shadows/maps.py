@@ -45,7 +45,7 @@ from renderer.scene.lights import Lights
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
 from renderer.shadows.casters import SceneCasters, appearance_key, coverage_key
-from renderer.shadows.huge_casters import CutCaster, cut_to_map
+from renderer.shadows.huge_casters import MAX_RECEIVER_ROUNDING, CutCaster, cut_to_map, widest_receiver
 from renderer.shadows.local_light_maps import quaternion_from_axes
 from renderer.shadows.map_planner import DIRECTIONAL, MapKey, MapPlanner, RequiredMap
 from renderer.shadows.receiver import (
@@ -193,6 +193,8 @@ class ShadowMaps:
         casters_drawn: the number of objects that were drawn to maps in the last frame.
         unshadowed_lights: the number of local lights that light nothing in the last frame, because there is
             no room for their maps.
+        coarse_objects: the indices of objects that were seen and are so wide that float32 rounds their points
+            by more than the shadows of the sun are fine.
     """
 
     def __init__(self, device: Device) -> None:
@@ -200,6 +202,8 @@ class ShadowMaps:
         self._reported: list[tuple[MapKey, str, str, RequiredMap | None]] = []
         self.casters_drawn = 0
         self.unshadowed_lights = 0
+        self.coarse_objects: set[int] = set()
+        self._widest = 0.0  # the largest extent of an object in metres
         self._device = device
         self._scene: Scene | None = None
         self._needed: MapPlanner | None = None
@@ -286,6 +290,7 @@ class ShadowMaps:
         required = self._needed.plan_maps(resources, frame.effects, cameras, visible, frame.targets.size)
         self._reported = [(key, "skipped", reason, None) for key, reason in self._needed.skipped]
         self._warn_without_room(len(self._needed.without_room))
+        self._warn_of_rounding(scene, visible)
         self._allocate_tiles(
             {required_map.key: required_map.size for required_map in required},
             shrinks=self._forget_lights(resources.lights),
@@ -304,13 +309,38 @@ class ShadowMaps:
             )
         self.unshadowed_lights = count
 
+    def _warn_of_rounding(self, scene: Scene, visible: Indices) -> None:
+        """Warn, once for each object, of visible ones so wide that float32 rounds their points by more than
+        the shadows of the sun are fine."""
+        assert self._needed is not None
+        texels = [cascade.texel for _, cascade, key in self._needed.cascades if key is not None]
+        if not texels or self._widest <= (limit := widest_receiver(min(texels))):
+            return
+        objects = scene.objects
+        extent = (objects.upper[visible] - objects.lower[visible]).max(1)
+        for row, width in zip(visible[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
+            if row not in self.coarse_objects:
+                self.coarse_objects.add(row)
+                LOGGER.warning(
+                    "shadows of the sun on object %d (mesh %r) are off by up to %.2g m, because float32 rounds "
+                    "its points: it is %.3g m wide; divide it into objects of at most %.3g m",
+                    row,
+                    scene.meshes.names[objects.mesh[row]],
+                    width / limit * MAX_RECEIVER_ROUNDING * min(texels),
+                    width,
+                    limit,
+                )
+
     def aim(self, camera: Camera, eye: int = 0) -> None:
         """Write the table of the cascades, whose positions are relative to the eye of `camera`, one of the
-        `MAX_EYES` of a frame. Each eye has a table of its own, which is written only where it has changed."""
+        `MAX_EYES` of a frame. Each eye has a table of its own, which is written only where it has changed. It
+        has no cascades if none of them has a map, as in a view of the sky."""
         self._eye = eye
         cascades = [] if self._needed is None else self._needed.cascades
         if not cascades:
             return  # no shader reads them
+        if all(key is None for _, _, key in cascades):
+            cascades = []  # so that the table stays as it is while the eye moves
         maps = []
         for number, (light_index, cascade, key) in enumerate(cascades):
             x, y, size = self._maps[key].tile if key is not None else _NO_TILE
@@ -568,6 +598,8 @@ class ShadowMaps:
         self._forget_all()
         self._destroy_textures()
         self._scene, self._needed = scene, MapPlanner(scene, self.settings)
+        self._widest = float((scene.objects.upper - scene.objects.lower).max(initial=0.0))
+        self.coarse_objects.clear()
         self._material_version = scene.material_version
         self._used_settings = self.settings
 

@@ -25,10 +25,11 @@ import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, FramePass, Target, Targets
 from renderer.frame.drawing import FARTHEST
 from renderer.frame.mirrors import MirroredValue
+from renderer.frame.pixel_rays import bind_rays
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.stereo.pixel_buffer import PixelBuffer, row_pitch
-from renderer.techniques.parts.full_screen import bind_rays, make_triangle
+from renderer.techniques.parts.full_screen import make_triangle
 from renderer.visibility.command_cache import CommandCache, clear, copy
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import rhi.shading as sl
 from renderer.frame import LOCAL_LIGHTS, Frame, FrameEffects, FramePass, Target, Targets
+from renderer.frame.pixel_rays import bind_rays
 from renderer.light_kinds.bounds import LightBounds
 from renderer.light_kinds.generation import define
 from renderer.light_kinds.incidence import safe_normalize, versine
@@ -34,7 +35,6 @@ from renderer.shaders.pixels import PixelRays, depth_to_nearness, nearness_to_di
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS, draw_once, forward_passes
-from renderer.techniques.parts.full_screen import bind_rays
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import Lighting, explain_local_lights, local_light_effects
 from rhi import (

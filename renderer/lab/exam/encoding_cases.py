@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
+from renderer.frame.pixel_rays import compute_pixel_rays
 from renderer.lab.exam.case import CaseResult, Measures, largest_error
 from renderer.lab.measure.encoding_errors import (
     ENCODINGS,
@@ -30,7 +31,6 @@ from renderer.scene import Camera, Depth, Perspective
 from renderer.scene.arrays import Floats
 from renderer.shaders import encodings
 from renderer.shadows.maps import FarDepth
-from renderer.techniques.parts.full_screen import compute_pixel_rays
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
 
 

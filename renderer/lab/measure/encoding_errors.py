@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
+from renderer.frame.pixel_rays import compute_pixel_rays
 from renderer.lab.measure.published_encodings import (
     decode_derivatives,
     decode_octahedral_truncated,
@@ -27,7 +28,6 @@ from renderer.scene import Camera, Depth, Perspective
 from renderer.scene.arrays import Floats
 from renderer.shaders import encodings
 from renderer.shaders.pixels import PixelRays, depth_to_nearness, nearness_to_distance, pixel_position
-from renderer.techniques.parts.full_screen import compute_pixel_rays
 from rhi import Device, Program
 from rhi.shading import round as round_to_whole
 

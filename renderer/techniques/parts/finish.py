@@ -31,8 +31,10 @@ class SkyShader(BackgroundScreen, FinishShader):
 
     def fragment(self) -> vec4:
         pixel = fragment_coordinate().xy
-        direction = pixel_position(self.rays, pixel, 1.0) - pixel_position(self.rays, pixel, 0.0)
-        return self.finish(apply_fog_to_background(self.background.light, direction, self.fog), direction)
+        start = pixel_position(self.rays, pixel, 0.0)
+        direction = pixel_position(self.rays, pixel, 1.0) - start
+        light = apply_fog_to_background(self.background.light, direction, self.fog_at(start))
+        return self.finish(light, direction)
 
 
 FINISH_SHADERS: Final[tuple[type[Shader], ...]] = (
@@ -121,8 +123,9 @@ def _resolve_pass(effects: FrameEffects, samples: str) -> FramePass[Frame]:
 
 
 def _sky_passes(effects: FrameEffects, image: str, depth: str) -> tuple[FramePass[Frame], ...]:
-    """The pass that draws the fog in front of the background over the resource `image`; none without fog."""
-    if Effect.FOG not in effects.enabled:
+    """The pass that draws the fog in front of the background over the resource `image`; none where fog
+    doesn't change it."""
+    if not effects.has_fogged_sky:
         return ()
 
     def draw(frame: Frame) -> None:

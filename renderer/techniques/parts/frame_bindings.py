@@ -15,6 +15,7 @@ from typing import Any, Final, NoReturn, Self, overload
 from renderer import rules
 from renderer.frame import SHADOW_EFFECTS, Frame
 from renderer.frame.fog import bind_fog, bind_haze
+from renderer.frame.pixel_rays import bind_rays
 from renderer.frame.scene_images import SceneImages
 from renderer.light_kinds.directional import DirectionalLight
 from renderer.light_kinds.kind import LocalLightKind
@@ -32,7 +33,6 @@ from renderer.shaders.structs import (
 )
 from renderer.shadows import ShadowMaps
 from renderer.shadows.receiver import CascadeTable, LocalShadowTable
-from renderer.techniques.parts.full_screen import bind_rays
 from rhi import StorageBuffer, Texture, UniformBuffer, refuse
 from rhi.shading import TextureBinding
 

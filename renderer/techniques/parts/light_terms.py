@@ -8,7 +8,6 @@ from typing import Final
 import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
 from renderer.shaders.encodings import decode_normal
-from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceWriter, surface_format
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
@@ -91,7 +90,7 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
             position=position,
             normal=normal,
             geometric_normal=self.read_geometric_normal(texel, normal),
-            to_eye=safe_normalize(-position),
+            to_eye=self.direction_to_eye(position),
             base_color=sl.vec3(1.0),
             specular_color=sl.vec3(1.0),
             shininess=self.shininess.load(pixel).x / _SHININESS_SCALE,

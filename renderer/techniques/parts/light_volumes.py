@@ -30,17 +30,18 @@ from numpy.typing import NDArray
 import rhi.shading as sl
 from renderer.frame import LOCAL_LIGHTS, Effect, Frame, FrameEffects, FramePass, Target
 from renderer.frame.drawing import NEARER
+from renderer.frame.pixel_rays import far_distance
 from renderer.light_kinds.generation import define, for_kind
 from renderer.light_kinds.incidence import Incidence, is_within_range
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.volumes import FARTHEST_CORNER, VolumeCorner
 from renderer.light_kinds.volumes import VolumeVarying as VolumeVarying
 from renderer.lights.hulls import make_cone, make_sphere
-from renderer.shaders.pixels import PixelRays
+from renderer.shaders.pixels import PixelRays, nearness_to_distance
 from renderer.shaders.spheres import SphereLightReader
 from renderer.shaders.structs import ViewConstants
 from renderer.shadows import ShadowReceiver
-from renderer.techniques.parts.full_screen import BEHIND, far_distance
+from renderer.techniques.parts.full_screen import BEHIND
 from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS
 from renderer.techniques.parts.variants import bind, local_light_effects, shader_variant
 from rhi import (
@@ -69,6 +70,7 @@ class VolumeShader(SphereLightReader, ShadowReceiver):
     spheres."""
 
     has_spheres = False
+    has_parallel_rays = False
 
     view: sl.Uniform[ViewConstants]
     rays: sl.Uniform[PixelRays]
@@ -91,6 +93,20 @@ class VolumeShader(SphereLightReader, ShadowReceiver):
     ) -> sl.vec3:
         """The part of `light` that isn't shadowed at a surface."""
         return light
+
+    def volume_range(self, position: sl.vec3, range: float) -> float:
+        """The range of a light's volume: no more than it takes to hold all that a parallel view shows. The
+        triangles of a longer volume would be so large that devices lose pixels of them."""
+        if not self.has_parallel_rays:
+            return range
+        rays = self.rays
+        half = 0.5 * rays.size
+        middle = sl.length(rays.across @ sl.vec3(half, 1.0) + rays.start)
+        first = sl.length(rays.across @ sl.vec3(half, 0.0))
+        second = sl.length(rays.across @ sl.vec3(half.x, -half.y, 0.0))
+        depth = sl.max(sl.abs(nearness_to_distance(rays, 1.0)), sl.abs(rays.far))
+        farthest = middle + sl.max(first, second) + sl.length(rays.along) * depth
+        return sl.min(range, sl.length(position) + farthest)
 
     @staticmethod
     def project_volume(

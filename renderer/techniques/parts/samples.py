@@ -18,9 +18,9 @@ from typing import Any
 
 import rhi.shading as sl
 from renderer.frame import Effect, Frame, FrameEffects, FramePass
-from renderer.shaders.fog import FogConstants, apply_fog_to_background
+from renderer.shaders.fog import FogReader, apply_fog_to_background
 from renderer.shaders.lighting import MAX_HALF_FLOAT
-from renderer.shaders.pixels import PixelRays, PixelShader, pixel_position
+from renderer.shaders.pixels import PixelShader, pixel_position
 from renderer.shaders.tone_mapping import inverse_tone_map, tone_map
 from renderer.techniques.parts.depth import depth_pass
 from renderer.techniques.parts.finish import Background, finish_image
@@ -29,15 +29,12 @@ from renderer.techniques.parts.packed_geometry import PackedReader
 from renderer.techniques.parts.variants import FORWARD, Lighting, name_samples
 
 
-class SampleReader(PixelShader):
+class SampleReader(PixelShader, FogReader):
     """Base of shaders that read each sample of a pixel, and average their colours."""
 
     samples = 2
-    has_fog = False
     has_bloom = False
 
-    fog: sl.Uniform[FogConstants]
-    rays: sl.Uniform[PixelRays]
     background: sl.Uniform[Background]
     depth_samples: sl.Texture2DSamples
 
@@ -71,8 +68,9 @@ class SampleReader(PixelShader):
         seen = self.background.light
         if self.has_fog:
             pixel = sl.vec2(self.get_pixel()) + 0.5
-            direction = pixel_position(self.rays, pixel, 1.0) - pixel_position(self.rays, pixel, 0.0)
-            seen = apply_fog_to_background(seen, direction, self.fog)
+            start = pixel_position(self.rays, pixel, 0.0)
+            direction = pixel_position(self.rays, pixel, 1.0) - start
+            seen = apply_fog_to_background(seen, direction, self.fog_at(start))
             seen = sl.min(seen, MAX_HALF_FLOAT) if self.has_bloom else tone_map(seen)
         return sl.vec4(seen, 1.0)
 

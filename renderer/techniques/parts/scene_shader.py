@@ -16,7 +16,7 @@ from renderer.light_kinds.directional import DirectionalLight, directional_incid
 from renderer.light_kinds.generation import define, for_each_kind
 from renderer.light_kinds.incidence import Incidence
 from renderer.scene import ShadingModel
-from renderer.shaders.fog import FogConstants, apply_fog
+from renderer.shaders.fog import FogReader, apply_fog
 from renderer.shaders.lighting import (
     MAX_HALF_FLOAT,
     ambient_light,
@@ -34,6 +34,7 @@ from renderer.shaders.metals import (
     metallic_terms,
     reflected_light_metallic,
 )
+from renderer.shaders.pixels import ViewRayShader
 from renderer.shaders.spheres import (
     GGX_TAIL,
     PHONG_TAIL,
@@ -165,7 +166,7 @@ class SceneShader(ObjectLightReader):
         return at.normal if self.has_geometric_normals else normal
 
 
-class ReflectingShader(sl.Shader):
+class ReflectingShader(ViewRayShader):
     """Reflection of light by the specular model, the metallic-roughness model, or either of them; the
     latter is marked by a negative `shininess`."""
 
@@ -181,7 +182,7 @@ class ReflectingShader(sl.Shader):
             position=position,
             normal=described.normal,
             geometric_normal=geometric_normal,
-            to_eye=safe_normalize(-position),
+            to_eye=self.direction_to_eye(position),
             base_color=material.base_color.rgb * described.color.rgb,
             specular_color=material.specular_color,
             shininess=material.shininess,
@@ -244,28 +245,27 @@ class ReflectingShader(sl.Shader):
         return ambient_light(surface, ambient, material.rim_strength, material.rim_power)
 
 
-class FinishShader(sl.Shader):
+class FinishShader(FogReader):
     """Makes pixels of light: applies fog, then tone mapping, then haze, which fades to the final
     background colour. For bloom, light stays linear and of any strength."""
 
     precision = sl.Precision.FAST
     lean = True
     has_haze = False
-    has_fog = False
     has_bloom = False
 
     haze: sl.Uniform[Haze]
-    fog: sl.Uniform[FogConstants]
 
     def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
         """Pixel of a surface at a position that sends this light to the eye."""
         seen = color
         if self.has_fog:
-            seen = apply_fog(seen, position, self.fog)
+            path = self.path_from_eye(position)
+            seen = apply_fog(seen, path, self.fog_at(position - path))
         if not self.has_bloom:
             seen = tone_map(seen)
         if self.has_haze:
-            seen = apply_haze(seen, position, self.haze)
+            seen = apply_haze(seen, self.path_from_eye(position), self.haze)
         if self.has_bloom:
             seen = sl.min(seen, MAX_HALF_FLOAT)
         return sl.vec4(seen, 1.0)

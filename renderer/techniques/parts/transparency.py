@@ -84,7 +84,8 @@ class WeightedShader(TransparentShader):
 
     def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
         seen = self.cover(v)
-        near = sl.dot(v.position, v.position) / 40000.0  # squared distances in 200 m
+        path = self.path_from_eye(v.position)
+        near = sl.dot(path, path) / 40000.0  # squared distances in 200 m
         weight = seen.a * sl.clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
         return WeightedTexels(colors=sl.vec4(seen.rgb * weight, seen.a), weights=weight)
 

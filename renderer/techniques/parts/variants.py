@@ -30,6 +30,7 @@ from renderer.techniques.parts.frame_bindings import FrameBindings
 from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Program, State, Texture
+from rhi.math import is_parallel
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,7 @@ def shader_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
         effects.has_both_models,
         effects.has_geometric_normals,
         is_own,
+        is_parallel(frame.camera.projection),
         sizes,
     )
     return cached_shader_variant(bases, *facts, **fixed)
@@ -101,6 +103,7 @@ def cached_shader_variant(
     both_models: bool,
     planes: bool,
     is_own: bool,
+    parallel: bool,
     images: tuple[int, int, bool, float] | None,
     /,
     **fixed: Any,
@@ -111,6 +114,7 @@ def cached_shader_variant(
         "has_single_directional_light": sun,
         "has_both_models": both_models,
         "has_geometric_normals": planes,
+        "has_parallel_rays": parallel,
     }
     if images is not None:
         switches |= dict(

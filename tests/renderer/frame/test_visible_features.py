@@ -34,6 +34,8 @@ def add_image(builder: SceneBuilder) -> int:
     return builder.add_image(np.full((4, 4, 4), (128, 128, 255, 255), np.uint8))
 
 
+HOLES = np.full((4, 4, 4), 255, np.uint8)
+HOLES[:2, :, 3] = 0
 MATERIALS: dict[str, Callable[[SceneBuilder], dict[str, Any]]] = {
     "images": lambda b: {"texture": add_image(b)},
     "emission": lambda b: {"emission": 0.5},
@@ -41,7 +43,6 @@ MATERIALS: dict[str, Callable[[SceneBuilder], dict[str, Any]]] = {
     "emissive colors": lambda b: {"emissive": (0.5, 0.0, 0.0)},
     "normal maps": lambda b: {"normal_texture": add_image(b)},
     "occlusion maps": lambda b: {"occlusion_texture": add_image(b)},
-    "masks": lambda b: {"alpha_mode": AlphaMode.MASK},
     "two sides": lambda b: {"double_sided": True},
 }
 
@@ -50,6 +51,15 @@ def make(name: str, position: tuple[float, float, float]) -> Scene:
     builder = make_boxes((0, 0, 0))
     add_box(builder, position, **MATERIALS[name](builder))
     return builder.build()
+
+
+def test_a_mask_is_needed_where_an_object_that_it_cuts_is_in_view() -> None:
+    def enable(position: tuple[float, float, float]) -> frozenset[Effect]:
+        builder = make_boxes((0, 0, 0))
+        add_box(builder, position, alpha_mode=AlphaMode.MASK, texture=builder.add_image(HOLES))
+        return collect_frame_effects(builder.build(), EYE).enabled
+
+    assert enable(BEFORE) - enable(BEHIND) == {Effect.MASKS, Effect.IMAGES}
 
 
 @pytest.mark.parametrize("name", MATERIALS)

@@ -139,6 +139,7 @@ def test_only_materials_that_have_changed_are_examined(monkeypatch: pytest.Monke
     features = MaterialFeatures(materials, make_textures(), SAMPLERS, ())
     features.refresh(materials)
     materials["alpha_mode"][[3, 65_535]] = AlphaMode.MASK
+    materials["base_color"][[3, 65_535], 3] = 0.2  # below the cutoff
     features.refresh(materials)
     assert examined == [65_536, 2]
     assert features.counts["masks"] == 2
@@ -169,5 +170,8 @@ def test_a_scene_finds_transparent_objects_again_when_it_is_refreshed() -> None:
     scene = build()
     assert scene.list_transparent().tolist() == []
     scene.materials["alpha_mode"] = AlphaMode.BLEND
+    scene.refresh()
+    assert scene.list_transparent().tolist() == [], "alpha is 1"
+    scene.materials["base_color"][:, 3] = 0.5
     scene.refresh()
     assert scene.list_transparent().tolist() == [0]

@@ -203,3 +203,43 @@ def test_the_cut_part_of_triangles_is_that_inside_the_map(seed: int) -> None:
     weights = random.dirichlet((1, 1, 1), 4000)
     inside = (np.abs((weights @ triangle[0])[:, :2]) <= 1.0).all(1).mean()
     assert areas.sum() / (normal @ normal) == pytest.approx(inside, abs=0.04)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 65.0])
+def test_shadows_on_a_ground_of_any_width_are_right_or_its_object_is_named(
+    gl: rhi.Device, caplog: pytest.LogCaptureFixture, degrees: float
+) -> None:
+    is_named = {}
+    for width in (200.0, 1e5, 1e6, 4e6, 2e7, 1e9):
+        caplog.clear()
+        wrong, lit, dark = count_wrong(gl, width, [NEAR], degrees)
+        assert lit + dark > 5000
+        warnings = [record.getMessage() for record in caplog.records if record.name == "rhi.shadows"]
+        is_named[width] = bool(warnings)
+        assert warnings or not wrong, f"{wrong} pixels are wrong on a ground of {width:g} m, without a word"
+        assert all("object 0" in warning and f"{width:.3g} m wide" in warning for warning in warnings)
+        assert len(warnings) <= 1
+    assert not is_named[200.0]
+    assert not is_named[1e5]
+    assert is_named[2e7]
+
+
+def test_a_ground_is_named_once_and_not_if_it_is_divided(
+    null: rhi.Device, caplog: pytest.LogCaptureFixture
+) -> None:
+    def count_warnings(width: float, *, casts_shadow: bool = True) -> int:
+        caplog.clear()
+        builder = make_boxes(ground(width), NEAR)
+        builder.lights.add_directional((0, -1, 0), casts_shadow=casts_shadow)
+        with open_renderer(null, builder.build(), Forward(), size=SIZE) as renderer:
+            renderer.shadows.settings = SETTINGS
+            for _ in range(3):
+                renderer.render(EYE)
+            count = len([record for record in caplog.records if record.name == "rhi.shadows"])
+            assert renderer.shadows.coarse_objects == ({0} if count else set())
+            return count
+
+    assert count_warnings(2e7) == 1
+    assert count_warnings(2e7, casts_shadow=False) == 0
+    caplog.clear()
+    assert count_warnings(1e5) == 0

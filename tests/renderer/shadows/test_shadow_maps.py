@@ -356,7 +356,11 @@ def test_scenes_cast_shadows_on_request(null: rhi.Device) -> None:
 def masked_stage() -> Scene:
     """Make a scene of a floor, a box with an opaque material, and another one whose material is a mask."""
     builder = stage()
-    masked = builder.add_material(alpha_mode=AlphaMode.MASK, alpha_cutoff=0.5)
+    holes = np.full((4, 4, 4), 255, np.uint8)
+    holes[:2, :, 3] = 0
+    masked = builder.add_material(
+        alpha_mode=AlphaMode.MASK, alpha_cutoff=0.5, texture=builder.add_image(holes)
+    )
     builder.add_objects(builder.add_node(translation((2, 2, 0))), builder.add_mesh(BUILT_IN["box"]()), masked)
     return builder.build()
 

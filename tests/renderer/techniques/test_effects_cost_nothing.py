@@ -133,7 +133,9 @@ images."""
 def make_material(effects: set[Effect]) -> Scene:
     """Make a box of a material with these effects, and with a base map."""
     builder = SceneBuilder("box")
-    image = builder.add_image(np.full((4, 4, 4), 255, np.uint8))
+    texels = np.full((4, 4, 4), 255, np.uint8)
+    texels[:2, :, 3] = 0  # what masks cut
+    image = builder.add_image(texels)
     values: dict[Effect, dict[str, object]] = {
         Effect.METALS: {"roughness": 0.5},
         Effect.NORMAL_MAPS: {"normal_texture": image},

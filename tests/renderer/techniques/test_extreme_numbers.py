@@ -94,11 +94,67 @@ def test_normals_of_any_length_are_directions(any_device: rhi.Device, technique:
     assert max(wrong.values()) <= 1.0, wrong
 
 
-def test_normals_of_usual_lengths_and_of_none_stay_as_they_are() -> None:
-    """Control: only what float32 can't square is changed."""
-    for length in (0.0, 0.01, 1.0, 3.0):
+def test_normals_of_usual_lengths_stay_as_they_are() -> None:
+    """Control: only what float32 can't square is changed, and what has no direction."""
+    for length in (0.01, 1.0, 3.0):
         scene = make_scene(make_square(normal=length), 1.0)
         assert (scene.meshes.vertices["normal"] == np.array((0, 0, length), np.float32)).all()
+
+
+@pytest.mark.parametrize("technique", EXACT)
+def test_missing_normals_are_those_of_triangles(gl: rhi.Device, technique: str) -> None:
+    """With each technique: a vector of length 0 was black with some, and towards z with others."""
+    bent = make_square()
+    bent.vertices["normal"][1:3] = 0.0
+    for mesh in (make_square(normal=0.0), bent):
+        assert largest_error(draw(gl, make_scene(mesh, 1.0), technique, look())) <= 1.0
+
+
+def test_missing_normals_of_a_cube_face_outwards() -> None:
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
+    faces += [(0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    vertices = np.zeros(8, VERTEX)
+    vertices["position"] = corners
+    builder = SceneBuilder("cube")
+    mesh = builder.add_mesh(MeshGeometry(vertices, np.array(faces, np.uint32).reshape(-1)))
+    builder.add_objects(builder.add_node(), mesh, builder.add_material())
+    normals = builder.build().meshes.vertices["normal"]
+    assert (normals * corners > 0.0).all()
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert not vertices["normal"].any(), "the user's array stays as it was"
+
+
+RANGES = (10.0, 1e6, 1e9, 1e12, 1e18, 1e20, 1e30)
+ANGLES = (0.0, 0.01, 0.5, 1.0, 3.0)
+"""Outer half angles of spot lights; 0 is a point light."""
+
+
+def make_far_light(reach: float, angle: float) -> Scene:
+    """Return a square in front of a light of this range."""
+    builder = SceneBuilder("far light")
+    grey = builder.add_material(base_color=(0.5, 0.5, 0.5), specular_color=(0, 0, 0))
+    builder.add_objects(builder.add_node(), builder.add_mesh(make_square()), grey)
+    builder.lights.sky = builder.lights.ground = (0.02, 0.02, 0.02)
+    if angle:
+        builder.lights.add_spot((0.2, 0, 1.0), (0.1, 0.2, -1), reach, 0.5 * angle, angle, intensity=2.0)
+    else:
+        builder.lights.add_point((0.2, 0, 1.0), reach, intensity=2.0)
+    return builder.build()
+
+
+@pytest.mark.parametrize("technique", ["deferred", "light_pre_pass", "clustered", "tiled_deferred"])
+def test_lights_of_any_range_light_alike(gl: rhi.Device, technique: str) -> None:
+    """Volumes of lights are no larger than the view: parallel ones had lost pixels of cones of 10⁹ m."""
+    perspective = Camera.look_at((0.3, 0.2, 3.0), (0, 0, 0), (0, 1, 0), Perspective(0.8, 1.0, 0.1))
+    behind = Camera.look_at((0.5, 0.3, 1), (0, 0, 0), (0, 1, 0), Orthographic(VIEW, 1.0, -50.0, 50.0))
+    for camera in (look(), perspective, behind):
+        for angle in ANGLES:
+            for reach in RANGES[1::2]:
+                scene = make_far_light(reach, angle)
+                forward, image = draw(gl, scene, "forward", camera), draw(gl, scene, technique, camera)
+                assert np.abs(forward - image).max() <= 2.0, (angle, reach)
+            assert np.ptp(forward) > 20.0 or angle == ANGLES[1], "control: the light shows"
 
 
 @pytest.mark.parametrize("technique", EXACT)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from renderer.frame.pixel_rays import compute_pixel_rays
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
 from renderer.shaders.pixels import depth_to_nearness, nearness_to_distance, pixel_position
-from renderer.techniques.parts.full_screen import compute_pixel_rays
 from rhi.shading import evaluate
 
 SIZE = (97, 55)

@@ -59,12 +59,14 @@ def build_scene(
     builder = SceneBuilder("boxes")
     box = BUILT_IN["box"]()
     vertices = box.vertices
-    colors = np.ones((len(vertices), 4)) if has_colors else None
+    colors = np.ones((len(vertices), 4)) * (0.9, 0.9, 0.9, 1.0) if has_colors else None
     geometry = make_geometry(
         vertices["position"], box.indices, vertices["normal"], vertices["uv"], color=colors
     )
     mesh = builder.add_mesh(geometry)
-    image = builder.add_image(np.full((4, 4, 4), 255, np.uint8))
+    texels = np.full((4, 4, 4), 255, np.uint8)
+    texels[:2, :, 3] = 0  # what the mask cuts
+    image = builder.add_image(texels)
     opaque: dict[str, Any] = {"emission": 2.0} if shader is None else {"emission": 2.0, "shader": shader}
     if has_details:
         opaque = {"texture": image, "emissive_texture": image, "emissive": (2.0, 2.0, 2.0), "metallic": 1.0}

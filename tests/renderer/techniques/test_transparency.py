@@ -398,7 +398,7 @@ def test_transparent_objects_cast_no_shadows() -> None:
 
 
 def test_a_material_that_becomes_transparent_casts_no_shadow_from_then_on(null: rhi.Device) -> None:
-    builder = panes(WALL, (1.0, (1.0, 1.0, 1.0)))
+    builder = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)))
     builder.lights.add_directional((0.0, 0.0, -1.0), (1.0, 1.0, 1.0), 1.0, casts_shadow=True)
     scene = builder.build()
     with open_renderer(null, scene) as renderer:

@@ -172,8 +172,8 @@ def _select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Fl
     return is_metal, diffuse, mirror, np.maximum(seen.roughness, _SMOOTHEST)
 
 
-def optical_depth(fog: Fog, eye: float, height: Floats, length: Floats) -> Floats:
-    """The integral of a fog's density along rays (k,) from the height `eye` that rise by `height` on their
+def optical_depth(fog: Fog, eye: Floats, height: Floats, length: Floats) -> Floats:
+    """The integral of a fog's density along rays (k,) from the heights `eye` that rise by `height` on their
     `length`, which may be infinite."""
     thins = fog.falloff * height
     here = fog.density * np.exp(np.minimum(-fog.falloff * (eye - fog.base), 60.0))

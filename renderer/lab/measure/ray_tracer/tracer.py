@@ -77,7 +77,7 @@ class RayTracer:
         colors = np.zeros((len(pixel_positions), 3))
         for begin in range(0, len(pixel_positions), _CHUNK):
             part = slice(begin, begin + _CHUNK)
-            colors[part] = self._follow(camera, origins[part], directions[part], first, last)
+            colors[part] = self._follow(origins[part], directions[part], first, last)
         return colors
 
     def _collect_surfaces(self, origins: Floats, directions: Floats, first: float, last: float) -> Hits:
@@ -116,17 +116,17 @@ class RayTracer:
         again &= hits.distance[1:] - hits.distance[:-1] <= 1e-9 * np.abs(hits.distance[1:])
         return np.concatenate([[False], again])[: len(hits.ray)]
 
-    def _follow(
-        self, camera: Camera, origins: Floats, directions: Floats, first: float, last: float
-    ) -> Floats:
+    def _follow(self, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
         hits = self._collect_surfaces(origins, directions, first, last)
         seen = self._geometry.surfaces_at(hits, origins, directions)
-        color = tone_map(self._pass_fog(camera, self._lighting.light(seen), seen.position))
-        color = self._pass_haze(color, np.linalg.norm(seen.position - camera.position, axis=1))
+        # Light is seen where its ray leaves the eye, or the eye's plane; air behind that isn't seen through.
+        start = np.where(hits.distance[:, None] > 0.0, origins[hits.ray], seen.position)
+        color = tone_map(self._pass_fog(self._lighting.light(seen), start, seen.position))
+        color = self._pass_haze(color, np.linalg.norm(seen.position - start, axis=1))
         # Glass lets through what it doesn't cover: each surface is seen through all before it of the same
         # ray.
         clear = 1.0 - seen.alpha
-        total = self._draw_background(camera, directions)
+        total = self._draw_background(origins, directions)
         order = np.arange(len(hits.ray))
         begins = np.searchsorted(hits.ray, np.arange(len(origins)), side="left")
         depth = order - begins[hits.ray]
@@ -138,12 +138,12 @@ class RayTracer:
             through[ray] *= clear[selected]
         return color_sum + through[:, None] * total
 
-    def _pass_fog(self, camera: Camera, light: Floats, position: Floats) -> Floats:
+    def _pass_fog(self, light: Floats, start: Floats, position: Floats) -> Floats:
         fog = self._scene.fog
         if fog is None:
             return light
-        away = position - camera.position
-        thickness = optical_depth(fog, camera.position[1], away[:, 1], np.linalg.norm(away, axis=1))
+        away = position - start
+        thickness = optical_depth(fog, start[:, 1], away[:, 1], np.linalg.norm(away, axis=1))
         passes = np.exp(-thickness)[:, None]
         return light * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
 
@@ -151,14 +151,14 @@ class RayTracer:
         passes = np.exp(-self._scene.haze * length)[:, None]
         return color * passes + np.asarray(self._scene.background) * (1.0 - passes)
 
-    def _draw_background(self, camera: Camera, directions: Floats) -> Floats:
+    def _draw_background(self, origins: Floats, directions: Floats) -> Floats:
         """The background's colours, seen through all of the fog."""
         background = np.broadcast_to(np.asarray(self._scene.background, np.float64), directions.shape)
         fog = self._scene.fog
         if fog is None:
             return background
         rises = fog.falloff * directions[:, 1] / np.linalg.norm(directions, axis=1)
-        here = fog.density * np.exp(np.minimum(-fog.falloff * (camera.position[1] - fog.base), 60.0))
+        here = fog.density * np.exp(np.minimum(-fog.falloff * (origins[:, 1] - fog.base), 60.0))
         with np.errstate(divide="ignore"):
             thickness = np.where(rises > 0.0, here / np.maximum(rises, 1e-300), np.inf)
         passes = np.exp(-thickness)[:, None]
