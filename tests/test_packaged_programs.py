@@ -86,7 +86,7 @@ def test_backends_of_ports_are_still_found_by_metadata(monkeypatch: pytest.Monke
     )
     registry._entry_points.cache_clear()
     try:
-        assert rhi.backend_names() == ["gl", "cl", "port", "wgpu", "null"]
+        assert rhi.backend_names() == ["gl", "cl", "port", "web", "wgpu", "null"]
         with rhi.create_device("port") as device:
             assert device.backend_name == "null"
     finally:

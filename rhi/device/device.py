@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -43,6 +43,7 @@ from rhi.contract.texels import add_channel_axis
 from rhi.device.capture import FrameCapture
 from rhi.device.command_buffer import CommandBuffer, check_submissions
 from rhi.device.core.core import FORKED, NO_THREAD, Core, Statistics, ValidatingCore
+from rhi.device.core.event_loop import pause_until
 from rhi.device.core.memory_ledger import MemoryUse
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache
@@ -711,6 +712,15 @@ class Device(Encoder):
         self._core.check_ready()
         return FrameCapture(self._core, None if path is None else Path(path))
 
+    async def finish_async(self) -> None:
+        """Wait until the GPU has executed everything submitted, while other tasks of asyncio run.
+
+        In a page this waits where `finish` can't (the backend `web` without JSPI). Without asyncio's loop it
+        blocks as `finish` does.
+        """
+        await _Completion(self, self.signal())
+        self._timers.collect()
+
     @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
@@ -802,3 +812,17 @@ class Device(Encoder):
                 seconds,
                 function_names,
             )
+
+
+class _Completion:
+    """Awaits a value of a device's fence."""
+
+    __slots__ = ("_device", "_value")
+
+    def __init__(self, device: Device, value: int) -> None:
+        self._device = device
+        self._value = value
+
+    def __await__(self) -> Generator[Any]:
+        yield from pause_until(lambda: self._device.completed >= self._value)
+        self._device.wait(self._value)

@@ -40,10 +40,12 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 GROUP: Final = "rhi.backends"
-BUILT_IN: Final = {name: f"rhi.backends.{name}:create_backend" for name in ("gl", "cl", "wgpu", "null")}
+BUILT_IN: Final = {
+    name: f"rhi.backends.{name}:create_backend" for name in ("gl", "cl", "wgpu", "web", "null")
+}
 """The functions of this package's own backends, by name. Tools that package programs don't see such names as
 imports: `rhi/shading/tools/pyinstaller` has a hook, and docs/errors.md says what others need."""
-PREFERENCE: Final = ("gl",)
+PREFERENCE: Final = ("web",) if sys.platform == "emscripten" else ("gl",)
 """Backends that are tried first, in this order, if no name is given. A backend that doesn't render must be
 named."""
 

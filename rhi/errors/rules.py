@@ -46,6 +46,11 @@ DEVICE_MEMORY: Final = Rule(
     "device-out-of-memory", "the device is out of memory", "destroy resources that are no longer used"
 )
 DEVICE_LOST: Final = Rule("device-lost", "the device was lost", "close it and create a new one")
+DEVICE_WAIT: Final = Rule(
+    "device-wait",
+    "Python can't wait for this page",
+    "await texture.read_async(), buffer.read_async() or device.finish_async()",
+)
 DEVICE_ANSWER: Final = Rule(
     "device-no-answer",
     "the device never returned the result of a query",

@@ -16,44 +16,15 @@ from typing import Final
 
 import numpy as np
 
+from rhi.contract import webgpu_formats
 from rhi.contract.backend import Capabilities
-from rhi.contract.formats import COLOR_FORMATS, FLOAT32_FORMATS, ChannelKind, Format
+from rhi.contract.formats import FLOAT32_FORMATS, ChannelKind, Format
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
 _SNORM: Final = frozenset(form for form in Format if form.kind is ChannelKind.SNORM)
 _UNORM16: Final = frozenset(f for f in Format if f.kind is ChannelKind.UNORM and f.channel_bits[0] == 16)
 _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FLOAT)
-
-_INTEGERS: Final = frozenset(form for form in COLOR_FORMATS if form.is_integer)
-_WORDS: Final = frozenset({Format.R32F, Format.R32UI, Format.R32I})
-_STORED: Final = _WORDS | {
-    Format.RGBA8,
-    Format.RGBA8_SNORM,
-    Format.RGBA8UI,
-    Format.RGBA16F,
-    Format.RGBA16UI,
-    Format.RG32F,
-    Format.RG32UI,
-    Format.RG32I,
-    Format.RGBA32F,
-    Format.RGBA32UI,
-    Format.RGBA32I,
-}
-_UNSTORED: Final = frozenset(COLOR_FORMATS) - _STORED
-_UNLOADED: Final = frozenset(COLOR_FORMATS) - _WORDS
-_WIDE: Final = frozenset(
-    {
-        Format.RG32F,
-        Format.RGBA32F,
-        Format.R32UI,
-        Format.RG32UI,
-        Format.RGBA32UI,
-        Format.R32I,
-        Format.RG32I,
-        Format.RGBA32I,
-    }
-)
 
 
 def _device(name: str) -> Capabilities:
@@ -155,14 +126,14 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         vertex_writes=False,
         aliased_writes=False,
         resolve_feedback=False,
-        unsupported_formats=_UNORM16 | {Format.D32FS8},
-        unrenderable_formats=_SNORM | _UNORM16 | {Format.R11G11B10F},
+        unsupported_formats=webgpu_formats.UNSUPPORTED,
+        unrenderable_formats=webgpu_formats.UNRENDERABLE,
         unfilterable_formats=FLOAT32_FORMATS,
         unblendable_formats=FLOAT32_FORMATS,
-        unresolvable_formats=_INTEGERS - _WIDE | {Format.R32F},
-        single_sampled_formats=_WIDE | _SNORM | {Format.R11G11B10F},
-        unstorable_formats=_UNSTORED,
-        unloadable_formats=_UNLOADED,
+        unresolvable_formats=webgpu_formats.UNRESOLVABLE,
+        single_sampled_formats=webgpu_formats.SINGLE_SAMPLED,
+        unstorable_formats=webgpu_formats.UNSTORABLE,
+        unloadable_formats=webgpu_formats.UNLOADABLE,
     ),
     "opencl-cpu": replace(
         _device("opencl-cpu"),

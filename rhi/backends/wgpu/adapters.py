@@ -8,14 +8,15 @@ features of this implementation.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final
 
 import wgpu
 
-from rhi.backends.wgpu.native import GpuObject, check_version, retain_callbacks
+from rhi.backends.webgpu.implementation import GpuObject, Host
+from rhi.backends.webgpu.webgpu_limits import CORE_LIMITS
+from rhi.backends.wgpu.native import check_version, retain_callbacks
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
@@ -48,40 +49,8 @@ _USED: Final = frozenset(
     ]
 )
 """Features to request: of the WebGPU specification, and of wgpu's native implementation."""
-_CORE_LIMITS: Final = {
-    "max-texture-dimension-1d": 8192, "max-texture-dimension-2d": 8192, "max-texture-dimension-3d": 2048,
-    "max-texture-array-layers": 256, "max-bind-groups": 4, "max-bindings-per-bind-group": 1000,
-    "max-dynamic-uniform-buffers-per-pipeline-layout": 8, "max-dynamic-storage-buffers-per-pipeline-layout": 4,
-    "max-sampled-textures-per-shader-stage": 16, "max-samplers-per-shader-stage": 16,
-    "max-storage-buffers-per-shader-stage": 8, "max-storage-textures-per-shader-stage": 4,
-    "max-uniform-buffers-per-shader-stage": 12, "max-uniform-buffer-binding-size": 1 << 16,
-    "max-storage-buffer-binding-size": 1 << 27, "min-uniform-buffer-offset-alignment": 256,
-    "min-storage-buffer-offset-alignment": 256, "max-vertex-buffers": 8, "max-buffer-size": 1 << 28,
-    "max-vertex-attributes": 16, "max-vertex-buffer-array-stride": 2048, "max-inter-stage-shader-variables": 16,
-    "max-color-attachments": 8, "max-color-attachment-bytes-per-sample": 32,
-    "max-compute-workgroup-storage-size": 16384, "max-compute-invocations-per-workgroup": 256,
-    "max-compute-workgroup-size-x": 256, "max-compute-workgroup-size-y": 256, "max-compute-workgroup-size-z": 64,
-    "max-compute-workgroups-per-dimension": 65535,
-}  # fmt: skip
-"""The limits that every implementation of WebGPU has."""
 _DISPLAY: Final = "WAYLAND_DISPLAY"
 _TIP: Final = "a Vulkan driver: on Debian, apt install mesa-vulkan-drivers"
-
-
-@dataclass(frozen=True)
-class Host:
-    """An open device, with the information, features and limits of its adapter."""
-
-    device: GpuObject
-    info: Mapping[str, str]
-    features: frozenset[str]
-    limits: Mapping[str, int]
-    rejected_devices: tuple[str, ...] = ()
-
-    @property
-    def key(self) -> object:
-        """A key that devices with the same adapter, features and limits share."""
-        return (*sorted(self.info.items()), self.features, *sorted(self.limits.items()))
 
 
 def open_host() -> Host:
@@ -138,7 +107,7 @@ def _quiet_without_wayland() -> Iterator[None]:
 def _open(adapter: GpuObject, rejected_devices: Sequence[str]) -> Host:
     core = os.environ.get("RHI_WGPU_PROFILE") == "core"
     features = frozenset() if core else frozenset(adapter.features) & _USED
-    limits = _CORE_LIMITS if core else dict(adapter.limits)
+    limits = CORE_LIMITS if core else dict(adapter.limits)
     device = adapter.request_device_sync(required_features=sorted(features), required_limits=limits)
     retain_callbacks(device)
     return Host(device, dict(adapter.info), features, dict(device.limits), tuple(rejected_devices))

@@ -9,43 +9,50 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from struct import Struct
-from typing import Any, Final, TypeAlias
+from time import sleep
+from typing import Any, Final
 
 import wgpu
 from wgpu.backends.wgpu_native._api import libf
 from wgpu.backends.wgpu_native._ffi import ffi, lib
 
+from rhi.backends.webgpu.implementation import (
+    ColorTarget,
+    DepthTarget,
+    GpuError,
+    GpuMemoryError,
+    GpuObject,
+    Handle,
+    ModuleError,
+)
+from rhi.contract.formats import IndexFormat
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
 __all__ = [
-    "NEVER_SLICED",
     "NULL",
     "VERSION",
-    "Fence",
-    "GpuObject",
-    "Handle",
-    "Mappings",
+    "NativeFence",
+    "NativeMappings",
+    "WgpuNative",
     "check_version",
     "checked",
     "ffi",
     "lib",
     "release",
     "retain_callbacks",
-    "timestamp_period",
-    "write_queue",
 ]
 
 VERSION: Final = "0.32"
 """The version of wgpu-py whose C interface this module is written for."""
 
-GpuObject: TypeAlias = Any
-"""An object of wgpu-py."""
-Handle: TypeAlias = Any
-"""A pointer to an object of wgpu-native."""
+GpuError.register(wgpu.GPUError)
+GpuMemoryError.register(wgpu.GPUOutOfMemoryError)
 
 NULL: Final[Handle] = ffi.NULL
 checked: Final = libf
@@ -180,7 +187,7 @@ def give_record(record: CallbackRecord) -> None:
         _spare_records.append(record)
 
 
-class Fence:
+class NativeFence:
     """Values that submissions reach, in order."""
 
     def __init__(self, device: GpuObject) -> None:
@@ -220,6 +227,10 @@ class Fence:
         """Run the callbacks of all finished work; return whether all work is finished."""
         return bool(lib.wgpuDevicePoll(self._device, False, NULL))
 
+    def pause(self, seconds: float) -> None:
+        """Leave the device this time to work, in seconds."""
+        sleep(seconds)
+
     def finish(self, submission: int) -> None:
         """Wait until a submission is done."""
         lib.wgpuDevicePoll(self._device, True, ffi.new("WGPUSubmissionIndex *", submission))
@@ -234,7 +245,7 @@ class Fence:
             give_record(self._done)
 
 
-class Mappings:
+class NativeMappings:
     """Maps buffers for reading, without the threads that wgpu-py would start for it."""
 
     def __init__(self) -> None:
@@ -281,13 +292,132 @@ class Mappings:
         self._records.clear()
 
 
-def write_queue(device: GpuObject, buffer: Handle, offset: int, data: Any, start: int, size: int) -> None:
-    """Write a part of `data`, a buffer of Python, before the next submission. Offset and size are multiples
-    of 4."""
-    with ffi.from_buffer("uint8_t[]", data) as source:  # released at once: else an error keeps it in a cycle
-        checked.wgpuQueueWriteBuffer(device.queue._internal, buffer, offset, source + start, size)
+_LOCATION: Final = re.compile(r"wgsl:(\d+):\d+")
 
 
-def timestamp_period(device: GpuObject) -> float:
-    """The unit of timestamps, in nanoseconds."""
-    return float(lib.wgpuQueueGetTimestampPeriod(device.queue._internal))
+def _read_messages(log: str) -> Iterator[tuple[str, int]]:
+    """Yield naga's message, with the line of the text that it points at."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    start = next((i for i, line in enumerate(lines) if line.startswith("Shader '")), 0)
+    location = _LOCATION.search(log)
+    message = " ".join(line for line in lines[start:] if not re.match(r"[┌│=\d]", line))
+    yield re.sub(r"^Shader '[^']*' ", "", message) or log.strip(), int(location[1]) if location else 0
+
+
+class WgpuNative:
+    """The functions of wgpu-native; `rhi.backends.webgpu.implementation.Implementation`.
+
+    Its functions are C's own: a draw calls no function of Python between.
+    """
+
+    name = "wgpu"
+    version = f"wgpu {wgpu.__version__}"
+    index_formats: Mapping[IndexFormat, Any] = {
+        IndexFormat.UINT16: lib.WGPUIndexFormat_Uint16,
+        IndexFormat.UINT32: lib.WGPUIndexFormat_Uint32,
+    }
+    no_offsets = NULL
+    maps_early = False
+
+    def __init__(self) -> None:
+        self.set_pipeline = lib.wgpuRenderPassEncoderSetPipeline
+        self.set_bind_group = lib.wgpuRenderPassEncoderSetBindGroup
+        self.set_vertex_buffer = lib.wgpuRenderPassEncoderSetVertexBuffer
+        self.set_index_buffer = lib.wgpuRenderPassEncoderSetIndexBuffer
+        self.draw = lib.wgpuRenderPassEncoderDraw
+        self.draw_indexed = lib.wgpuRenderPassEncoderDrawIndexed
+        self.multi_draw_indirect = lib.wgpuRenderPassEncoderMultiDrawIndirect
+        self.multi_draw_indexed_indirect = lib.wgpuRenderPassEncoderMultiDrawIndexedIndirect
+        self.multi_draw_indexed_indirect_count = lib.wgpuRenderPassEncoderMultiDrawIndexedIndirectCount
+        self.set_viewport = lib.wgpuRenderPassEncoderSetViewport
+        self.set_scissor_rect = lib.wgpuRenderPassEncoderSetScissorRect
+        self.set_stencil_reference = lib.wgpuRenderPassEncoderSetStencilReference
+        self.begin_occlusion_query = lib.wgpuRenderPassEncoderBeginOcclusionQuery
+        self.end_occlusion_query = lib.wgpuRenderPassEncoderEndOcclusionQuery
+        self.write_timestamp = lib.wgpuCommandEncoderWriteTimestamp
+        self.write_pass_timestamp = lib.wgpuRenderPassEncoderWriteTimestamp
+        self.set_compute_pipeline = lib.wgpuComputePassEncoderSetPipeline
+        self.set_compute_bind_group = lib.wgpuComputePassEncoderSetBindGroup
+        self.dispatch_workgroups = lib.wgpuComputePassEncoderDispatchWorkgroups
+        self.dispatch_workgroups_indirect = lib.wgpuComputePassEncoderDispatchWorkgroupsIndirect
+        self.begin_render_pass = lib.wgpuCommandEncoderBeginRenderPass
+        self.end_render_pass = lib.wgpuRenderPassEncoderEnd
+        self.release_render_pass = lib.wgpuRenderPassEncoderRelease
+
+    def set_blend_constant(self, render: Handle, color: tuple[float, float, float, float]) -> None:
+        """Set the blend constant of a pass."""
+        lib.wgpuRenderPassEncoderSetBlendConstant(render, ffi.new("WGPUColor *", color))
+
+    def describe_render_pass(
+        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
+    ) -> Any:
+        """Return the description of a render pass. It keeps the structures and views that it points to."""
+        attachments = ffi.new("WGPURenderPassColorAttachment[]", max(1, len(colors)))
+        for attachment, (view, clear, resolve_target, stores) in zip(attachments, colors, strict=False):
+            attachment.view, attachment.depthSlice = view._internal, NEVER_SLICED
+            attachment.loadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
+            attachment.storeOp = lib.WGPUStoreOp_Store if stores else lib.WGPUStoreOp_Discard
+            if clear is not None:
+                value = attachment.clearValue
+                value.r, value.g, value.b, value.a = clear
+            if resolve_target is not None:
+                attachment.resolveTarget = resolve_target._internal
+        info = ffi.new("WGPURenderPassDescriptor *")
+        info.colorAttachmentCount, info.colorAttachments = len(colors), attachments
+        structures = [attachments]
+        if depth is not None:
+            attachment = ffi.new("WGPURenderPassDepthStencilAttachment *")
+            structures.append(attachment)
+            attachment.view = depth.view._internal
+            attachment.depthLoadOp = lib.WGPULoadOp_Load if depth.clear is None else lib.WGPULoadOp_Clear
+            attachment.depthStoreOp = lib.WGPUStoreOp_Store
+            attachment.depthClearValue = depth.clear or 0.0
+            if depth.has_stencil:
+                loads = depth.clear_stencil is None
+                attachment.stencilLoadOp = lib.WGPULoadOp_Load if loads else lib.WGPULoadOp_Clear
+                attachment.stencilStoreOp = lib.WGPUStoreOp_Store
+                attachment.stencilClearValue = depth.clear_stencil or 0
+            info.depthStencilAttachment = attachment
+        info.occlusionQuerySet = query_set
+        self._structures = structures, info
+        return info
+
+    def offset_array(self, count: int) -> Any:
+        """Return an array of this many dynamic offsets."""
+        return ffi.new("uint32_t[]", max(1, count))
+
+    def create_fence(self, device: GpuObject) -> NativeFence:
+        """Return the fence of a device."""
+        return NativeFence(device)
+
+    def create_mappings(self) -> NativeMappings:
+        """Return the mapped reads of a device."""
+        return NativeMappings()
+
+    def create_module(self, device: GpuObject, label: str, code: str) -> GpuObject:
+        """Compile a text of WGSL by naga.
+
+        Raises:
+            ModuleError: if the text is refused.
+        """
+        try:
+            return device.create_shader_module(label=label, code=code)
+        except wgpu.GPUValidationError as error:
+            raise ModuleError(_read_messages(str(error))) from None
+
+    def write_queue(
+        self, device: GpuObject, buffer: Handle, offset: int, data: Any, start: int, size: int
+    ) -> None:
+        """Write a part of `data`, a buffer of Python, before the next submission. Offset and size are
+        multiples of 4."""
+        with ffi.from_buffer("uint8_t[]", data) as source:  # released at once: else an error keeps it
+            checked.wgpuQueueWriteBuffer(device.queue._internal, buffer, offset, source + start, size)
+
+    def timestamp_period(self, device: GpuObject) -> float:
+        """Return the unit of timestamps, in nanoseconds."""
+        return float(lib.wgpuQueueGetTimestampPeriod(device.queue._internal))
+
+    def release(self, device: GpuObject) -> None:
+        """Wait for a device's work and destroy it; release its handle while its callbacks exist."""
+        lib.wgpuDevicePoll(device._internal, True, NULL)
+        release(device)

@@ -6,19 +6,16 @@ once. So what is changed or destroyed afterwards doesn't affect the result.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Generator
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Id
 from rhi.device.core.core import Core
+from rhi.device.core.event_loop import pause_until
 from rhi.errors.device_objects import DeviceObject
-
-_FIRST_PAUSE: Final = 0.0002  # seconds
-_LONGEST_PAUSE: Final = 0.002
 
 
 class Readback(DeviceObject):
@@ -98,12 +95,7 @@ class Readback(DeviceObject):
         Raises:
             ValidationError: as `result`.
         """
-        asyncio = sys.modules.get("asyncio")  # which runs no loop if nobody has imported it
-        if asyncio is not None and asyncio._get_running_loop() is not None:
-            pause = 0.0
-            while not self.done:
-                yield from asyncio.sleep(pause).__await__()
-                pause = min(pause + _FIRST_PAUSE, _LONGEST_PAUSE)
+        yield from pause_until(lambda: self.done)
         return self.result()
 
     def take_memory(self) -> Id:

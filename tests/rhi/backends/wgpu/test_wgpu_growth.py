@@ -15,7 +15,8 @@ from wgpu.backends.wgpu_native._helpers import generate_report
 
 import rhi
 from rhi import BlendFactor, BlendFunction, ColorWrite, CullMode, Device, Format
-from rhi.backends.wgpu import native, wgpu_pipelines
+from rhi.backends.webgpu import webgpu_pipelines
+from rhi.backends.wgpu import native
 from rhi.backends.wgpu.wgpu_backend import WgpuBackend
 from rhi.conformance.shaders import Colored, Count
 from rhi.conformance.shapes import rectangle
@@ -90,7 +91,7 @@ def test_queries_that_nobody_reads_use_the_same_sets(device: Device) -> None:
 
 
 def test_pipelines_of_many_states_are_bounded(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wgpu_pipelines, "MAX_PIPELINES", 8)
+    monkeypatch.setattr(webgpu_pipelines, "MAX_PIPELINES", 8)
     image, mesh, program = (
         device.texture((8, 8), Format.R8),
         device.mesh(rectangle()),

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import wgpu
-
-from rhi.backends.wgpu.native import GpuObject
-from rhi.backends.wgpu.wgpu_errors import make_error, make_shader_error, translate_errors
-from rhi.backends.wgpu.wgpu_formats import DIMENSIONS, FORMATS
+from rhi.backends.webgpu.implementation import GpuObject, Implementation, ModuleError
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_flags import GpuShaderStage
+from rhi.backends.webgpu.webgpu_formats import DIMENSIONS, FORMATS
 from rhi.contract.descriptors import BindingKind, Id, ProgramDescriptor, Stage, TextureKind
+from rhi.contract.driver_log import make_driver_error
 from rhi.contract.layout import FLOAT, INT
 from rhi.contract.states import MAX_TARGETS
 from rhi.shading.glsl.vulkan import SETS
@@ -26,9 +26,9 @@ from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.wgsl.wgsl_stages import read_declarations
 
 _VISIBILITY: Final = {
-    Stage.VERTEX: wgpu.ShaderStage.VERTEX,
-    Stage.FRAGMENT: wgpu.ShaderStage.FRAGMENT,
-    Stage.COMPUTE: wgpu.ShaderStage.COMPUTE,
+    Stage.VERTEX: GpuShaderStage.VERTEX,
+    Stage.FRAGMENT: GpuShaderStage.FRAGMENT,
+    Stage.COMPUTE: GpuShaderStage.COMPUTE,
 }
 _DEPTH: Final = "@builtin(frag_depth)"
 _FAULTY: Final = 3
@@ -61,12 +61,19 @@ class GpuProgram:
     """
 
     def __init__(
-        self, device: GpuObject, program: Id, descriptor: ProgramDescriptor, *, has_pads: bool
+        self,
+        implementation: Implementation,
+        device: GpuObject,
+        program: Id,
+        descriptor: ProgramDescriptor,
+        *,
+        has_pads: bool,
     ) -> None:
         self.id = program
         self.descriptor = descriptor
         self.modules: dict[Stage, GpuObject] = {}
         self.pipelines: dict[object, Any] = {}
+        self._implementation = implementation
         self._device = device
         self._visibility: dict[tuple[int, int], int] = {}
         self._access: dict[tuple[int, int], str] = {}
@@ -108,11 +115,12 @@ class GpuProgram:
         descriptor = self.descriptor
         source = descriptor.emit("wgsl", stage)
         try:
-            self.modules[stage] = self._device.create_shader_module(label=descriptor.name, code=source.text)
-        except wgpu.GPUValidationError as error:
-            raise make_shader_error(descriptor, stage, source, error) from None
-        except wgpu.GPUError as error:
-            raise make_error(f"device.program({descriptor.name})", error) from error
+            with translate_errors(f"device.program({descriptor.name})"):
+                self.modules[stage] = self._implementation.create_module(
+                    self._device, descriptor.name, source.text
+                )
+        except ModuleError as error:
+            raise make_driver_error(descriptor, stage, source, iter(error.messages), "WGSL") from None
         for address, access in read_declarations(source.text).items():
             self._visibility[address] = self._visibility.get(address, 0) | _VISIBILITY[stage]
             declared = self._access.get(address, access)
@@ -159,7 +167,7 @@ class GpuProgram:
         return {"binding": binding, "visibility": self._get_visibility(kind, binding), **what}
 
     def _get_visibility(self, kind: BindingKind, binding: int) -> int:
-        fallback = wgpu.ShaderStage.COMPUTE if Stage.COMPUTE in self.modules else wgpu.ShaderStage.FRAGMENT
+        fallback = GpuShaderStage.COMPUTE if Stage.COMPUTE in self.modules else GpuShaderStage.FRAGMENT
         return int(self._visibility.get((SETS[kind], binding), fallback))
 
     def _uniforms(self) -> list[dict[str, Any]]:

@@ -17,8 +17,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from rhi.backends.wgpu.native import NEVER_SLICED, NULL, Fence, GpuObject, Handle, ffi, lib
-from rhi.backends.wgpu.wgpu_errors import translate_errors
+from rhi.backends.webgpu.implementation import (
+    ColorTarget,
+    DepthTarget,
+    Fence,
+    GpuObject,
+    Handle,
+    Implementation,
+)
+from rhi.backends.webgpu.webgpu_errors import translate_errors
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor
 from rhi.contract.interrupts import DeferredInterrupts
 
@@ -50,7 +57,8 @@ class Stream:
         on_begin, on_end: called when a segment begins and before it ends.
     """
 
-    def __init__(self, device: GpuObject, fence: Fence) -> None:
+    def __init__(self, implementation: Implementation, device: GpuObject, fence: Fence) -> None:
+        self.implementation = implementation
         self.device = device
         self.fence = fence
         self.serial = 1
@@ -61,7 +69,7 @@ class Stream:
         self.after_submit: list[Callable[[int], None]] = []
         self.on_begin: list[Callable[[], None]] = []
         self.on_end: list[Callable[[], None]] = []
-        self.query_set: Callable[[], Handle] = lambda: NULL
+        self.query_set: Callable[[], Handle]
         self.segments = 0
         self._labels: list[str] = []
         self._encoder: GpuObject | None = None
@@ -106,7 +114,7 @@ class Stream:
         """Submit the encoded commands; return the number of the latest submission.
 
         Raises:
-            DeviceError: `device-driver` if wgpu refuses the commands; they are dropped. `device-lost`.
+            DeviceError: `device-driver` if WebGPU refuses the commands; they are dropped. `device-lost`.
         """
         if self._encoder is None and not self.before_submit:
             return self._latest
@@ -202,56 +210,33 @@ class Stream:
         descriptor = self.pass_
         first = not self._begun
         encoder = self.encoder()
-        views: list[GpuObject] = []  # handles don't keep them alive
-        colors = ffi.new("WGPURenderPassColorAttachment[]", max(1, len(descriptor.colors)))
-        for color, target in zip(colors, descriptor.colors, strict=False):
-            self._attach_color(color, target, first, encoder, views)
-        info = ffi.new("WGPURenderPassDescriptor *")
-        info.colorAttachmentCount, info.colorAttachments = len(descriptor.colors), colors
-        depth = ffi.new("WGPURenderPassDepthStencilAttachment *")
+        implementation = self.implementation
+        # The views live until the pass has begun: handles don't keep them alive.
+        colors = [self._attach_color(target, first, encoder) for target in descriptor.colors]
+        depth = None
         if descriptor.depth is not None:
-            self._attach_depth(depth, descriptor.depth, first, encoder, views)
-            info.depthStencilAttachment = depth
+            depth = self._attach_depth(descriptor.depth, first, encoder)
         elif not descriptor.colors:
-            views.append(self.targets.dummy(descriptor.size, descriptor.samples))
-            colors[0].view, colors[0].depthSlice = views[-1]._internal, NEVER_SLICED
-            colors[0].loadOp, colors[0].storeOp = lib.WGPULoadOp_Clear, lib.WGPUStoreOp_Discard
-            info.colorAttachmentCount = 1
-        info.occlusionQuerySet = self.query_set()
+            dummy = self.targets.dummy(descriptor.size, descriptor.samples)
+            colors.append(ColorTarget(dummy, (0.0, 0.0, 0.0, 0.0), None, False))
+        info = implementation.describe_render_pass(colors, depth, self.query_set())
         # The call and the note of its pass are C alone: an interrupt between would lock the encoder for ever.
-        self._open.extend(map(lib.wgpuCommandEncoderBeginRenderPass, (encoder._internal,), (info,)))
+        self._open.extend(map(implementation.begin_render_pass, (encoder._internal,), (info,)))
         self.render, self._begun = self._open[0], True
         self.segments += 1
         for call in self.on_begin:
             call()
 
-    def _attach_color(
-        self, color: Handle, target: Attachment, first: bool, encoder: GpuObject, views: list[GpuObject]
-    ) -> None:
+    def _attach_color(self, target: Attachment, first: bool, encoder: GpuObject) -> ColorTarget:
         clear = target.clear if first else None
-        views.append(self.targets.attach(encoder, target.texture, target.level, target.layer, clear is None))
-        color.view, color.depthSlice = views[-1]._internal, NEVER_SLICED
-        color.loadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
-        color.storeOp = lib.WGPUStoreOp_Store
-        if clear is not None:
-            color.clearValue.r, color.clearValue.g, color.clearValue.b, color.clearValue.a = clear
-        if target.resolve:
-            views.append(self.targets.attach(encoder, target.resolve, 0, 0, False))
-            color.resolveTarget = views[-1]._internal
+        view = self.targets.attach(encoder, target.texture, target.level, target.layer, clear is None)
+        resolved = self.targets.attach(encoder, target.resolve, 0, 0, False) if target.resolve else None
+        return ColorTarget(view, clear, resolved)
 
-    def _attach_depth(
-        self, depth: Handle, target: DepthAttachment, first: bool, encoder: GpuObject, views: list[GpuObject]
-    ) -> None:
-        views.append(self.targets.attach(encoder, target.texture, target.level, target.layer, True))
-        depth.view = views[-1]._internal
+    def _attach_depth(self, target: DepthAttachment, first: bool, encoder: GpuObject) -> DepthTarget:
+        view = self.targets.attach(encoder, target.texture, target.level, target.layer, True)
         clear, clear_stencil = (target.clear, target.clear_stencil) if first else (None, None)
-        depth.depthLoadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
-        depth.depthStoreOp = lib.WGPUStoreOp_Store
-        depth.depthClearValue = clear or 0.0
-        if self.targets.has_stencil(target.texture):
-            depth.stencilLoadOp = lib.WGPULoadOp_Load if clear_stencil is None else lib.WGPULoadOp_Clear
-            depth.stencilStoreOp = lib.WGPUStoreOp_Store
-            depth.stencilClearValue = clear_stencil or 0
+        return DepthTarget(view, clear, clear_stencil, self.targets.has_stencil(target.texture))
 
     def end_segment(self) -> None:
         """End the open render pass."""
@@ -263,9 +248,9 @@ class Stream:
     def _end_open(self) -> None:
         self.render = None
         handle = self._open[0]
-        ends = map(lib.wgpuRenderPassEncoderEnd, map(self._open.pop, (0,)))  # C alone, as the begin
+        ends = map(self.implementation.end_render_pass, map(self._open.pop, (0,)))  # C alone, as the begin
         deque(ends, maxlen=0)
-        lib.wgpuRenderPassEncoderRelease(handle)
+        self.implementation.release_render_pass(handle)
 
 
 def _clears(descriptor: PassDescriptor) -> bool:

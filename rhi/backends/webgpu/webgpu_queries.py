@@ -11,12 +11,12 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-import wgpu
 
-from rhi.backends.wgpu.command_encoder import Stream
-from rhi.backends.wgpu.native import GpuObject, Handle, Mappings, lib, timestamp_period
-from rhi.backends.wgpu.wgpu_buffers import READ
-from rhi.backends.wgpu.wgpu_errors import translate_errors
+from rhi.backends.webgpu.command_encoder import Stream
+from rhi.backends.webgpu.implementation import GpuObject, Handle, Mappings
+from rhi.backends.webgpu.webgpu_buffers import READ
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_flags import GpuBufferUsage
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.contract.interrupts import DeferredInterrupts
 
@@ -52,7 +52,7 @@ class _SlotSet:
     def __init__(self, device: GpuObject, kind: str) -> None:
         with translate_errors("device.query", memory=True):
             self.object = device.create_query_set(type=kind, count=_SLOTS)
-            usage = wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
+            usage = GpuBufferUsage.QUERY_RESOLVE | GpuBufferUsage.COPY_SRC
             self.resolved = device.create_buffer(size=8 * _SLOTS, usage=usage)
             self.mapped = device.create_buffer(size=8 * _SLOTS, usage=READ)
         self.kind = kind
@@ -68,7 +68,8 @@ class Queries:
         self._stream = stream
         self._mappings = mappings
         self._times_passes = times_passes
-        self._period = timestamp_period(device)
+        self._implementation = stream.implementation
+        self._period = self._implementation.timestamp_period(device)
         self._queries: dict[Id, _Query] = {}
         self._free: dict[str, list[_SlotSet]] = {"occlusion": [], "timestamp": []}
         self._current: dict[str, _SlotSet] = {}
@@ -117,10 +118,10 @@ class Queries:
         current = self._set("timestamp")
         slot = self._take(current, written)
         if self._times_passes and self._stream.render is not None:
-            lib.wgpuRenderPassEncoderWriteTimestamp(self._stream.render, current.object._internal, slot)
+            self._implementation.write_pass_timestamp(self._stream.render, current.object._internal, slot)
         else:
             encoder = self._stream.outside()
-            lib.wgpuCommandEncoderWriteTimestamp(encoder._internal, current.object._internal, slot)
+            self._implementation.write_timestamp(encoder._internal, current.object._internal, slot)
 
     def read(self, query: Id) -> int | None:
         state = self._queries[query]
@@ -168,7 +169,7 @@ class Queries:
             self._stream.begin_segment()  # calls this again
             return
         with DeferredInterrupts():
-            lib.wgpuRenderPassEncoderBeginOcclusionQuery(
+            self._implementation.begin_occlusion_query(
                 self._stream.render, self._take(self._set("occlusion"), self._active)
             )
             self._running = True
@@ -176,7 +177,7 @@ class Queries:
     def _end_slot(self) -> None:
         if self._running:
             with DeferredInterrupts():
-                lib.wgpuRenderPassEncoderEndOcclusionQuery(self._stream.open_pass)
+                self._implementation.end_occlusion_query(self._stream.open_pass)
                 self._running = False
 
     # -- results -----------------------------------------------------------------------------------------

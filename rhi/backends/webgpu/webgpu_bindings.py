@@ -11,14 +11,14 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from typing import Any, Final
 
-from rhi.backends.wgpu.command_encoder import Stream
-from rhi.backends.wgpu.native import NULL, GpuObject, Handle, ffi
-from rhi.backends.wgpu.wgpu_buffers import Buffers
-from rhi.backends.wgpu.wgpu_errors import translate_errors
-from rhi.backends.wgpu.wgpu_formats import DIMENSIONS
-from rhi.backends.wgpu.wgpu_programs import GpuProgram, PipelineLayout
-from rhi.backends.wgpu.wgpu_samplers import Samplers
-from rhi.backends.wgpu.wgpu_textures import Textures
+from rhi.backends.webgpu.command_encoder import Stream
+from rhi.backends.webgpu.implementation import GpuObject, Handle
+from rhi.backends.webgpu.webgpu_buffers import Buffers
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_formats import DIMENSIONS
+from rhi.backends.webgpu.webgpu_programs import GpuProgram, PipelineLayout
+from rhi.backends.webgpu.webgpu_samplers import Samplers
+from rhi.backends.webgpu.webgpu_textures import Textures
 from rhi.contract.descriptors import Id, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT
@@ -27,7 +27,7 @@ MAX_GROUPS: Final = 8192
 _MAX_OFFSETS: Final = 33
 
 BindGroup = Callable[[Handle, int, Handle, int, Handle], object]
-"""A function of wgpu-native that binds a group: (pass, index, group, number of offsets, offsets)."""
+"""A function that binds a group: (pass, index, group, number of offsets, offsets)."""
 
 
 class BoundResources:
@@ -59,7 +59,9 @@ class BoundResources:
         self.retextured = True
         self._groups: dict[tuple[object, ...], GpuObject] = {}
         self._users: dict[Id, set[tuple[object, ...]]] = {}
-        self._offset_arrays = [ffi.new("uint32_t[]", max(1, count)) for count in range(_MAX_OFFSETS)]
+        implementation = stream.implementation
+        self._no_offsets = implementation.no_offsets
+        self._offset_arrays = [implementation.offset_array(count) for count in range(_MAX_OFFSETS)]
         self._uniform_group: GpuObject | None = None
 
     # -- slots -------------------------------------------------------------------------------------------
@@ -158,7 +160,7 @@ class BoundResources:
             self.move(program, bind, encoder)
         for index in range(1, program.groups):
             if dirty[index]:
-                bind(encoder, index, self._get_group(program, layout, index)._internal, 0, NULL)
+                bind(encoder, index, self._get_group(program, layout, index)._internal, 0, self._no_offsets)
                 dirty[index] = False
         self.changed = self.moved = False
 

@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-import wgpu
 from numpy.typing import NDArray
 
-from rhi.backends.wgpu.native import GpuObject
-from rhi.backends.wgpu.wgpu_buffers import Buffers
+from rhi.backends.webgpu.implementation import GpuObject
+from rhi.backends.webgpu.webgpu_buffers import Buffers
+from rhi.backends.webgpu.webgpu_flags import GpuBufferUsage
 from rhi.contract.descriptors import Region
 from rhi.contract.interrupts import DeferredInterrupts
 
@@ -184,7 +184,7 @@ class Tools:
 
     def constants(self, values: Sequence[int], kind: type[np.generic] = np.uint32) -> dict[str, GpuObject]:
         """Return constants as the resource of a group."""
-        return {"buffer": self.buffers.filled(np.array(values, kind), wgpu.BufferUsage.UNIFORM)}
+        return {"buffer": self.buffers.filled(np.array(values, kind), GpuBufferUsage.UNIFORM)}
 
     def group(self, pipeline: GpuObject, resources: Sequence[object]) -> GpuObject:
         """Return a bind group with these resources."""

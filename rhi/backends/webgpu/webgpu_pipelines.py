@@ -10,11 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from rhi.backends.wgpu.native import GpuObject, Handle, ffi, lib
-from rhi.backends.wgpu.wgpu_errors import translate_errors
-from rhi.backends.wgpu.wgpu_formats import FACTORS, FORMATS, OPERATIONS, STENCIL, TOPOLOGIES, VERTICES, word
-from rhi.backends.wgpu.wgpu_programs import GpuProgram, PipelineLayout
-from rhi.backends.wgpu.wgpu_textures import DUMMY
+from rhi.backends.webgpu.implementation import GpuObject, Handle, Implementation
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_formats import (
+    FACTORS,
+    FORMATS,
+    OPERATIONS,
+    STENCIL,
+    TOPOLOGIES,
+    VERTICES,
+    word,
+)
+from rhi.backends.webgpu.webgpu_programs import GpuProgram, PipelineLayout
+from rhi.backends.webgpu.webgpu_textures import DUMMY
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import Primitive, Stage, VertexArrayDescriptor
 from rhi.contract.formats import Format, IndexFormat
@@ -79,7 +87,8 @@ class States:
         moved: whether a state that is set in a pass has changed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, implementation: Implementation) -> None:
+        self._implementation = implementation
         self.values: dict[type, Any] = dict(zip(STATE_TYPES, default_values(), strict=True))
         self.changed = True
         self.moved = True
@@ -117,18 +126,18 @@ class States:
     def apply(self, render: Handle, size: tuple[int, int]) -> None:
         """Set the states of a pass with targets of this size."""
         values, (width, height) = self.values, size
+        implementation = self._implementation
         view: Viewport = values[Viewport]
         if view is Viewport.TARGET:
-            lib.wgpuRenderPassEncoderSetViewport(render, 0, 0, width, height, 0, 1)
+            implementation.set_viewport(render, 0, 0, width, height, 0, 1)
         else:
             near, far = min(view.near, view.far), max(view.near, view.far)
-            lib.wgpuRenderPassEncoderSetViewport(render, *_move_near(view, width, height), near, far)
+            implementation.set_viewport(render, *_move_near(view, width, height), near, far)
         cut: Scissor = values[Scissor]
-        lib.wgpuRenderPassEncoderSetScissorRect(render, *cut.clamp(width, height))
+        implementation.set_scissor_rect(render, *cut.clamp(width, height))
         color: BlendColor = values[BlendColor]
-        constant = ffi.new("WGPUColor *", (color.red, color.green, color.blue, color.alpha))
-        lib.wgpuRenderPassEncoderSetBlendConstant(render, constant)
-        lib.wgpuRenderPassEncoderSetStencilReference(render, values[StencilReference].front)
+        implementation.set_blend_constant(render, (color.red, color.green, color.blue, color.alpha))
+        implementation.set_stencil_reference(render, values[StencilReference].front)
         self.moved = False
 
 

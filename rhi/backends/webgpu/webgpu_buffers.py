@@ -11,27 +11,26 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import wgpu
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.wgpu.command_encoder import Stream
-from rhi.backends.wgpu.native import GpuObject, Mappings, write_queue
-from rhi.backends.wgpu.wgpu_errors import translate_errors
+from rhi.backends.webgpu.command_encoder import Stream
+from rhi.backends.webgpu.implementation import GpuObject, Mappings
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_flags import GpuBufferUsage as Usage
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 from rhi.contract.formats import IndexFormat
 from rhi.contract.interrupts import DeferredInterrupts
 
-_USAGE: Final = wgpu.BufferUsage
 ALL_USES: Final = (
-    _USAGE.COPY_SRC
-    | _USAGE.COPY_DST
-    | _USAGE.VERTEX
-    | _USAGE.INDEX
-    | _USAGE.UNIFORM
-    | _USAGE.STORAGE
-    | _USAGE.INDIRECT
+    Usage.COPY_SRC
+    | Usage.COPY_DST
+    | Usage.VERTEX
+    | Usage.INDEX
+    | Usage.UNIFORM
+    | Usage.STORAGE
+    | Usage.INDIRECT
 )
-READ: Final = _USAGE.COPY_DST | _USAGE.MAP_READ
+READ: Final = Usage.COPY_DST | Usage.MAP_READ
 _GAP: Final = 256
 """Ranges of a STREAM buffer closer than this many bytes are uploaded together."""
 _MAX_STAGING: Final = 1 << 22
@@ -41,9 +40,13 @@ ANY_RESTART: Final = 3
 
 
 class GpuBuffer:
-    """A buffer: its object, its handle, the encoder that uses it, and the copy of a STREAM buffer. `version`
-    counts the commands that may have changed it. `restarts` says which restart indices may have
-    been written: `RESTART_BITS`. Those that the CPU writes to a STREAM buffer are in its copy."""
+    """A buffer: its object, its handle, the encoder that uses it, and the copy of a STREAM buffer.
+
+    - `version` counts the commands that may have changed it.
+    - `restarts` says which restart indices may have been written: `RESTART_BITS`. Those that the CPU writes
+      to a STREAM buffer are in its copy.
+    - `ticket` is that of a READBACK buffer whose mapping was begun when it was written.
+    """
 
     __slots__ = (
         "descriptor",
@@ -55,6 +58,7 @@ class GpuBuffer:
         "serial",
         "shadow",
         "size",
+        "ticket",
         "version",
     )
 
@@ -65,6 +69,7 @@ class GpuBuffer:
         self.size = size
         self.serial = self.version = self.restarts = 0
         self.shadow = bytearray(size) if descriptor.usage is BufferUsage.STREAM else None
+        self.ticket = 0
         self.device_wrote = False  # so the copy isn't what the buffer holds, and goes with the submission
         self.dirty: list[list[int]] = []  # [start, stop] of the written bytes of the copy
 
@@ -97,10 +102,14 @@ class Buffers:
         self._device = device
         self._stream = stream
         self._mappings = mappings
+        self._write_queue = stream.implementation.write_queue
         self._dirty: dict[int, GpuBuffer] = {}
         self._written: list[GpuBuffer] = []  # STREAM buffers that the open encoder writes
+        self._readbacks: dict[int, GpuBuffer] = {}  # READBACK buffers that the open encoder writes
+        self._maps_early = stream.implementation.maps_early
         self._staging: dict[int, list[GpuObject]] = {}
         stream.before_submit.append(self.upload)
+        stream.after_submit.append(self._map_readbacks)
 
     def __getitem__(self, buffer: Id) -> GpuBuffer:
         return self.objects[buffer]
@@ -114,6 +123,8 @@ class Buffers:
 
     def destroy(self, buffer: Id) -> None:
         gone = self.objects.pop(buffer)
+        self._readbacks.pop(id(gone), None)
+        self._drop_mapping(gone)
         self._dirty.pop(id(gone), None)
         gone.object.destroy()
 
@@ -166,7 +177,7 @@ class Buffers:
             offset, size, bytes_ = start, stop - start, around  # type: ignore[assignment]
         self.before_write(target)
         with translate_errors("write_buffer"):
-            write_queue(self._device, target.handle, offset, bytes_, 0, size)
+            self._write_queue(self._device, target.handle, offset, bytes_, 0, size)
 
     def _write_shadow(self, target: GpuBuffer, offset: int, view: memoryview) -> None:
         assert target.shadow is not None
@@ -181,10 +192,24 @@ class Buffers:
     def note_device_write(self, target: GpuBuffer) -> None:
         """Note that the open encoder writes a buffer. A STREAM buffer then becomes one like others."""
         target.version += 1
+        if self._maps_early and target.descriptor.usage is BufferUsage.READBACK:
+            self._drop_mapping(target)
+            self._readbacks[id(target)] = target
         if target.shadow is not None and not target.device_wrote:
             target.restarts = ANY_RESTART
             self._written.append(target)
             target.device_wrote = True
+
+    def _map_readbacks(self, submission: int) -> None:
+        """Begin to map the READBACK buffers that a submission wrote."""
+        for target in self._readbacks.values():
+            target.ticket = self._mappings.begin(target.object, target.size)
+        self._readbacks.clear()
+
+    def _drop_mapping(self, target: GpuBuffer) -> None:
+        if target.ticket:
+            self._mappings.cancel(target.ticket, target.object)
+            target.ticket = 0
 
     def before_write(self, resource: object) -> None:
         """Submit if the open encoder uses a buffer that the queue is about to write."""
@@ -197,7 +222,7 @@ class Buffers:
             for target in self._dirty.values():
                 for start, stop in target.dirty:
                     start, stop = start // 4 * 4, -(-stop // 4) * 4
-                    write_queue(self._device, target.handle, start, target.shadow, start, stop - start)
+                    self._write_queue(self._device, target.handle, start, target.shadow, start, stop - start)
                 target.dirty.clear()
         self._dirty.clear()
         while self._written:
@@ -246,6 +271,11 @@ class Buffers:
             if source.serial == self._stream.serial:
                 self._stream.submit()
             with translate_errors("read_buffer"):
+                if source.ticket and self._mappings.is_done(source.ticket):
+                    ticket, source.ticket = source.ticket, 0
+                    data = self._mappings.end(ticket, source.object, start, stop - start)
+                    return data[offset - start : offset - start + size]
+                self._drop_mapping(source)
                 data = self._map(source.object, 0, start, stop - start)
             return data[offset - start : offset - start + size]
         staging = self.stage(stop - start)
@@ -275,5 +305,5 @@ class Buffers:
         if not value:
             encoder.clear_buffer(target.object, offset, size)
             return
-        pattern = self.filled(np.full(size // 4, value, np.uint32), wgpu.BufferUsage.COPY_SRC)
+        pattern = self.filled(np.full(size // 4, value, np.uint32), Usage.COPY_SRC)
         encoder.copy_buffer_to_buffer(pattern, 0, target.object, offset, size)

@@ -10,31 +10,39 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-import wgpu
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.wgpu.command_encoder import Stream
-from rhi.backends.wgpu.native import GpuObject
-from rhi.backends.wgpu.tools import DEPTH_READ, STENCIL_READ, Tools
-from rhi.backends.wgpu.wgpu_buffers import ANY_RESTART, Buffers
-from rhi.backends.wgpu.wgpu_errors import translate_errors
-from rhi.backends.wgpu.wgpu_formats import COMPRESSED, DIMENSIONS, FORMATS
+from rhi.backends.webgpu.command_encoder import Stream
+from rhi.backends.webgpu.implementation import FormatUses, GpuObject
+from rhi.backends.webgpu.tools import DEPTH_READ, STENCIL_READ, Tools
+from rhi.backends.webgpu.webgpu_buffers import ANY_RESTART, Buffers
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_flags import GpuTextureUsage
+from rhi.backends.webgpu.webgpu_formats import COMPRESSED, DIMENSIONS, FORMATS
 from rhi.contract.blocks import BLOCK
 from rhi.contract.descriptors import BufferUsage, Id, Region, TextureDescriptor, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.texels import halve
 
-_USAGE: Final = wgpu.TextureUsage
-_TRANSFERS: Final = _USAGE.COPY_SRC | _USAGE.COPY_DST | _USAGE.TEXTURE_BINDING
+TRANSFERS: Final = GpuTextureUsage.COPY_SRC | GpuTextureUsage.COPY_DST | GpuTextureUsage.TEXTURE_BINDING
 _ROW: Final = 256
 """Alignment of the distance between rows in copies with buffers."""
 DUMMY: Final = "r8unorm"
 """The format of the dummy target of passes without targets."""
 
 
-_usages: Final[dict[object, dict[tuple[Format, TextureKind, int], int]]] = {}
-"""The usages of textures that each adapter allows, by format, kind and number of samples."""
+def make_texture(device: GpuObject, descriptor: TextureDescriptor, usage: int, form: str = "") -> GpuObject:
+    """Return a new texture, of the format `form` if it is another than the descriptor's."""
+    return device.create_texture(
+        label=descriptor.label,
+        size=(*descriptor.size, descriptor.layers),
+        mip_level_count=descriptor.levels,
+        sample_count=descriptor.samples,
+        dimension="3d" if descriptor.kind is TextureKind.D3 else "2d",
+        format=form or FORMATS[descriptor.format],
+        usage=usage,
+    )
 
 
 class GpuTexture:
@@ -55,18 +63,17 @@ class GpuTexture:
 
 
 class Textures:
-    """The textures of a device, by id; `rhi.backends.wgpu.command_encoder.PassTargets`."""
+    """The textures of a device, by id; `rhi.backends.webgpu.command_encoder.PassTargets`."""
 
     def __init__(
-        self, device: GpuObject, stream: Stream, buffers: Buffers, tools: Tools, adapter: object
+        self, device: GpuObject, stream: Stream, buffers: Buffers, tools: Tools, uses: FormatUses
     ) -> None:
-        """`adapter` is a key for what is the same on all devices of an adapter."""
         self.objects: dict[Id, GpuTexture] = {}
         self._device = device
         self._stream = stream
         self._buffers = buffers
         self._tools = tools
-        self._usages = _usages.setdefault(adapter, {})
+        self.usage = uses.usage
         self._stand_ins: list[tuple[GpuObject, dict[str, Any], tuple[int, int, int]]] = []
         self._dummies: dict[tuple[int, int, int], GpuObject] = {}
         stream.targets = self
@@ -76,41 +83,13 @@ class Textures:
 
     # -- creation ----------------------------------------------------------------------------------------
 
-    def usage(self, format: Format, kind: TextureKind, samples: int) -> int:
-        """Return all usages of textures like this, 0 if they can't exist. Found by trying."""
-        key = (format, kind, samples)
-        if key not in self._usages:
-            base = _TRANSFERS if samples == 1 else _USAGE.TEXTURE_BINDING
-            more = [_USAGE.RENDER_ATTACHMENT]
-            if samples == 1:
-                more = [_USAGE.RENDER_ATTACHMENT | _USAGE.STORAGE_BINDING, *more, _USAGE.STORAGE_BINDING, 0]
-            layers = {TextureKind.D2: 1, TextureKind.CUBE: 6}.get(kind, 2)
-            probe = TextureDescriptor((4, 4), format, kind, layers, 1, samples)
-            self._usages[key] = next((base | use for use in more if self._can_make(probe, base | use)), 0)
-        return self._usages[key]
-
-    def _can_make(self, probe: TextureDescriptor, usage: int) -> bool:
-        try:
-            self.make(probe, usage).destroy()
-        except wgpu.GPUError:
-            return False
-        return True
-
     def make(self, descriptor: TextureDescriptor, usage: int, form: str = "") -> GpuObject:
-        """Return a new texture of wgpu."""
-        return self._device.create_texture(
-            label=descriptor.label,
-            size=(*descriptor.size, descriptor.layers),
-            mip_level_count=descriptor.levels,
-            sample_count=descriptor.samples,
-            dimension="3d" if descriptor.kind is TextureKind.D3 else "2d",
-            format=form or FORMATS[descriptor.format],
-            usage=usage,
-        )
+        """Return a new texture of the device."""
+        return make_texture(self._device, descriptor, usage, form)
 
     def create(self, texture: Id, descriptor: TextureDescriptor) -> None:
         if descriptor.compressed is not None:
-            form, usage = COMPRESSED[descriptor.compressed], _TRANSFERS
+            form, usage = COMPRESSED[descriptor.compressed], int(TRANSFERS)
         else:
             form = FORMATS[descriptor.format]
             usage = self.usage(descriptor.format, descriptor.kind, descriptor.samples)
@@ -192,7 +171,7 @@ class Textures:
         if descriptor.kind is not TextureKind.D3:
             return self.view(texture, "2d", level, 1, layer, 1)
         width, height = descriptor.level_size(level)
-        usage = _USAGE.COPY_SRC | _USAGE.COPY_DST | _USAGE.RENDER_ATTACHMENT
+        usage = GpuTextureUsage.COPY_SRC | GpuTextureUsage.COPY_DST | GpuTextureUsage.RENDER_ATTACHMENT
         flat = self.make(TextureDescriptor((width, height), descriptor.format), usage)
         copy_location, size = gpu_texture.copy_location(level, 0, 0, layer), (width, height, 1)
         if loads:
@@ -214,7 +193,7 @@ class Textures:
             self._dummies.clear()
             descriptor = TextureDescriptor(size, Format.R8, samples=samples)
             with translate_errors(f"a pass of {size}", memory=True):
-                self._dummies[key] = self.make(descriptor, _USAGE.RENDER_ATTACHMENT).create_view()
+                self._dummies[key] = self.make(descriptor, GpuTextureUsage.RENDER_ATTACHMENT).create_view()
         return self._dummies[key]
 
     # -- transfers ---------------------------------------------------------------------------------------
@@ -362,7 +341,7 @@ class Textures:
         encoder, old = self._stream.outside(), self.use(source)
         descriptor = old.descriptor
         with translate_errors("a copy of a texture", memory=True):
-            copy = self.make(descriptor, _TRANSFERS, old.form)
+            copy = self.make(descriptor, TRANSFERS, old.form)
         for level in range(descriptor.levels):
             size = (*descriptor.level_size(level), descriptor.level_layers(level))
             encoder.copy_texture_to_texture(
@@ -413,7 +392,9 @@ class Textures:
         gpu_texture = self.objects[texture]
         descriptor = gpu_texture.descriptor
         size = descriptor.level_size(level)
-        between = self.make(TextureDescriptor(size, descriptor.format), _TRANSFERS | _USAGE.RENDER_ATTACHMENT)
+        between = self.make(
+            TextureDescriptor(size, descriptor.format), TRANSFERS | GpuTextureUsage.RENDER_ATTACHMENT
+        )
         encoder.copy_texture_to_texture(
             gpu_texture.copy_location(level, 0, 0, layer), {"texture": between}, (*size, 1)
         )
@@ -433,7 +414,7 @@ class Textures:
         usage = self.usage(descriptor.format, descriptor.kind, 1)
         if (
             descriptor.kind is TextureKind.D3
-            or not usage & _USAGE.RENDER_ATTACHMENT
+            or not usage & GpuTextureUsage.RENDER_ATTACHMENT
             or descriptor.format.is_integer
         ):
             self._halve_on_cpu(texture, descriptor)

@@ -1,6 +1,6 @@
 """Draws and dispatches.
 
-- A prepared draw is one call of wgpu-native if nothing has changed, two if only the offset of a uniform has,
+- A prepared draw is one call of the implementation if nothing has changed, two if only the offset of a uniform has,
   and a few more for another mesh of the same layout.
 - A program that writes memory draws in a segment of its own: WebGPU makes writes visible between passes only.
 - Fans and quads are drawn as indexed triangles. Without indices, all share one index buffer for each kind.
@@ -20,16 +20,16 @@ from collections.abc import Set as AbstractSet
 from typing import Final
 
 import numpy as np
-import wgpu
 from numpy.typing import NDArray
 
-from rhi.backends.wgpu.command_encoder import Stream
-from rhi.backends.wgpu.native import NULL, GpuObject, Handle, lib
-from rhi.backends.wgpu.tools import EXPAND_QUADS, LIST_DRAWS, RESTART_QUADS, Tools, expand_fan
-from rhi.backends.wgpu.wgpu_bindings import BoundResources
-from rhi.backends.wgpu.wgpu_buffers import RESTART_BITS, Buffers, GpuBuffer
-from rhi.backends.wgpu.wgpu_pipelines import Pipelines, States, TargetFormats
-from rhi.backends.wgpu.wgpu_programs import GpuProgram, PipelineLayout
+from rhi.backends.webgpu.command_encoder import Stream
+from rhi.backends.webgpu.implementation import GpuObject, Handle
+from rhi.backends.webgpu.tools import EXPAND_QUADS, LIST_DRAWS, RESTART_QUADS, Tools, expand_fan
+from rhi.backends.webgpu.webgpu_bindings import BoundResources
+from rhi.backends.webgpu.webgpu_buffers import RESTART_BITS, Buffers, GpuBuffer
+from rhi.backends.webgpu.webgpu_flags import GpuBufferUsage
+from rhi.backends.webgpu.webgpu_pipelines import Pipelines, States, TargetFormats
+from rhi.backends.webgpu.webgpu_programs import GpuProgram, PipelineLayout
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 from rhi.contract.limits import count_elements, draw_faults
@@ -41,21 +41,10 @@ _QUADS: Final = Primitive.QUADS
 _CONVERTED: Final = frozenset({_FAN, _QUADS})
 _MAX_LISTED: Final = 64
 """Ranges of an index buffer with restarts whose whole primitives are kept."""
-_INDEX_FORMATS: Final = {
-    IndexFormat.UINT16: lib.WGPUIndexFormat_Uint16,
-    IndexFormat.UINT32: lib.WGPUIndexFormat_Uint32,
-}
-_UINT32: Final = lib.WGPUIndexFormat_Uint32
 _RECORD: Final = 20
 """Bytes of a draw's arguments in the contract."""
 _CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
 _SMALLEST: Final = 1024
-_set_pipeline: Final = lib.wgpuRenderPassEncoderSetPipeline
-_set_group: Final = lib.wgpuRenderPassEncoderSetBindGroup
-_set_vertices: Final = lib.wgpuRenderPassEncoderSetVertexBuffer
-_set_indices: Final = lib.wgpuRenderPassEncoderSetIndexBuffer
-_draw: Final = lib.wgpuRenderPassEncoderDraw
-_draw_indexed: Final = lib.wgpuRenderPassEncoderDrawIndexed
 
 
 class GpuVertexArray:
@@ -115,6 +104,14 @@ class Draws:
         self._states = states
         self._pipelines = pipelines
         self._tools = tools
+        implementation = self._implementation = stream.implementation
+        self._set_pipeline = implementation.set_pipeline
+        self._set_group = implementation.set_bind_group
+        self._set_vertices = implementation.set_vertex_buffer
+        self._set_indices = implementation.set_index_buffer
+        self._draw_vertices = implementation.draw
+        self._draw_indices = implementation.draw_indexed
+        self._index_formats = implementation.index_formats
         self._counts_draws = "multi-draw-indirect-count" in features
         self._has_base_instances = "indirect-first-instance" in features
         self.program: GpuProgram | None = None
@@ -192,17 +189,23 @@ class Draws:
             pipeline = self._pipelines.get_render_pipeline(
                 program, layout, array.descriptor, array.key, primitive, states, self.targets
             )
-            _set_pipeline(render, pipeline._internal)
+            self._set_pipeline(render, pipeline._internal)
             self._alike = alike
             self._current = None
         if states.moved:
             states.apply(render, stream.pass_.size)  # type: ignore[union-attr]
         if bindings.changed:
-            bindings.apply(program, layout, _set_group, render)
+            bindings.apply(program, layout, self._set_group, render)
         elif bindings.moved:
-            bindings.move(program, _set_group, render)
+            bindings.move(program, self._set_group, render)
         if copies:
-            _set_group(render, 2, bindings.sampling_copies(program, layout, copies)._internal, 0, NULL)
+            self._set_group(
+                render,
+                2,
+                bindings.sampling_copies(program, layout, copies)._internal,
+                0,
+                self._implementation.no_offsets,
+            )
             bindings.dirty[2] = bindings.changed = True
         if self._current is None or self._current[0] != vertex_array:
             self._bind_array(render, array)
@@ -213,10 +216,12 @@ class Draws:
         descriptor, use = array.descriptor, self._buffers.use
         for number, stream in enumerate(descriptor.streams):
             buffer = use(stream.buffer)
-            _set_vertices(render, number, buffer.handle, stream.offset, buffer.size - stream.offset)
+            self._set_vertices(render, number, buffer.handle, stream.offset, buffer.size - stream.offset)
         if array.indexed:
             buffer = use(descriptor.index_buffer)
-            _set_indices(render, buffer.handle, _INDEX_FORMATS[descriptor.index_format], 0, buffer.size)
+            self._set_indices(
+                render, buffer.handle, self._index_formats[descriptor.index_format], 0, buffer.size
+            )
             array.may_restart = buffer.restarts & array.restart_bit
 
     # -- draws -------------------------------------------------------------------------------------------
@@ -240,9 +245,9 @@ class Draws:
                 )
                 return
             render = self.ready(vertex_array, primitive)
-            _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+            self._draw_indices(render, count, instances, first, base_vertex, base_instance)
         else:
-            _draw(self.ready(vertex_array, primitive), count, instances, first, base_instance)
+            self._draw_vertices(self.ready(vertex_array, primitive), count, instances, first, base_instance)
 
     def prepare(
         self,
@@ -277,6 +282,8 @@ class Draws:
         move = bindings.move
         bind_array = self._bind_array
         ready = self.ready
+        set_group = self._set_group
+        draw_vertices, draw_indices = self._draw_vertices, self._draw_indices
 
         def quick(instances: int) -> None:
             render = stream.render
@@ -287,18 +294,18 @@ class Draws:
                     bind_array(render, array)
                     self._current = key
                     if bindings.moved:
-                        move(program, _set_group, render)
+                        move(program, set_group, render)
                 else:
                     render = ready(vertex_array, primitive)
             elif bindings.moved:
-                move(program, _set_group, render)
+                move(program, set_group, render)
             if indexed:
                 if array.may_restart and lists:
                     draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
                 else:
-                    _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+                    draw_indices(render, count, instances, first, base_vertex, base_instance)
             else:
-                _draw(render, count, instances, first, base_instance)
+                draw_vertices(render, count, instances, first, base_instance)
 
         return quick
 
@@ -306,7 +313,7 @@ class Draws:
         self, program: GpuProgram, vertex_array: Id, targets: TargetFormats, changes: Sequence[StateChange]
     ) -> None:
         """Make the pipeline for triangles of a vertex array."""
-        states = States()
+        states = States(self._implementation)
         states.set([change for change in changes if change.type in states.values])
         array, layout = self.arrays[vertex_array], program.layout(())
         self._pipelines.get_render_pipeline(
@@ -364,8 +371,8 @@ class Draws:
         render = self.ready(vertex_array, primitive)
         if clip is not None:
             self._clip(render, clip)
-        _set_indices(render, indices._internal, _UINT32, 0, 4 * corners)
-        _draw_indexed(render, corners, instances, 0, base, base_instance)
+        self._set_indices(render, indices._internal, self._index_formats[IndexFormat.UINT32], 0, 4 * corners)
+        self._draw_indices(render, corners, instances, 0, base, base_instance)
         self._current = None
 
     def _restarts(self, vertex_array: Id, primitive: Primitive, first: int, count: int) -> bool:
@@ -406,7 +413,7 @@ class Draws:
         return array.listed[key]
 
     def _indices(self, values: NDArray[np.uint32]) -> GpuObject:
-        return self._buffers.filled(values.ravel(), wgpu.BufferUsage.INDEX)
+        return self._buffers.filled(values.ravel(), GpuBufferUsage.INDEX)
 
     def _shared(self, primitive: Primitive, corners: int) -> GpuObject:
         """Return shared indices for fans or quads without indices, for at least this many vertices."""
@@ -469,14 +476,14 @@ class Draws:
             render = self.ready(vertex_array, primitive)
             self._clip(render, clip)
             if indexed:
-                _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+                self._draw_indices(render, count, instances, first, base_vertex, base_instance)
             else:
-                _draw(render, count, instances, first, base_instance)
+                self._draw_vertices(render, count, instances, first, base_instance)
         self._states.moved = True
 
     def _clip(self, render: Handle, clip: Sequence[int]) -> None:
         size = self._stream.pass_.size  # type: ignore[union-attr]
-        lib.wgpuRenderPassEncoderSetScissorRect(render, *clamp_rectangle(clip, *size))
+        self._implementation.set_scissor_rect(render, *clamp_rectangle(clip, *size))
 
     # -- indirect draws ----------------------------------------------------------------------------------
 
@@ -509,15 +516,15 @@ class Draws:
         assert program is not None
         safe = not program.descriptor.writes_memory  # else the program may bind the same buffer
         many = (
-            lib.wgpuRenderPassEncoderMultiDrawIndexedIndirect
+            self._implementation.multi_draw_indexed_indirect
             if indexed
-            else lib.wgpuRenderPassEncoderMultiDrawIndirect
+            else self._implementation.multi_draw_indirect
         )
         if indexed and safe and stride == _RECORD and not count_buffer:
             many(self.ready(vertex_array, primitive), arguments.handle, offset, draws)
         elif indexed and safe and stride == _RECORD and self._counts_draws:
             counts = self._buffers.use(count_buffer)
-            lib.wgpuRenderPassEncoderMultiDrawIndexedIndirectCount(
+            self._implementation.multi_draw_indexed_indirect_count(
                 self.ready(vertex_array, primitive),
                 arguments.handle,
                 offset,
@@ -553,7 +560,7 @@ class Draws:
         """Return the arguments of draws tightly, with no instances for those beyond the count."""
         if arguments.copy is not None and not count_buffer:
             rows = np.ndarray((draws, words), np.uint32, arguments.copy, offset, (stride, 4))
-            return self._buffers.filled(rows, wgpu.BufferUsage.INDIRECT)
+            return self._buffers.filled(rows, GpuBufferUsage.INDIRECT)
         encoder = self._stream.outside()
         arguments.serial = self._stream.serial
         counts = self._buffers.use(count_buffer) if count_buffer else arguments
@@ -589,23 +596,22 @@ class Draws:
             base_vertex = int(words[3:4].view(np.int32)[0]) if indexed else 0
             base_instance = fifth if indexed else fourth
             faults = draw_faults(elements, indexed, first, count, instances, base_vertex, base_instance)
-            if (
-                next(faults, None) is None
-            ):  # WebGPU would refuse all commands because of a draw beyond the mesh
+            # WebGPU would refuse all commands because of a draw beyond the mesh, also of an empty one.
+            if count and instances and next(faults, None) is None:
                 self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     # -- dispatches --------------------------------------------------------------------------------------
 
     def dispatch(self, x: int, y: int, z: int) -> None:
         if x and y and z:
-            lib.wgpuComputePassEncoderDispatchWorkgroups(self._ready_compute(), x, y, z)
+            self._implementation.dispatch_workgroups(self._ready_compute(), x, y, z)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         # A dispatch can't write the buffer that its arguments are in, so they are copied.
         arguments = self._buffers.temporary(16)
         encoder = self._stream.outside()
         encoder.copy_buffer_to_buffer(self._buffers.use(buffer).object, offset, arguments, 0, 12)
-        lib.wgpuComputePassEncoderDispatchWorkgroupsIndirect(self._ready_compute(), arguments._internal, 0)
+        self._implementation.dispatch_workgroups_indirect(self._ready_compute(), arguments._internal, 0)
 
     def _ready_compute(self) -> Handle:
         """Return the handle of a compute pass, ready for a dispatch of the bound program."""
@@ -615,11 +621,13 @@ class Draws:
         copies = bindings.copied(program) if program.written_images and program.textures else {}
         pipeline = self._pipelines.get_compute_pipeline(program, layout)
         compute = self._stream.compute()
-        lib.wgpuComputePassEncoderSetPipeline(compute, pipeline._internal)
+        self._implementation.set_compute_pipeline(compute, pipeline._internal)
         bindings.invalidate()
-        bindings.apply(program, layout, lib.wgpuComputePassEncoderSetBindGroup, compute)
+        bindings.apply(program, layout, self._implementation.set_compute_bind_group, compute)
         if copies:
             group = bindings.sampling_copies(program, layout, copies)
-            lib.wgpuComputePassEncoderSetBindGroup(compute, 2, group._internal, 0, NULL)
+            self._implementation.set_compute_bind_group(
+                compute, 2, group._internal, 0, self._implementation.no_offsets
+            )
         bindings.invalidate()
         return compute

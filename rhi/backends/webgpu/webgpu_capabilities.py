@@ -1,27 +1,22 @@
-"""The capabilities of a device: its limits, and the uses of its formats, found by trying."""
+"""The capabilities of a device: its limits and features, and the uses of its formats."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
-import wgpu
-
-from rhi.backends.wgpu.adapters import Host
-from rhi.backends.wgpu.native import GpuObject
-from rhi.backends.wgpu.wgpu_formats import FORMATS
-from rhi.backends.wgpu.wgpu_textures import Textures
+from rhi.backends.webgpu.implementation import FormatUses, Host, Implementation
+from rhi.backends.webgpu.webgpu_flags import GpuTextureUsage
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
-from rhi.contract.descriptors import TextureDescriptor, TextureKind
+from rhi.contract.descriptors import TextureKind
 from rhi.contract.driver_faults import (
     allows_slow_anisotropy,
     is_fourth_uniform_faulty,
     limit_anisotropy,
     list_block_faults,
 )
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, FLOAT32_FORMATS, ChannelKind, Format
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, FLOAT32_FORMATS, Format
 from rhi.contract.states import MAX_TARGETS
 
 _MAX_STORAGE: Final = 16
@@ -29,56 +24,44 @@ _MAX_TEXTURES: Final = 32
 _VERTEX_ALIGNMENT: Final = 4
 _SMALLEST_ALIGNMENT: Final = 32
 _ANISOTROPY: Final = 16.0
-_TRIANGLE: Final = """
-@vertex fn vs() -> @builtin(position) vec4<f32> { return vec4<f32>(); }
-@fragment fn fs() -> @location(0) vec4<f32> { return vec4<f32>(); }
-"""
-_ALWAYS_BLEND: Final = frozenset(
-    {
-        Format.R8,
-        Format.RG8,
-        Format.RGBA8,
-        Format.RGBA8_SRGB,
-        Format.R16F,
-        Format.RG16F,
-        Format.RGBA16F,
-        Format.RGB10A2,
-    }
-)
 
 
-def query_capabilities(host: Host, textures: Textures) -> Capabilities:
-    """Return the capabilities of a device. They are found once for each adapter: wgpu-native keeps whatever
-    it refuses, and with refused commands their device."""
+def query_capabilities(implementation: Implementation, host: Host, formats: FormatUses) -> Capabilities:
+    """Return the capabilities of a device. They are computed once for each adapter, since an implementation
+    may have to try the uses of its formats."""
     key = host.key, allows_slow_anisotropy()
     capabilities = _cached.get(key)
     if capabilities is None:
-        capabilities = _cached[key] = _find_capabilities(host, textures)
+        capabilities = _cached[key] = _compute_capabilities(implementation, host, formats)
     return replace(capabilities, rejected_devices=host.rejected_devices)
 
 
 _cached: Final[dict[object, Capabilities]] = {}
 
 
-def _find_capabilities(host: Host, textures: Textures) -> Capabilities:
+def _is_target(formats: FormatUses, format: Format, samples: int) -> bool:
+    """Whether textures of a format and a number of samples can be targets."""
+    return bool(formats.usage(format, TextureKind.D2, samples) & GpuTextureUsage.RENDER_ATTACHMENT)
+
+
+def _compute_capabilities(implementation: Implementation, host: Host, formats: FormatUses) -> Capabilities:
     limits = host.limits
     info = host.info
     features = host.features
-    formats = _Formats(host.device, textures)
-    unsupported = frozenset(format for format in Format if not textures.usage(format, TextureKind.D2, 1))
-    unrenderable = frozenset(f for f in COLOR_FORMATS if not formats.is_target(f, 1))
+    unsupported = frozenset(format for format in Format if not formats.usage(format, TextureKind.D2, 1))
+    unrenderable = frozenset(f for f in COLOR_FORMATS if not _is_target(formats, f, 1))
     targets = [
         format for format in (*COLOR_FORMATS, *DEPTH_FORMATS) if format not in unrenderable | unsupported
     ]
     supported = [format for format in Format if format not in unsupported]
-    single = frozenset(format for format in supported if not formats.is_target(format, 4))
+    single = frozenset(format for format in supported if not _is_target(formats, format, 4))
     many = [format for format in targets if format not in single]
     stage = "per-shader-stage"
-    driver = f"{info['backend_type']} {info['description']}, wgpu {wgpu.__version__}".replace("  ", " ")
+    driver = f"{info['backend_type']} {info['description']}, {implementation.version}".replace("  ", " ")
     anisotropy, disabled_features = limit_anisotropy(info["device"], driver, _ANISOTROPY)
     blocks, block_faults = "texture-compression-bc" in features, list_block_faults(info["device"])
     return Capabilities(
-        backend="wgpu",
+        backend=implementation.name,
         device=info["device"],
         driver=driver,
         max_texture_size=limits["max-texture-dimension-2d"],
@@ -87,7 +70,7 @@ def _find_capabilities(host: Host, textures: Textures) -> Capabilities:
         max_color_targets=min(limits["max-color-attachments"], MAX_TARGETS),
         max_target_bytes=limits["max-color-attachment-bytes-per-sample"],
         sample_counts=tuple(
-            n for n in SAMPLE_COUNTS if n in (1, 4) or all(formats.is_target(f, n) for f in many)
+            n for n in SAMPLE_COUNTS if n in (1, 4) or all(_is_target(formats, f, n) for f in many)
         ),
         max_vertex_attributes=min(16, limits["max-vertex-attributes"]),
         max_vertex_stride=limits["max-vertex-buffer-array-stride"],
@@ -146,70 +129,3 @@ def _find_capabilities(host: Host, textures: Textures) -> Capabilities:
         unstorable_formats=frozenset(f for f in COLOR_FORMATS if not formats.is_image(f, "write-only")),
         unloadable_formats=frozenset(f for f in COLOR_FORMATS if not formats.is_image(f, "read-write")),
     )
-
-
-class _Formats:
-    """The uses of formats on a device."""
-
-    def __init__(self, device: GpuObject, textures: Textures) -> None:
-        self._device = device
-        self._textures = textures
-        self._module: GpuObject | None = None
-
-    def _works(self, make: Callable[[], object]) -> bool:
-        try:
-            make()
-        except wgpu.GPUError:
-            return False
-        return True
-
-    def is_target(self, format: Format, samples: int) -> bool:
-        """Whether textures of a format and a number of samples can be targets."""
-        return bool(
-            self._textures.usage(format, TextureKind.D2, samples) & wgpu.TextureUsage.RENDER_ATTACHMENT
-        )
-
-    def blends(self, format: Format) -> bool:
-        """Whether draws can blend with a format; not for integer formats."""
-        return format.is_integer or format in _ALWAYS_BLEND or self._works(lambda: self._blend(format))
-
-    def _blend(self, format: Format) -> None:
-        if self._module is None:
-            self._module = self._device.create_shader_module(code=_TRIANGLE)
-        part = {"operation": "add", "src_factor": "one", "dst_factor": "one"}
-        target: dict[str, Any] = {"format": FORMATS[format], "blend": {"color": part, "alpha": part}}
-        self._device.create_render_pipeline(
-            layout="auto",
-            vertex={"module": self._module, "entry_point": "vs"},
-            fragment={"module": self._module, "entry_point": "fs", "targets": [target]},
-        )
-
-    def resolves(self, format: Format) -> bool:
-        """Whether four samples of a format can be resolved."""
-        return format.kind in (ChannelKind.UNORM, ChannelKind.SRGB) or self._works(
-            lambda: self._resolve(format)
-        )
-
-    def _resolve(self, format: Format) -> None:
-        usage = wgpu.TextureUsage.RENDER_ATTACHMENT
-        source, target = (
-            self._textures.make(TextureDescriptor((4, 4), format, samples=n), usage) for n in (4, 1)
-        )
-        color = {
-            "view": source.create_view(),
-            "resolve_target": target.create_view(),
-            "load_op": "clear",
-            "store_op": "store",
-        }
-        encoder = self._device.create_command_encoder()
-        encoder.begin_render_pass(color_attachments=[color]).end()
-        self._device.queue.submit([encoder.finish()])  # wgpu-native keeps commands that aren't submitted
-
-    def is_image(self, format: Format, access: str) -> bool:
-        """Whether images of a format allow this access."""
-        usage = self._textures.usage(format, TextureKind.D2, 1)
-        if not usage & wgpu.TextureUsage.STORAGE_BINDING:
-            return False
-        image = {"access": access, "format": FORMATS[format], "view_dimension": "2d"}
-        entry = {"binding": 0, "visibility": wgpu.ShaderStage.COMPUTE, "storage_texture": image}
-        return self._works(lambda: self._device.create_bind_group_layout(entries=[entry]))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rhi.backends.wgpu.native import GpuObject
-from rhi.backends.wgpu.wgpu_errors import translate_errors
-from rhi.backends.wgpu.wgpu_formats import WRAPS, word
+from rhi.backends.webgpu.implementation import GpuObject
+from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_formats import WRAPS, word
 from rhi.contract.descriptors import Filter, Id, SamplerDescriptor
 
 _ALL_LEVELS = 32.0

@@ -1,0 +1,267 @@
+"""The web backend in node: Pyodide, with WebGPU of Dawn. `scripts/run_in_node.py` says what that needs."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from web_kit import ROOT, require_node, run_in_node, run_program
+
+import rhi
+from rhi.errors.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_WAIT
+
+pytestmark = pytest.mark.nightly
+PROGRAMS = (
+    "triangle",
+    "textured_cube",
+    "draw_lists",
+    "shadow_map",
+    "sprites",
+    "terrain",
+    "particles",
+    "curves",
+)
+"""Programs of the gallery that the core profile allows, one of each kind."""
+SIZE = (200, 150)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def node() -> None:
+    require_node()
+
+
+def last_line(output: str) -> object:
+    """The last line that a program printed, read as JSON."""
+    return json.loads(output.strip().splitlines()[-1])
+
+
+# -- pages without what a device needs ---------------------------------------------------------------------
+
+_REFUSED = """
+import json, sys
+import js, rhi
+from pyodide.code import run_js
+run_js(sys.argv[1])
+try:
+    rhi.create_device()  # in a page "web" is the first that is tried
+    refused = None
+except rhi.DeviceError as error:
+    refused = error.given
+try:
+    rhi.create_device("web")
+    rule, tip = None, None
+except rhi.DeviceError as error:
+    rule, tip = error.rule.id, error.tip
+print(json.dumps([refused, rule, tip]))
+"""
+_PAGE = "Object.defineProperty(globalThis.navigator, 'gpu', {{value: {}, configurable: true}})"
+
+
+@pytest.mark.parametrize(
+    ("page", "message", "tip"),
+    [
+        (_PAGE.format("undefined"), "the page has no WebGPU", "https"),
+        (
+            _PAGE.format("{requestAdapter: async () => null}"),
+            "the page has WebGPU, but no adapter",
+            "chrome://gpu",
+        ),
+        (
+            _PAGE.format("{requestAdapter: async () => { throw new Error('blocked') }}"),
+            "the adapter was refused: Error: blocked",
+            "python -m rhi",
+        ),
+        (
+            _PAGE.format(
+                "{requestAdapter: async () => ({features: new Set(),"
+                " requestDevice: async () => { throw new Error('too many') }})}"
+            ),
+            "the device was refused: Error: too many",
+            "python -m rhi",
+        ),
+    ],
+    ids=["no WebGPU", "no adapter", "adapter refused", "device refused"],
+)
+def test_a_page_that_has_no_device_is_refused_by_name(
+    page: str, message: str, tip: str, tmp_path: Path
+) -> None:
+    refused, rule, printed_tip = last_line(run_program(_REFUSED, tmp_path, page, gpu=False))  # type: ignore[misc]
+    assert f"web: {message}" in refused
+    assert rule == DEVICE_DRIVER.id
+    assert tip in printed_tip
+
+
+_WAITS = """
+import asyncio, json
+import numpy as np
+import rhi
+from rhi.backends.web import request_device
+
+def rule_of(call):
+    try:
+        call()
+    except rhi.DeviceError as error:
+        return error.rule.id
+
+results = [rule_of(lambda: rhi.create_device("web"))]
+device = rhi.create_device("web", device=await request_device())
+buffer = device.buffer(np.arange(64, dtype=np.float32))
+image = device.texture((8, 8), rhi.Format.RGBA8)
+results += [rule_of(buffer.read), rule_of(image.read)]
+awaited = [(await buffer.read_async()).tolist() == list(range(64))]
+for green in (0, 51, 102):
+    with device.render_pass(image, clear=(1, green / 255, 0, 1)):
+        pass
+    awaited.append((await image.read_async())[0, 0].tolist() == [255, green, 0, 255])
+reads = [image.read_async() for _ in range(5)]
+before = [read.done for read in reads]
+await device.finish_async()
+awaited += [not any(before), all(read.done for read in reads), reads[4].result()[7, 7, 1] == 102]
+lost = device._core.backend.device._internal
+lost.destroy()
+await lost.lost
+results += [rule_of(call) for call in (
+    lambda: device.buffer(64, np.dtype("u1")), lambda: device.texture((4, 4), rhi.Format.RGBA8),
+    lambda: buffer.write(np.zeros(64, np.float32)), buffer.read, device.finish)]
+device.close()
+print(json.dumps([results, [bool(each) for each in awaited]]))
+"""
+
+
+def test_without_jspi_reads_are_awaited_and_what_would_block_is_refused(tmp_path: Path) -> None:
+    results, awaited = last_line(run_program(_WAITS, tmp_path, jspi=False))  # type: ignore[misc]
+    assert results == [DEVICE_WAIT.id] * 3 + [DEVICE_LOST.id] * 5
+    assert awaited == [True] * 7
+
+
+_FAULTY = """
+import json
+import numpy as np
+import rhi
+from rhi.shading import Shader, StorageRW, native
+
+class Broken(Shader):
+    out: StorageRW[float]
+
+    @native(
+        "wgsl",
+        '''
+    let i = 1u;
+    out[i] = sqrt(true);
+        ''',
+    )
+    def compute(self) -> None:
+        self.out[0] = 1.0
+
+with rhi.create_device("web") as device:
+    try:
+        device.program(Broken)
+    except rhi.ShaderError as error:
+        shader = [error.rule.id, error.given, error.site.line]
+    values = device.buffer(np.zeros(64, np.float32))
+    backend = device._core.backend
+    same = backend._buffers[values.id].object
+    backend._stream.outside().copy_buffer_to_buffer(same, 0, same, 4, 8)
+    try:
+        values.read()
+        driver = None
+    except rhi.DeviceError as error:
+        driver = error.rule.id
+    values.write(np.arange(64, dtype=np.float32))
+    right = values.read().tolist() == list(range(64))
+print(json.dumps([shader, driver, right]))
+"""
+
+
+def test_errors_of_the_page_are_raised_by_name_and_later_commands_run(tmp_path: Path) -> None:
+    (rule, message, line), driver, right = last_line(run_program(_FAULTY, tmp_path))  # type: ignore[misc]
+    assert rule == "shader-driver"
+    assert "out[i] = sqrt(true);" in message
+    assert "sqrt(true)" in _FAULTY.splitlines()[line - 1]
+    assert driver == DEVICE_DRIVER.id
+    assert right
+
+
+# -- images ------------------------------------------------------------------------------------------------
+
+_DRAWS = """
+import importlib, sys
+import numpy as np
+import rhi
+
+folder, *names = sys.argv[1:]
+with rhi.create_device() as device:
+    assert device.backend_name == "web"
+    for name in names:
+        image = importlib.import_module(name).render(device, (200, 150)).read()
+        np.save(f"/host{folder}/{name}.npy", image)
+"""
+
+
+def test_programs_draw_as_wgpu_does_on_the_same_driver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No texel differs. Where wgpu has another driver than Dawn, the triangle alone is compared, with gl."""
+    run_program(_DRAWS, tmp_path, str(tmp_path), *PROGRAMS)
+    images = {name: np.load(tmp_path / f"{name}.npy") for name in PROGRAMS}
+    monkeypatch.syspath_prepend(str(ROOT / "examples" / "programs"))
+    with rhi.create_device("gl") as device:
+        expected = importlib.import_module("triangle").render(device, SIZE).read()
+    assert np.abs(images["triangle"].astype(int) - expected).max() <= 1
+    reference = (
+        "import importlib, sys, numpy as np, rhi\n"
+        "with rhi.create_device('wgpu') as device:\n"
+        "    for name in sys.argv[2:]:\n"
+        "        image = importlib.import_module(name).render(device, (200, 150)).read()\n"
+        "        np.save(f'{sys.argv[1]}/{name}-wgpu.npy', image)\n"
+    )
+    environment = {
+        "VK_ICD_FILENAMES": run_in_node.find_driver() or "",
+        "RHI_WGPU_PROFILE": "core",
+        "PYTHONPATH": f"{ROOT}:{ROOT / 'examples' / 'programs'}",
+        "XDG_RUNTIME_DIR": str(tmp_path),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", reference, str(tmp_path), *PROGRAMS],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
+    if "No module named 'wgpu" in done.stderr or "[device-driver]" in done.stderr:
+        pytest.skip("no wgpu on Dawn's driver")
+    assert done.returncode == 0, done.stderr
+    differing = {
+        name: int((images[name] != np.load(tmp_path / f"{name}-wgpu.npy")).sum()) for name in PROGRAMS
+    }
+    assert differing == dict.fromkeys(PROGRAMS, 0)
+
+
+# -- the conformance kit -----------------------------------------------------------------------------------
+
+
+def test_the_kit_passes() -> None:
+    done = run_in_node.run(
+        ROOT / "tests" / "kits" / "web_pytest.py",
+        ["--tb=short", "--pyargs", "rhi.conformance", "--rhi-backend", "web"],
+        capture=True,
+    )
+    totals = re.findall(r"total +(\d+) passed +(\d+) failed", done.stdout)
+    assert totals, done.stdout[-4000:] + done.stderr[-4000:]
+    failed = set(re.findall(r"^FAILED \S*?::(.+?\])", done.stdout, re.MULTILINE))
+    assert failed - set(EXPECTED_FAILURES) == set(), done.stdout[-20000:]
+    assert sum(int(passed) for passed, _ in totals) > 2000
+
+
+_SCISSOR = "test_the_same_triangle_has_the_same_depth_whatever_the_scissor[web-direct-"
+EXPECTED_FAILURES = {
+    f"{_SCISSOR}{size}-clipped]": "SwiftShader's rasteriser: it fails with wgpu too"
+    for size in ("(3, 2)", "(23, 17)", "(70, 64)")
+}
+"""Tests of the kit that fail in node, and why."""
