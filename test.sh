@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Sets everything up and runs every check: style, types, import order, tests, conformance.
 #
-#   ./test.sh              all of it, but for what is marked nightly
-#   ./test.sh --changed    style, types and import order, and the tests that are responsible for what differs from main
-#   ./test.sh --nightly    what is marked nightly too (proofs of the tests themselves, thousands of random programs),
+#   ./test.sh              everything but the tests marked nightly
+#   ./test.sh --changed    style, types and import order, and the tests responsible for the differences from main
+#   ./test.sh --nightly    the tests marked nightly, too (proofs of the tests themselves, thousands of random programs),
 #                          and property tests with new examples, 20 times as many
 #   ./test.sh --nightly --shard K/N --minutes M
-#                          only what runs by night, of that the K-th of N parts, within M minutes, each option by choice;
+#                          only the nightly tests, of those the K-th of N parts, within M minutes, each option by choice;
 #                          tests/nights.tsv then says when each test last passed (tests/kits/nights.py)
 #   ./test.sh -k name …    only tests, with these options of pytest
 set -euo pipefail

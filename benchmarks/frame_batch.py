@@ -93,7 +93,7 @@ def measure_frames(backend: str, scene: Scene, name: str, rounds: int, *, walks:
 
 
 def count_overlapping_frames(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> Record:
-    """Return how many of some frames began before the GPU had ended the one before; print their last timer
+    """Return the number of frames that began before the GPU had ended the one before; print their last timer
     trees."""
     trees: list[list[rhi.TimerNode]] = []
     with (

@@ -208,7 +208,7 @@ class Renderer:
 
     @property
     def animation_lag(self) -> float:
-        """How far in pixels the animation of small objects may lag behind; 0 allows no lag. It may be
+        """The lag in pixels that the animation of small objects may have; 0 allows no lag. It may be
         exchanged between any two frames.
 
         What would move by less than that in some frames, at `MAX_EXPECTED_SPEED` of its diameters a second,
@@ -362,7 +362,7 @@ class Renderer:
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is on trial: the visibility algorithm or the technique measures which of
+        """True if the next frame is on trial: the visibility algorithm or the technique measures which of
         several is the fastest."""
         technique = self.technique
         return self._is_trying_visibility or (isinstance(technique, AutoTechnique) and technique.is_trying)

@@ -77,12 +77,14 @@ STATIC_NODE: Final = Rule(
     "add the node, or one of its ancestors, with dynamic=True",
 )
 FIXED_PARENT: Final = Rule(
-    "scene-fixed-parent", "a node animated within bounds and its descendants can't change parents"
+    "scene-fixed-parent",
+    "a node animated within bounds keeps its parent, and so do the nodes between it and its objects",
 )
 FIXED_MESH: Final = Rule(
     "scene-fixed-mesh",
-    "a mesh can be replaced only if its bounds follow a node and the new mesh is neither simulated nor a height field",
-    "give the object a dynamic node that isn't animated within bounds",
+    "a mesh can be replaced only on a dynamic node outside of declared bounds, and only if neither mesh is "
+    "simulated or a height field",
+    "give the object a dynamic node that is neither animated within bounds nor below such a node",
 )
 NO_TANGENTS: Final = Rule(
     "scene-no-tangents",

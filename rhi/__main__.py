@@ -82,8 +82,8 @@ def _new(arguments: Sequence[str]) -> int:
         "  python -m pytest\n  python paint.py",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("kind", choices=KINDS, help="what to write")
-    parser.add_argument("name", metavar="NAME", help="of the project and its module, such as paint")
+    parser.add_argument("kind", choices=KINDS, help="the kind of project")
+    parser.add_argument("name", metavar="NAME", help="name of the project and of its module, such as paint")
     parser.add_argument("--folder", type=Path, default=Path(), help="where to write it (default: here)")
     options = parser.parse_args(arguments)
     return _write(
@@ -202,7 +202,7 @@ def _as_text(reports: list[BackendReport]) -> str:
             f"{'/'.join(map(str, limits.sample_counts))} samples, work-groups to "
             f"{limits.max_work_group_invocations}",
             f"       lacks: {', '.join(lacking) or 'nothing'}",
-            *(f"       disabled: {what}" for what in limits.disabled_features),
+            *(f"       disabled: {fault}" for fault in limits.disabled_features),
             *(f"       rejected: {device}" for device in limits.rejected_devices),
             "",
         ]

@@ -27,5 +27,5 @@ def check_number(
 
 
 def are_gestures(*numbers: float) -> bool:
-    """Whether all of these numbers can be a person's: finite, and not absurdly large. Others are dropped."""
+    """True if all of these numbers can be a person's: finite, and not absurdly large. Others are dropped."""
     return all(-_LARGEST <= number <= _LARGEST for number in numbers)  # false for NaN

@@ -82,7 +82,7 @@ class Glide:
 
     @property
     def is_moving(self) -> bool:
-        """Whether there is any speed left."""
+        """True if there is any speed left."""
         return bool(self.speed.any())
 
 
@@ -105,7 +105,7 @@ class Controller(Protocol):
 
     @property
     def is_moving(self) -> bool:
-        """Whether it still glides."""
+        """True if it still glides."""
         ...
 
     @property
@@ -159,7 +159,7 @@ class _GlidingController:
 
     @property
     def is_moving(self) -> bool:
-        """Whether it still glides."""
+        """True if it still glides."""
         return self._move.is_moving or self._swing.is_moving
 
     def turn(self, left: float, up: float) -> None:
@@ -320,12 +320,12 @@ def _bound(position: Floats, way: Floats) -> Floats:
 
 
 def _can_advance(push: Floats, turn: Floats, seconds: float) -> bool:
-    """Whether keys and time can be a person's, and time doesn't run backwards."""
+    """True if keys and time can be a person's, and time doesn't run backwards."""
     return are_gestures(*push.tolist(), *turn.tolist(), seconds) and seconds >= 0.0
 
 
 def image_height(projection: Projection, distance: float) -> float:
-    """Return how many metres the image is high at a distance from the eye."""
+    """Return the height of the image in metres at a distance from the eye."""
     if isinstance(projection, Orthographic):
         return projection.height
     assert isinstance(projection, Perspective)

@@ -51,7 +51,7 @@ class Gestures:
 
     @property
     def has_pressed_keys(self) -> bool:
-        """Whether a key that moves is held."""
+        """True if a key that moves is held."""
         return not MOVEMENT_KEYS.isdisjoint(self._pressed)
 
     def release(self) -> None:
@@ -61,7 +61,7 @@ class Gestures:
         self._fingers = []
 
     def pushes(self) -> tuple[Floats, Floats]:
-        """Return how held keys push (3,) and turn (3,)."""
+        """Return the motion (3,) and the turn (3,) of the keys that are held."""
         fast = FAST_FACTOR if "shift" in self._pressed else 1.0
         push, turn = (
             np.sum([way for key, way in ways.items() if key in self._pressed] or [(0, 0, 0)], axis=0).astype(
@@ -81,11 +81,11 @@ class Gestures:
         return key in MOVEMENT_KEYS
 
     def is_click(self, event: Event) -> bool:
-        """Whether a release of the pointer ends a click of the left button: it has hardly moved."""
+        """True if a release of the pointer ends a click of the left button: it has hardly moved."""
         return event.get("button") == _LEFT and self._pointer is not None and self._way < _CLICK
 
     def will_move(self, event: Event) -> bool:
-        """Whether an event is one that moves the camera: a drag or a turn of the wheel."""
+        """True if an event is one that moves the camera: a drag or a turn of the wheel."""
         return event["event_type"] == "wheel" or (
             event["event_type"] == "pointer_move" and self._pointer is not None and bool(event["buttons"])
         )

@@ -246,13 +246,13 @@ class ImGui:
 
     @property
     def wants_pointer(self) -> bool:
-        """Whether the pointer is over a window, or holds a widget."""
+        """True if the pointer is over a window, or holds a widget."""
         self._enter()
         return bool(imgui.get_io().want_capture_mouse)
 
     @property
     def wants_keys(self) -> bool:
-        """Whether a widget takes the keys, as a text field that is edited."""
+        """True if a widget takes the keys, as a text field that is edited."""
         self._enter()
         return bool(imgui.get_io().want_capture_keyboard)
 

@@ -67,7 +67,7 @@ class _Client:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it may be sent another frame."""
+        """True if it may be sent another frame."""
         return self.sent - self.displayed < _MAX_FRAMES_IN_FLIGHT
 
     def send_message(self, kind: str, value: object) -> None:
@@ -202,7 +202,9 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
         elif client is not self._clients[0]:
             return
         elif kind == "resize":
-            width, height, ratio = int(event["pwidth"]), int(event["pheight"]), float(event["ratio"])
+            width = int(event["pwidth"])
+            height = int(event["pheight"])
+            ratio = float(event["ratio"])
             if not (0 <= width <= _MAX_SIDE and 0 <= height <= _MAX_SIDE and 0.1 <= ratio <= 16.0):
                 raise ValueError(f"a page of {width}×{height} pixels")
             self._size_info.set_physical_size(width, height, ratio)

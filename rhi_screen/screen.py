@@ -73,7 +73,7 @@ class Screen:
 
     @property
     def is_full_screen(self) -> bool:
-        """Whether the window fills its display. Setting it changes that.
+        """True if the window fills its display. Setting it changes that.
 
         Raises:
             ValidationError: `screen-window` for a canvas that is no window.

@@ -19,7 +19,7 @@ class SurfaceBackend(Protocol):
 
 
 def can_show_on_surface(canvas: Canvas) -> bool:
-    """Whether surfaces can be created for a canvas: it must be a window."""
+    """True if surfaces can be created for a canvas: it must be a window."""
     widget: Any = getattr(canvas, "_subwidget", canvas)
     return "window" in (widget._rc_get_present_info(["screen", "bitmap"]) or ())  # as each prefers
 

@@ -117,7 +117,7 @@ class VideoWriter:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the file is finished."""
+        """True if the file is finished."""
         return self._file is None
 
     def close(self) -> None:

@@ -127,7 +127,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
 
     @property
     def is_full_screen(self) -> bool:
-        """Whether the window fills its display. Setting it changes that; back, it has its old place and
+        """True if the window fills its display. Setting it changes that; back, it has its old place and
         size."""
         return self._window is not None and bool(glfw.get_window_monitor(self._window))
 
@@ -156,7 +156,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             self.request_draw()
 
     def _measure_pixel(self) -> float:
-        """Return how many logical pixels a unit of the window's coordinates is: some systems count them,
+        """Return the number of logical pixels in a unit of the window's coordinates: some systems count them,
         others physical ones."""
         units = max(glfw.get_window_size(self._window)[0], 1)
         return float(self._size_info["physical_size"][0] / units / self.get_pixel_ratio())

@@ -30,7 +30,7 @@ _LAYOUT: Final = {
 
 
 def count_python_lines(path: Path) -> int:
-    """Return how many lines of a Python file hold code."""
+    """Return the number of lines of code in a Python file."""
     with path.open("rb") as file:
         tokens = [
             each
@@ -54,7 +54,7 @@ def count_python_lines(path: Path) -> int:
 
 
 def count_opencl_lines(path: Path) -> int:
-    """Return how many lines of a file of OpenCL C hold code."""
+    """Return the number of lines of code in a file of OpenCL C."""
     text = re.sub(
         r"/\*.*?\*/",
         lambda comment: "\n" * comment[0].count("\n"),
@@ -65,7 +65,7 @@ def count_opencl_lines(path: Path) -> int:
 
 
 def count_shell_lines(path: Path) -> int:
-    """Return how many lines of a shell script hold code."""
+    """Return the number of lines of code in a shell script."""
     return sum(
         bool(line.strip()) and not line.lstrip().startswith("#")
         for line in path.read_text(encoding="utf-8").splitlines()

@@ -37,7 +37,7 @@ def test_the_first_example_of_the_readme_has_at_most_30_lines() -> None:
     assert len(lines) <= 30
 
 
-def test_what_teaches_shaders_keeps_the_built_ins_of_python() -> None:
+def test_examples_of_shaders_do_not_replace_built_ins_of_python() -> None:
     programs = {path: path.read_text() for path in (ROOT / "examples").rglob("*.py")}
     programs |= {page: "\n".join(texts) for page, texts in EXAMPLES.items()}
     replaced = r"from rhi\.shading import (\*|\(?[\w,\s]*\b(abs|min|max)\b)"

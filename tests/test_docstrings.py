@@ -105,7 +105,7 @@ def test_a_stale_parameter_is_reported() -> None:
     assert list_stale_names("a.py", text) == ["f: color"]
 
 
-def test_attributes_are_fields_properties_and_what_methods_assign() -> None:
+def test_attributes_are_fields_properties_and_names_assigned_in_methods() -> None:
     text = (
         'class A:\n    """A.\n\n    Attributes:\n        x, y: fields.\n        z: assigned.\n        w: a property.\n'
         '        v: nothing.\n    """\n    x: int\n    y = 1\n\n    def __init__(self):\n        self.z = 1\n\n'
@@ -119,7 +119,7 @@ def test_text_after_a_section_is_no_entry_of_it() -> None:
     assert list_stale_names("a.py", text) == []
 
 
-RIDDLING_FIRST_WORDS = re.compile(r"(?:Return what|Yield what|What|Lets?)\b")
+RIDDLING_FIRST_WORDS = re.compile(r"(?:Return (?:what|how)|Yield what|What|How|Which|Whether|Lets?)\b")
 """First lines that begin so describe a thing without naming it."""
 
 
@@ -142,7 +142,15 @@ def test_first_lines_of_docstrings_name_their_subject(folder: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["What it binds.", "Let it end.", "Return what it has.", "Yield what is wrong."]
+    "line",
+    [
+        "What it binds.",
+        "Let it end.",
+        "Return what it has.",
+        "Yield what is wrong.",
+        "Return how it ends.",
+        "Whether.",
+    ],
 )
 def test_a_riddling_first_line_is_reported(line: str) -> None:
     assert list_riddling_docstrings(f'def f():\n    """{line}"""\n') == [line]

@@ -35,11 +35,11 @@ CHANGES = read_changes()
 
 
 def exists(file: str) -> bool:
-    """Whether a file exists, or if its name is to be chosen, one beside it."""
+    """True if a file exists, or if its name is to be chosen, one beside it."""
     return any(ROOT.glob(file.replace("<name>", "*")))
 
 
-def test_where_a_change_goes_is_said_of_a_dozen_changes() -> None:
+def test_contributing_says_where_a_dozen_changes_go() -> None:
     assert len(CHANGES) >= 12
     assert [change for change, files in CHANGES.items() if len(set(files)) < 2] == []
 
@@ -79,7 +79,7 @@ def test_the_commands_of_the_page_name_files_that_exist() -> None:
     assert missing_files(["pytest", "tests/rhi/no_such_folder"]) == ["tests/rhi/no_such_folder"]
 
 
-def test_each_command_of_the_workflow_names_what_exists_and_runs_on_a_system_that_has_it() -> None:
+def test_each_command_of_the_workflow_names_existing_files_and_runs_on_a_system_that_has_it() -> None:
     yaml = pytest.importorskip("yaml")
     jobs = yaml.safe_load((ROOT / ".github/workflows/checks.yml").read_text())["jobs"]
     commands = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in jobs.items()}

@@ -65,7 +65,7 @@ def test_public_names_are_listed_once_and_exist(module: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("module", DERIVED, ids=lambda module: module.__name__)
-def test_a_derived_list_has_what_a_star_imports(module: ModuleType) -> None:
+def test_a_derived_list_has_the_names_that_a_star_imports(module: ModuleType) -> None:
     scope: dict[str, object] = {}
     exec(f"from {module.__name__} import *", scope)
     del scope["__builtins__"]
@@ -77,7 +77,7 @@ def test_a_derived_list_has_what_a_star_imports(module: ModuleType) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", DERIVED, ids=lambda module: module.__name__)
-def test_type_checkers_find_what_a_derived_list_names(
+def test_type_checkers_resolve_the_names_of_a_derived_list(
     mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path, module: ModuleType
 ) -> None:
     def check(names: list[str]) -> list[str]:

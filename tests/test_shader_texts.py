@@ -87,7 +87,7 @@ class Checked(Plain):
     checked = True
 
 
-def test_what_a_shader_says_includes_its_numbers_and_the_functions_and_constants_that_it_names(
+def test_the_definition_of_a_shader_includes_its_numbers_functions_and_constants(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     definition = [definition_of(shader) for shader in (Plain, ScalingShader, Tripled)]

@@ -76,7 +76,7 @@ def test_a_broken_link_is_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_the_site_is_built_without_a_warning_and_its_links_and_search_find_what_they_name(
+def test_the_site_is_built_without_a_warning_and_its_links_and_search_resolve(
     tmp_path: Path,
 ) -> None:
     pytest.importorskip("zensical")

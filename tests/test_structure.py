@@ -69,7 +69,7 @@ def list_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, s
 
 
 def resolves(dotted: str) -> bool:
-    """Whether a dotted path names a module, something in one, or a logger."""
+    """True if a dotted path names a module, something in one, or a logger."""
     if dotted in logging.root.manager.loggerDict:
         return True
     parts = dotted.split(".")

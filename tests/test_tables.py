@@ -45,7 +45,7 @@ def test_ratios_of_times_are_printed_old_and_new() -> None:
     assert line.split() == ["sums", "4,", "5", "ms", "1.01", "1.50"]
 
 
-def test_rows_that_are_not_found_stay_as_they_are() -> None:
+def test_rows_without_new_values_are_unchanged() -> None:
     assert replace_cells(PAGE, "sums", ["sum"], {"4, 5": ["9"]}) == PAGE.replace("| 8 |", "| 9 |")
 
 
@@ -67,7 +67,7 @@ def test_each_mark_of_the_pages_has_a_figure() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", TABLES)
-def test_a_table_that_does_not_depend_on_time_is_what_its_command_finds(name: str) -> None:
+def test_a_table_that_does_not_depend_on_time_equals_the_output_of_its_command(name: str) -> None:
     figure = TABLES[name]
     text = (ROOT / figure.page).read_text()
     computed = replace_cells(text, name, figure.columns, figure.compute())

@@ -40,7 +40,7 @@ class RetiredWord:
     allowed: dict[str, str]
 
     def allows(self, path: str, identifier: str) -> bool:
-        """Whether a listed exception lets an identifier of a file have the word."""
+        """True if a listed exception lets an identifier of a file have the word."""
         for pattern in self.allowed:
             file_pattern, separator, identifier_pattern = pattern.partition("::")
             if not separator:
@@ -175,6 +175,24 @@ def test_few_functions_are_called_find() -> None:
     )
 
 
+GRAMMAR_OF_TESTS: Final = re.compile(r"_(?:what(?!_to_install)|such|these|given|told)(?=_|$)")
+"""Words that stand for a subject which the name of a test doesn't name."""
+
+
+def check_name_of_test(name: str) -> Iterator[str]:
+    """Yield the words of a test's name that stand for its subject or object."""
+    for match in GRAMMAR_OF_TESTS.finditer(name):
+        yield f"{name}: name the thing instead of “{match[0].strip('_')}”"
+
+
+def test_names_of_tests_name_their_subject() -> None:
+    defined = re.compile(r"^\s*def (test_\w+)", re.MULTILINE)
+    files = list_files("tests/**.py", "rhi/conformance/**.py")
+    names = [name for path in files for name in defined.findall(path.read_text(encoding="utf-8"))]
+    assert len(names) > 4000
+    assert [wrong for name in names for wrong in check_name_of_test(name)] == []
+
+
 # -- the check itself ----------------------------------------------------------------------------------------
 
 SAMPLE: Final = read_list(
@@ -210,6 +228,19 @@ def test_other_words_and_exceptions_are_left_alone(identifier: str) -> None:
 def test_names_of_other_packages_are_theirs() -> None:
     text = "from hypothesis import given\nfrom renderer.scene import lamp\nimport lamps\n"
     assert list_foreign_names(text) == {"given"}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("test_what_is_no_zip_is_refused", 1),
+        ("test_such_a_draw_is_given_what_it_needs", 3),
+        ("test_a_missing_package_says_what_to_install", 0),
+        ("test_whatever_is_forgiven", 0),
+    ],
+)
+def test_pronouns_in_a_name_of_a_test_are_faults(name: str, words: int) -> None:
+    assert len(list(check_name_of_test(name))) == words
 
 
 def test_an_exception_of_a_file_holds_in_that_file_only() -> None:

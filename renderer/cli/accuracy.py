@@ -136,7 +136,7 @@ def _run(arguments: argparse.Namespace) -> None:
     if is_bounded or (
         arguments.output is not None and select_effective_reports(scene, setup.settings, measured)
     ):
-        progress = partial(show_progress, what="combine quality settings")
+        progress = partial(show_progress, task="combine quality settings")
         points = load_or_compute_pareto_front(setup, measured, _jobs_folder(arguments), progress)
     choice: CheckedChoice | None = None
     refusal: RhiError | None = None
@@ -231,7 +231,7 @@ def remove_old_settings(path: Path, begun_with: Path | None) -> None:
     must not look like its answer."""
     if begun_with is not None and path.exists() and path.samefile(begun_with):
         raise OutputError(
-            f"--settings: {path} is where the choice will be written; copy it, and begin with the copy"
+            f"--settings: the chosen settings would overwrite {path}; copy the file and pass the copy"
         )
     if path.exists():
         path.unlink()

@@ -51,7 +51,7 @@ def _measure(arguments: argparse.Namespace) -> Report:
     cameras = [path.camera(arguments.frame + number) for number in range(arguments.frames)]
     with rhi.create_device(arguments.backend) as device:
         comparison = compare_deferred_plus(
-            device, scene, cameras, arguments.size, progress=partial(show_progress, what="compare")
+            device, scene, cameras, arguments.size, progress=partial(show_progress, task="compare")
         )
         if arguments.output is not None:
             write_image(

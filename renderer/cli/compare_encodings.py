@@ -45,7 +45,7 @@ def _measure(arguments: argparse.Namespace) -> Report:
             ENCODINGS,
             count=arguments.count,
             rounds=arguments.rounds,
-            progress=partial(show_progress, what="store"),
+            progress=partial(show_progress, task="store"),
         )
         names = {device.backend_name: device.capabilities.device for device in devices}
     return Report({"devices": names} | repeat(arguments, "count"), rows, "Encodings of a geometry buffer")

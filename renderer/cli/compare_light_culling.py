@@ -82,7 +82,7 @@ def _measure(arguments: argparse.Namespace) -> Report:
                 depth_masks=_SWITCHES[arguments.depth_mask],
                 pre_filters=_SWITCHES[arguments.pre_filter],
                 rounds=arguments.rounds,
-                progress=partial(show_progress, what="collect"),
+                progress=partial(show_progress, task="collect"),
             )
         metadata = describe(device) | {
             "scene": scene.name,

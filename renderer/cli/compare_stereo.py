@@ -59,7 +59,7 @@ def _measure(arguments: argparse.Namespace) -> Report:
             arguments.stereo,
             range(arguments.frame, arguments.frame + arguments.frames),
             TECHNIQUES[arguments.technique],
-            partial(show_progress, what="compare"),
+            partial(show_progress, task="compare"),
         )
         metadata = describe(device) | repeat(
             arguments, "scene", "technique", "camera_path", "frame", "frames"

@@ -52,14 +52,14 @@ _OPTIONS: Final = (
     options.SCENE,
     *(
         options.values(
-            f"--{what}",
-            f"numbers of {what}",
+            f"--{kind}",
+            f"numbers of {kind}",
             options.parse_count,
             [None],
             "those of the scene as it is",
             "N,N,…",
         )
-        for what in ("objects", "lights")
+        for kind in ("objects", "lights")
     ),
     options.names(
         "--techniques",
@@ -103,7 +103,7 @@ def _measure(arguments: argparse.Namespace) -> Report:
             frame=arguments.frame,
             rounds=arguments.rounds,
             settings=settings,
-            progress=partial(show_progress, what="compare"),
+            progress=partial(show_progress, task="compare"),
         )
         metadata = describe(device) | repeat(arguments, "scene", "camera", "frame", "size", "rounds")
         return Report(metadata, list(rows), f"{arguments.scene}, {metadata['device']}", scene)

@@ -100,18 +100,20 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _write_page(folder: Path, rows: Sequence[EffectRow], backends: Sequence[str], rounds: int) -> None:
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    asked = "".join(f" --effect {row.name!r}" if " " in row.name else f" --effect {row.name}" for row in rows)
-    asked = ("" if len(rows) == len(EFFECT_STEPS) else asked) + "".join(
+    arguments_text = "".join(
+        f" --effect {row.name!r}" if " " in row.name else f" --effect {row.name}" for row in rows
+    )
+    arguments_text = ("" if len(rows) == len(EFFECT_STEPS) else arguments_text) + "".join(
         f" --backend {name}" for name in backends
     )
     if rounds != 40:
-        asked += f" --rounds {rounds}"
+        arguments_text += f" --rounds {rounds}"
     image_path = folder / "images" / "effect-costs.png"
     draw_steps(image_path, rows)
     page = _PAGE.read_text(encoding="utf-8").format(
         size="{} × {}".format(*SIZE),
         collection_time=_describe_effect_collection(backends or ("null",), rounds),
-        command=f"python -m renderer effect-costs{asked} --output docs",
+        command=f"python -m renderer effect-costs{arguments_text} --output docs",
         added=format_added(rows, markdown=True),
         removed=format_removed(rows, markdown=True),
     )

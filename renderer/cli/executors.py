@@ -58,7 +58,7 @@ def make_executor(text: str) -> Iterator[Executor]:
                 yield pool
         except BrokenExecutor:
             raise OutputError(
-                f"--executor: a process of {text} was ended; what others have done is kept"
+                f"--executor: a process of {text} was killed; results of the other processes are saved"
             ) from None
     elif kind == "threads" and is_count:
         with ThreadPoolExecutor(int(rest) if rest else None) as threads:

@@ -23,13 +23,13 @@ class OutputError(Exception):
     """An argument that can't be satisfied, such as an image that can't be written."""
 
 
-def show_progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+def show_progress(items: Iterable[T], task: str, total: int | None = None) -> Iterator[T]:
     """Yield the items with a progress bar on stderr, shown on a terminal if the work takes more than a
     second. `total` is the number of items that don't know it themselves."""
     from tqdm import tqdm  # optional
 
     bar: Iterator[T] = tqdm(
-        items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
+        items, desc=task, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
     )
     return bar
 

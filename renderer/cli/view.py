@@ -84,7 +84,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
     if (arguments.live is None) != (arguments.budget_ms is None):
         raise OutputError(
-            "--live: the folder of a Pareto front, and --budget-ms what a frame may take: both, or neither"
+            "--live (the folder of a Pareto front) and --budget-ms (milliseconds per frame) need each other"
         )
     steps = None if arguments.live is None else load_steps(arguments.live / "pareto_front.json")
     scene = open_scene(arguments.scene)

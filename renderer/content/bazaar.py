@@ -173,8 +173,8 @@ def _add_things(
     material_number = np.where(
         number < len(materials), number % len(materials), rng.integers(0, len(materials), count)
     )
-    which = np.where(number < meshes, number % meshes, rng.integers(0, meshes, count))
-    builder.add_objects(builder.add_nodes(matrices), ids[which], materials[material_number])
+    mesh_index = np.where(number < meshes, number % meshes, rng.integers(0, meshes, count))
+    builder.add_objects(builder.add_nodes(matrices), ids[mesh_index], materials[material_number])
 
 
 def _make_thing(rng: np.random.Generator, detail: int) -> MeshGeometry:

@@ -146,7 +146,10 @@ def _noise(table: Floats, positions: Floats) -> tuple[Floats, Floats]:
     part = positions - cell
     column, row = (cell.astype(np.int64) % len(table))[..., 0], (cell.astype(np.int64) % len(table))[..., 1]
     right, below = (column + 1) % len(table), (row + 1) % len(table)
-    a, b, c, d = table[row, column], table[row, right], table[below, column], table[below, right]
+    a = table[row, column]
+    b = table[row, right]
+    c = table[below, column]
+    d = table[below, right]
     fade = part**3 * (part * (part * 6.0 - 15.0) + 10.0)
     rate = 30.0 * part**2 * (part * (part - 2.0) + 1.0)
     u, v = fade[..., 0], fade[..., 1]
@@ -192,7 +195,7 @@ def _mix(first: Floats, second: Floats, part: Floats) -> Floats:
 
 
 def _compute_sunlit(heights: Floats, step: float) -> Floats:
-    """Return how much of the sun each point sees, (r, c): rays towards it are followed for 2 km."""
+    """Return the part of the sun that each point sees, (r, c): rays towards it are followed for 2 km."""
     toward = -_SUN / np.hypot(_SUN[0], _SUN[2])
     lit = np.ones_like(heights)
     away = 1.5 * step

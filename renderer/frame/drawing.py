@@ -69,7 +69,7 @@ class DrawResult:
 
     @property
     def is_on_cpu(self) -> bool:
-        """Whether the CPU knows all indices without waiting for the device."""
+        """True if the CPU knows all indices without waiting for the device."""
         return not self._lists
 
     def add_batch(self, object_indices: NDArray[np.int64]) -> None:

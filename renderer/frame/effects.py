@@ -262,23 +262,24 @@ class FrameEffects:
 
     @property
     def has_single_directional_light(self) -> bool:
-        """Whether there is exactly one directional light."""
+        """True if there is exactly one directional light."""
         return self.counts[Effect.DIRECTIONAL_LIGHTS] == 1
 
     @property
     def has_both_models(self) -> bool:
-        """Whether some materials are of the metallic-roughness model, and others of the specular one."""
+        """True if some materials are of the metallic-roughness model, and others of the specular one."""
         return Effect.METALS in self.enabled and self.counts[Effect.METALS] < self.material_count
 
     @property
     def has_geometric_normals(self) -> bool:
-        """Whether surfaces are told from their normals: maps bend these, and shadows fall on those."""
+        """True if geometric normals differ from shading normals and are needed: maps bend the latter, and shadows
+        fall on the former."""
         bends = not self.enabled.isdisjoint((Effect.NORMAL_MAPS, Effect.MATERIAL_SHADERS))
         return bends and not self.enabled.isdisjoint(SHADOW_EFFECTS)
 
     @property
     def has_shadow_casters(self) -> bool:
-        """Whether the scene has lights that cast shadows, in view or not: their maps are kept."""
+        """True if the scene has lights that cast shadows, in view or not: their maps are kept."""
         return any(self.counts[effect] for effect in SHADOW_EFFECTS)
 
     @cached_property

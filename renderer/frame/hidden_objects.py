@@ -74,7 +74,7 @@ class HiddenObjects:
 
     @property
     def is_tracking(self) -> bool:
-        """Whether this frame records what it hides."""
+        """True if this frame records what it hides."""
         return len(self._object_indices) > 0 and self._camera is not None
 
     def record_frame(self, drawn: Indices, conditional: Indices) -> None:

@@ -167,7 +167,7 @@ def make_plan(passes: Sequence[FramePass[F]], outputs: Iterable[str] = OUTPUTS) 
 
 
 class _PassGraph(Generic[F]):
-    """Which of a technique's passes write, read and draw over which resources."""
+    """The passes that write, read and draw over each resource of a technique."""
 
     def __init__(self, passes: Sequence[FramePass[F]]) -> None:
         self._passes = passes

@@ -342,7 +342,9 @@ class SceneResources:
             self._vertex_states[deformed.object_indices] = deformed.states
             return
         order = np.argsort(begins)
-        changed, begins, sizes = changed[order], begins[order], self.scene.meshes.vertex_counts[mesh[order]]
+        changed = changed[order]
+        begins = begins[order]
+        sizes = self.scene.meshes.vertex_counts[mesh[order]]
         vertices = deformed.simulation.vertices(deformed.members[changed])
         if len(vertices) != int(sizes.sum()):
             count, call = f"{len(vertices)} vertices", f"{type(deformed.simulation).__name__}.vertices"
@@ -399,7 +401,7 @@ class SceneResources:
         return select_in_view(self.scene, camera, object_indices)
 
     def has_shader(self, number: int) -> bool:
-        """Whether any object has this material shader: 0 is the renderer's, i + 1 that at index i of the
+        """True if any object has this material shader: 0 is the renderer's, i + 1 that at index i of the
         scene's `shaders`."""
         return any(group // len(DRAW_GROUPS) == number for group in self.groups)
 

@@ -1,4 +1,4 @@
-"""How many layers transparent objects may put over a pixel, and what rounding each of them makes of it.
+"""The number of layers that transparent objects may put over a pixel, and the rounding of each.
 
 A target rounds each layer that is blended to it, and what lies over a layer dims its error by 1 - alpha. So
 few layers, or layers that cover much, may be blended to the image itself. Many faint ones need a target that

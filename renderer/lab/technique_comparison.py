@@ -43,17 +43,17 @@ def vary_scene(text: str, objects: int | None, lights: int | None) -> str:
     name, _, options = text.partition(":")
     option_names = {option.name for option in GENERATORS[name].options} if name in GENERATORS else set()
     parts = [options] if options else []
-    for what, number in (("objects", objects), ("lights", lights)):
+    for kind, number in (("objects", objects), ("lights", lights)):
         if number is None:
             continue
-        if OPTIONS[what] not in option_names:
+        if OPTIONS[kind] not in option_names:
             can = [
                 generator.name
                 for generator in GENERATORS.values()
-                if OPTIONS[what] in {o.name for o in generator.options}
+                if OPTIONS[kind] in {o.name for o in generator.options}
             ]
-            refuse(rules.FIXED_SCENE, f"vary_scene({text!r})", f"{what} of {name}", ", ".join(can))
-        parts.append(f"{OPTIONS[what]}={number}")
+            refuse(rules.FIXED_SCENE, f"vary_scene({text!r})", f"{kind} of {name}", ", ".join(can))
+        parts.append(f"{OPTIONS[kind]}={number}")
     return f"{name}:{','.join(parts)}" if parts else text
 
 

@@ -29,7 +29,7 @@ class GridVarying(sl.Struct):
 
 @sl.function
 def line_coverage(grid_position: sl.vec2) -> float:
-    """Return how much of a pixel the lines at whole numbers cover that are as wide as it, 0 where it holds
+    """Return the part of a pixel that lines at whole numbers cover, as wide as a pixel, 0 where it holds
     several."""
     width = sl.max(sl.fwidth(grid_position), sl.vec2(1e-6))
     near = sl.saturate(1.0 - sl.abs(sl.fract(grid_position + 0.5) - 0.5) / width) * sl.saturate(

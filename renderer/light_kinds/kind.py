@@ -69,12 +69,12 @@ class LightKind:
 
     @property
     def has_direction(self) -> bool:
-        """Whether the lights have a direction in which they shine."""
+        """True if the lights have a direction in which they shine."""
         return "direction" in (self.dtype.names or ())
 
     @property
     def has_range(self) -> bool:
-        """Whether the lights have a position and end at their range from it."""
+        """True if the lights have a position and end at their range from it."""
         return "range" in (self.dtype.names or ())
 
 

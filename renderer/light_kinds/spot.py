@@ -125,7 +125,7 @@ def _versine(angles: Any) -> Floats:
 
 
 def _is_everywhere(lights: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether spot lights (k,) light all directions in full."""
+    """True if spot lights (k,) light all directions in full."""
     return np.asarray(lights["inner"] >= np.float32(np.pi))
 
 

@@ -31,7 +31,9 @@ def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats)
     Returns:
         `ends` (n + 1,) and `lights`, the concatenated lists: that of box i is `lights[ends[i]:ends[i + 1]]`.
     """
-    count, ends, lists = len(positions), np.zeros(len(lower) + 1, np.int64), [np.zeros(0, np.int64)]
+    count = len(positions)
+    ends = np.zeros(len(lower) + 1, np.int64)
+    lists = [np.zeros(0, np.int64)]
     groups = _group(positions, ranges)
     coordinates, reach = positions[groups].transpose(2, 0, 1), np.abs(ranges[groups])
     slack = _SLACK * (np.abs(coordinates) + reach) + _MIN_SLACK

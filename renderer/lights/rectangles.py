@@ -56,7 +56,9 @@ def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: floa
         return (x - reach) / w, (x + reach) / w
     squared = radii * radii
     # A plane x = s w touches the sphere: (x - s w)² = radius² |a - s b|².
-    second, first, zeroth = w * w - squared * bb, x * w - squared * ab, x * x - squared * aa
+    second = w * w - squared * bb
+    first = x * w - squared * ab
+    zeroth = x * x - squared * aa
     root = np.sqrt(np.maximum(first * first - second * zeroth, 0.0))
     stable = first + np.where(first >= 0.0, root, -root)
     candidates: list[NDArray[np.float64]] = []

@@ -74,7 +74,7 @@ class Clips:
         return len(self._rows) - 1
 
     def evaluate(self, seconds: float) -> tuple[Floats, Floats]:
-        """Return how far into each clip (n,) the scene's time is, in seconds, and the weight (n,) that it has
+        """Return the scene's time in each clip (n,), in seconds, and the weight (n,) that it has
         then."""
         asked = (seconds, self.version, len(self))
         if asked != self._cache_key:
@@ -136,7 +136,7 @@ class Clip:
         return np.array(self.clips.nodes[self.index], np.int64)
 
     def time_at(self, now: float) -> float:
-        """Return how many seconds into the clip the scene's time `now` is."""
+        """Return the time in the clip, in seconds, at the scene's time `now`."""
         return float(self.clips.evaluate(now)[0][self.index])
 
     def weight_at(self, now: float) -> float:

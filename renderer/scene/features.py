@@ -165,7 +165,7 @@ class MaterialFeatures:
         return mixed
 
     def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:
-        """Return how many of the materials have each texture (t,) as a base colour, and at all."""
+        """Return the number of materials that have each texture (t,) as a base colour, and at all."""
         used = [self._list_textures(materials, name) for name in TEXTURES]
         by_use = [np.bincount(rows[rows >= 0], minlength=len(self._textures)) for rows in used]
         return by_use[list(TEXTURES).index("texture")], np.sum(by_use, axis=0)

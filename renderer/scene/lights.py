@@ -133,7 +133,7 @@ class Lights(AllLightArrays):
 
 
 def _shine(lights: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether lights (k,) of a kind light anything: float32 has their light, and they reach anywhere."""
+    """The mask of lights (k,) of a kind that light anything: float32 has their light, and they reach anywhere."""
     brightest = lights["color"].max(axis=1, initial=0.0) * lights["intensity"]
     shines = brightest >= np.finfo(np.float32).tiny
     if "range" in (lights.dtype.names or ()):

@@ -175,7 +175,7 @@ class MaterialTable:
                     rules.BAD_MATERIAL,
                     "add_material(shader=...)",
                     shader.shader.__name__,
-                    "that of the parent",
+                    "the shader of the parent",
                 )
             if not numbers:
                 shaders.append(shader)

@@ -329,7 +329,7 @@ class Meshes:
         return MeshGeometry(self.vertices[base:end].copy(), self.indices[first : first + count].copy())
 
     def count_layers(self, mesh: int) -> int:
-        """Return how many triangles of a mesh may cover a pixel, if only those that face the eye are drawn:
+        """Return the number of triangles of a mesh that may cover a pixel, if only those that face the eye are drawn:
         one of a convex mesh. Each may if there are more than 64, which aren't examined."""
         if mesh not in self._layers:
             geometry = self.geometry(mesh)

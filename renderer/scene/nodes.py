@@ -96,7 +96,7 @@ class Nodes:
 
     @property
     def hidden(self) -> NDArray[np.bool_]:
-        """Whether each node or one above it is hidden as of the last update, (n,) bool."""
+        """The nodes that are hidden or below a hidden node as of the last update, (n,) bool."""
         return _read_only(self._hidden)
 
     def find(self, name: str) -> int:

@@ -189,7 +189,7 @@ class StereoRig:
         return wide, float(back)
 
     def compute_parallax(self, projection: Projection, distance: ArrayLike) -> Floats:
-        """Return how far a point at `distance` along the view is to the right in the right eye's image of
+        """Return the distance to the right of a point at `distance` along the view, in the right eye's image of
         where it is in the left one's, in units of half the image's width; for eyes that aren't toed in."""
         z = np.asarray(distance, np.float64)
         scale = float(projection.matrix[0, 0]) * self.eye_distance

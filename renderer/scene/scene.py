@@ -273,7 +273,7 @@ class Scene:
         return np.inf if self.shaders else strongest_response(self.materials, self._bounds)
 
     def count_features(self) -> Mapping[str, int]:
-        """Return how many materials, images, textures or meshes have each feature that a scene may lack, as
+        """Return the number of materials, images, textures or meshes with each feature that a scene may lack, as
         of the last `refresh`."""
         return {**self._features.counts, "vertex colors": len(self.meshes) if self._has_colors else 0}
 
@@ -283,8 +283,9 @@ class Scene:
         """Give the objects `indices` (k,) other meshes or materials, (k,) or one for all, by their ids.
 
         Raises:
-            ValidationError: `scene-bad-index`; `scene-fixed-mesh` where bounds don't follow a node;
-                `scene-no-tangents` for a normal map on a mesh that was built without one.
+            ValidationError: `scene-bad-index`; `scene-fixed-mesh` for objects on static nodes or within declared
+                bounds, and for meshes that are simulated or height fields; `scene-no-tangents` for a normal map
+                on a mesh that was built without one.
         """
         objects = self.objects
         object_indices = read_ids("replace(indices=...)", indices, len(objects))
@@ -304,8 +305,9 @@ class Scene:
                 *(int(row) for simulated in self.simulated for row in simulated.objects),
             ]
             own = objects.mesh[np.array(changing, np.int64)]
-            anchor = objects.boxes.node[object_indices]
-            is_fixed = np.isin(objects.mesh[object_indices], own) | (anchor < 0) | ~self.nodes.dynamic[anchor]
+            anchor, node = objects.boxes.node[object_indices], objects.node[object_indices]
+            is_declared = anchor != node  # bounds that hold at all times, of the mesh that it was built with
+            is_fixed = np.isin(objects.mesh[object_indices], own) | is_declared | ~self.nodes.dynamic[node]
             if (is_fixed | np.isin(meshes, own)).any():
                 refuse(rules.FIXED_MESH, "replace(mesh=...)", f"objects {indices!r}, meshes {mesh!r}")
         mapped = set(meshes[needs_tangents(self.materials, self.shaders)[materials]].tolist())

@@ -250,8 +250,8 @@ class Simulator:
         )
         self.diverging: Indices = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
         always = np.zeros(len(self._which), bool)
-        for which, each in enumerate(self._begin):
-            always[self._first[which] : self._first[which + 1]] = not each.is_bounded
+        for simulation_index, each in enumerate(self._begin):
+            always[self._first[simulation_index] : self._first[simulation_index + 1]] = not each.is_bounded
         follows = objects.boxes.node == objects.node  # the bounds follow the node, which must be where it is
         always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
         self._always: Indices = np.flatnonzero(always)
@@ -346,7 +346,7 @@ class Simulator:
         self._times[paused] = 0.0
 
     def is_due(self, rows: Indices) -> bool:
-        """Whether any of the objects `rows` isn't at the frame's time yet."""
+        """True if any of the objects `rows` isn't at the frame's time yet."""
         return bool(self._waiting[rows].any())
 
     def advance(self, rows: Indices, *, is_drawn: bool = True) -> AdvanceResult:
@@ -371,10 +371,10 @@ class Simulator:
         moved = rows[self._has_nodes[rows]]
         slots = self._slot_of[rows]
         rows, slots = rows[slots >= 0], slots[slots >= 0]
-        which = self._which[slots]
+        simulation_index = self._which[slots]
         deformed = []
-        for number in np.unique(which).tolist():
-            is_mine = which == number
+        for number in np.unique(simulation_index).tolist():
+            is_mine = simulation_index == number
             mine = slots[is_mine]
             simulation: Any = self.simulations[number]
             deformed.append(
@@ -418,9 +418,9 @@ class Simulator:
         slot = int(self._slot_of[row])
         if slot < 0:
             return None
-        which = int(self._which[slot])
-        simulation: Any = self.simulations[which]
-        vertices: NDArray[Any] = simulation.vertices(np.array([slot - self._first[which]]))
+        simulation_index = int(self._which[slot])
+        simulation: Any = self.simulations[simulation_index]
+        vertices: NDArray[Any] = simulation.vertices(np.array([slot - self._first[simulation_index]]))
         return vertices
 
     def _reset_counts(self) -> None:
@@ -462,9 +462,9 @@ class Simulator:
         self._is_done |= is_due
         slots = np.flatnonzero(is_due & (self._brought != self._times))
         moved = False
-        which = self._which[slots]
-        for number in np.unique(which).tolist():
-            mine = slots[which == number]
+        simulation_index = self._which[slots]
+        for number in np.unique(simulation_index).tolist():
+            mine = slots[simulation_index == number]
             times = self._times[mine]
             for seconds in np.unique(times).tolist():
                 members = mine[times == seconds]

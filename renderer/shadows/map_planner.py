@@ -173,10 +173,14 @@ class MapPlanner:
     ) -> list[RequiredMap]:
         """Return the maps of local lights that reach something visible and have a caster; record those
         lights."""
-        scene, settings, shadowed = resources.scene, self._settings, list[ShadowedLight]()
+        scene = resources.scene
+        settings = self._settings
+        shadowed = list[ShadowedLight]()
         lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
         for row in LOCAL_LIGHTS.values():
-            kind, lights, rows = row.kind, resources.lights.of_kind(row.kind), effects.in_view[row.shadows]
+            kind = row.kind
+            lights = resources.lights.of_kind(row.kind)
+            rows = effects.in_view[row.shadows]
             if not len(rows):
                 continue
             lit = lights[rows]

@@ -55,6 +55,7 @@ from renderer.shadows.receiver import (
     CascadeMap,
     CascadeTable,
     LocalShadowTable,
+    scale_bias,
 )
 from renderer.shadows.shadow_settings import ShadowSettings
 from renderer.shadows.tile_allocator import Tile, TileAllocator
@@ -88,7 +89,6 @@ _COMPARING: Final = SamplerDescriptor(
     magnify=Filter.LINEAR,
     compare=Comparison.GREATER_EQUAL,
 )
-_BIAS: Final = (0.1, 0.6)  # texels along the normal: at any angle, and times its sine
 
 BindPrograms = Callable[[Frame], Sequence[BoundProgram]]
 """Returns the program that draws depth of a frame's objects, and its bindings."""
@@ -154,7 +154,7 @@ class ShadowMap:
             view.write(_view_constants(camera))
 
     def parts(self, rows: Indices) -> list[tuple[UniformBuffer[ViewConstants], Viewport, Indices]]:
-        """Return how casters `rows` are drawn: the view, the viewport, and those of them that are drawn so.
+        """Return the draws of casters `rows`: the view, the viewport, and those of them that are drawn so.
         What reaches above the map is drawn at its near plane, also if the rest of the object is drawn in its
         depth range. Huge casters are left out."""
         assert self.required is not None
@@ -386,7 +386,7 @@ class ShadowMaps:
             for camera, key in zip(faces.cameras, keys, strict=True):
                 maps.append((camera, _NO_TILE if key is None else self._maps[key].tile, faces.scale))
         bias = self.settings.bias
-        table = LocalShadowTable(bias=(bias * _BIAS[0], bias * _BIAS[1], bias), **_first_slots(first))
+        table = LocalShadowTable(bias=scale_bias(bias), **_first_slots(first))
         if self._local_light_table is None:
             self._local_light_table = MirroredValue(self._device, table)
         self._local_light_table.write(table)
@@ -400,10 +400,10 @@ class ShadowMaps:
         if state == self._casting:
             return False
         self._casting = state
-        gone = [key for key in self._maps if key[1] >= len(casting[key[0]]) or not casting[key[0]][key[1]]]
-        for key in gone:
+        removed = [key for key in self._maps if key[1] >= len(casting[key[0]]) or not casting[key[0]][key[1]]]
+        for key in removed:
             self._forget(key)
-        return bool(gone)
+        return bool(removed)
 
     def _allocate_tiles(self, sizes: dict[MapKey, int], *, shrinks: bool = False) -> None:
         """Allocate a tile of its size to each map. Maps that the frame doesn't need keep theirs until others
@@ -470,7 +470,9 @@ class ShadowMaps:
 
     def _add_work(self, work: MapUpdates, required: RequiredMap, dynamic: bytes) -> None:
         """Add a map that has changed to the frame's updates."""
-        shadow_map, casters, static = self._maps[required.key], required.casters, required.static
+        shadow_map = self._maps[required.key]
+        casters = required.casters
+        static = required.static
         shadow_map.require(self._device, required)
         if shadow_map.static != static:
             reason = (
@@ -529,7 +531,9 @@ class ShadowMaps:
         if not maps:
             return
         assert self._needed is not None
-        device, resources, is_masked = self._device, frame.resources, self._needed.casters.is_masked
+        device = self._device
+        resources = frame.resources
+        is_masked = self._needed.casters.is_masked
         solid: Any = device.program(DepthOnly)
         buffers = {"objects": resources.objects.buffer, "object_positions": resources.object_positions.buffer}
         kinds: list[tuple[bool, Sequence[BoundProgram]]] = [(False, [BoundProgram(solid, buffers)])]
@@ -711,7 +715,7 @@ def _make_table(maps: list[CascadeMap], bias: float) -> CascadeTable:
         is_last=0,
     )
     filled = [*maps, *[empty] * (MAX_CASCADES - len(maps))]
-    return CascadeTable(maps=filled, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), count=len(maps))
+    return CascadeTable(maps=filled, bias=scale_bias(bias), count=len(maps))
 
 
 def _describe_maps(maps: list[tuple[Camera, Tile, float]]) -> NDArray[np.float32]:

@@ -51,6 +51,14 @@ _SMALL: Final = 64
 _MIN_COSINE: Final = 0.005
 """The cosine of the steepest slope that a plane is followed to: 89.7°."""
 
+_NORMAL_OFFSET: Final = (0.1, 0.6)
+"""Texels by which a point is moved along its normal: at any angle, and times the sine of the angle."""
+
+
+def scale_bias(bias: float) -> tuple[float, float, float]:
+    """Return the bias of the tables of maps, for the setting `bias`: 0 is none, 1 the default."""
+    return bias * _NORMAL_OFFSET[0], bias * _NORMAL_OFFSET[1], bias
+
 
 def make_disc(count: int, radius: float) -> NDArray[np.float64]:
     """Return a Poisson disc (count, 2): each point is the one of many random points that is farthest from

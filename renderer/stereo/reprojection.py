@@ -177,7 +177,7 @@ class Reprojector:
 
 
 def compute_shift(left: Camera, right: Camera, size: tuple[int, int], pitch: int) -> Shift:
-    """Return how the pixels of an image of `size` move from one eye to the other, in rows that are `pitch`
+    """Return the shift of the pixels of an image of `size` from one eye to the other, in rows that are `pitch`
     apart. The eyes look in one direction."""
     depth, matrix = left.projection.depth, left.projection.matrix
     near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]

@@ -201,7 +201,7 @@ class TiledLighting(GeometryReader, MaskedLightShader):
         return distance_range(self.grid, low, high)
 
     def reaches(self, light: int, cell: Cell) -> bool:
-        """Whether a light may reach a cell that isn't empty."""
+        """True if a light may reach a cell that isn't empty."""
         sphere = self.spheres[light]
         if sphere.w < 0.0:
             return False

@@ -163,7 +163,9 @@ class PackedBins(PackedLight):
 def check_passes(multi_pass: bool, binned: bool, samples: int, call: str) -> None:
     """Refuse `multi_pass` together with `binned`, and either of them with several samples."""
     if multi_pass and binned:
-        refuse(rules.BAD_TECHNIQUE, f"{call}(multi_pass=..., binned=...)", "True and True", "one of them")
+        refuse(
+            rules.BAD_TECHNIQUE, f"{call}(multi_pass=..., binned=...)", "True and True", "at most one of them"
+        )
     if samples > 1 and (multi_pass or binned):
         arguments = f"{'multi_pass' if multi_pass else 'binned'} with samples={samples}"
         refuse(rules.BAD_TECHNIQUE, f"{call}(samples=...)", arguments, "samples=1")

@@ -200,7 +200,7 @@ def check_scale(scale: float, call: str) -> None:
     """Refuse a scale of the light buffers that isn't above 0 and at most 1."""
     if not 0.0 < scale <= 1.0:
         refuse(
-            rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well"
+            rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 or more looks good"
         )
 
 
@@ -239,11 +239,9 @@ class Inferred:
         """The passes `normals`, `downscale`, one per kind of local lights in view, `materials`, and those
         of transparent surfaces. Without local lights, those of forward shading."""
         stippled = self.stippled and self.scale < 1.0 and Effect.TRANSPARENCY in effects.enabled
-        scale, small, lit = (
-            self.scale,
-            downscaled_names("small "),
-            downscaled_names("stippled " if stippled else "small "),
-        )
+        scale = self.scale
+        small = downscaled_names("small ")
+        lit = downscaled_names("stippled " if stippled else "small ")
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
         lights, last = declare_lights(effects, list_terms(effects), lit, collect, scale, self.light_bits)
         if not lights:

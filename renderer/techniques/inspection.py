@@ -215,7 +215,7 @@ class Inspection:
 
     @property
     def is_lit(self) -> bool:
-        """Whether the lit scene is visible as well, so that shadow maps must be up to date."""
+        """True if the lit scene is visible as well, so that shadow maps must be up to date."""
         return self.name in _LIT
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:

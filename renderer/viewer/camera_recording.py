@@ -74,7 +74,7 @@ class CameraReplay:
 
     @property
     def is_over(self) -> bool:
-        """Whether the last camera is reached."""
+        """True if the last camera is reached."""
         return self.seconds * FRAMES_PER_SECOND >= len(self._path) - 1
 
     @property

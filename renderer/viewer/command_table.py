@@ -109,17 +109,17 @@ class CommandTable:
 
     def complete(self, line: str) -> list[str]:
         """The words that complete the last word of `line`."""
-        before, _, begun = line.rpartition(" ")
+        before, _, typed = line.rpartition(" ")
         words = before.split()
         if not words:
-            return sorted(name for name in self._commands if name.startswith(begun))
+            return sorted(name for name in self._commands if name.startswith(typed))
         command = self._commands.get(words[0])
         number = len(words) - 1
         if command is None or number >= len(command.parameters):
             return []
         list_words = command.parameters[number].words
         return (
-            sorted({word for word in list_words() if word.startswith(begun)})
+            sorted({word for word in list_words() if word.startswith(typed)})
             if list_words is not None
             else []
         )

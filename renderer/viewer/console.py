@@ -82,10 +82,10 @@ class Console:
     def _complete(self) -> None:
         before = self.text[: self.cursor]
         words = self._commands.complete(before)
-        begun = before.rpartition(" ")[2]
+        typed = before.rpartition(" ")[2]
         if not words:
             return
-        ending = common_start(words)[len(begun) :] + (" " if len(words) == 1 else "")
+        ending = common_start(words)[len(typed) :] + (" " if len(words) == 1 else "")
         self.insert(ending)
         self.choices = words if len(words) > 1 else []
 

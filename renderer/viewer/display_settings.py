@@ -54,7 +54,7 @@ _SCENE_LAYERS: Final[dict[str, Callable[[Device], Layer]]] = {"particles": Parti
 
 @dataclass(frozen=True, slots=True)
 class DisplaySettings:
-    """How frames are drawn: technique, samples, filters, eyes.
+    """The settings of drawn frames: technique, samples, filters, eyes.
 
     Attributes:
         settings: how the scene is drawn.
@@ -89,12 +89,12 @@ class DisplaySettings:
 
     @property
     def fxaa(self) -> bool:
-        """Whether edges are smoothed."""
+        """True if edges are smoothed."""
         return self.settings.technique.fxaa
 
     @property
     def blending(self) -> str:
-        """How transparent surfaces are blended: the value of a `Blending`."""
+        """The blending of transparent surfaces: the value of a `Blending`."""
         return self.settings.blending.value
 
     def change(self, **entries: Any) -> DisplaySettings:
@@ -200,7 +200,9 @@ class Configurator:
             "visibility": (settings.algorithm, settings.visibility),
         }
         changed = {name for name, value in made_for.items() if value != self._applied.get(name)}
-        technique, stereo, visibility = renderer.technique, renderer.stereo, self._visibility
+        technique = renderer.technique
+        stereo = renderer.stereo
+        visibility = self._visibility
         if "technique" in changed:
             technique = self._make_technique(display)
         layers: list[Layer] = (

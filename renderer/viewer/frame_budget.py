@@ -61,7 +61,12 @@ def load_steps(path: Path) -> list[BudgetStep]:
     except (ValueError, TypeError):
         steps = []
     if not steps or not all(step.milliseconds > 0.0 for step in steps):
-        refuse(rules.BAD_SETTINGS, call, "no front", "pareto_front.json, as `accuracy --output` writes it")
+        refuse(
+            rules.BAD_SETTINGS,
+            call,
+            "a file without a Pareto front",
+            "pareto_front.json, as `accuracy --output` writes it",
+        )
     return steps
 
 

@@ -54,7 +54,7 @@ class FileReloader:
 
     @property
     def is_watching(self) -> bool:
-        """Whether files are watched."""
+        """True if files are watched."""
         return self._reloader is not None
 
     @property
@@ -231,7 +231,7 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
         file_reloader.note_settings(path)
         return f"wrote {path}"
 
-    what = Parameter("settings", words=lambda: ("settings",), is_exhaustive=True)
+    parameter = Parameter("settings", words=lambda: ("settings",), is_exhaustive=True)
     yield ViewerCommand(
-        "save", "write the settings to a file", save, (what, Parameter("FILE.json", parse_path))
+        "save", "write the settings to a file", save, (parameter, Parameter("FILE.json", parse_path))
     )

@@ -153,7 +153,10 @@ class InterfaceLayer:
         canvas.text(x + left + 2 * pad, y, texts, _DIM, scale)
 
     def _add_console(self, box: ScreenRectangle) -> None:
-        canvas, scale, pad, row = self._canvas, self.scale, _PAD * self.scale, self._line_height
+        canvas = self._canvas
+        scale = self.scale
+        pad = _PAD * self.scale
+        row = self._line_height
         state = self.state
         lines = (
             [*(state.console or ()), ("  ".join(state.choices), False)]

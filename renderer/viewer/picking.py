@@ -157,7 +157,7 @@ def _intersect_object(
 
 
 def _is_masked_out(scene: Scene, material: Any, corners: NDArray[Any], weights: Floats) -> bool:
-    """Whether a mask leaves out a point of a triangle: the nearest texel says so, of the largest image."""
+    """True if a mask leaves out a point of a triangle: the nearest texel says so, of the largest image."""
     if material["alpha_mode"] != AlphaMode.MASK:
         return False
     alpha = float(material["base_color"][3])

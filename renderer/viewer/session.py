@@ -170,7 +170,7 @@ class ViewerSession:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the next frame may differ."""
+        """True if the next frame may differ."""
         return (
             self.controller.is_moving
             or self.replay is not None
@@ -263,7 +263,7 @@ class ViewerSession:
 
     @property
     def is_recording(self) -> bool:
-        """Whether the cameras of frames are recorded."""
+        """True if the cameras of frames are recorded."""
         return self._recorder is not None
 
     @property

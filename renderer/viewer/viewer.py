@@ -93,7 +93,7 @@ class Viewer:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the next frame may differ without an event."""
+        """True if the next frame may differ without an event."""
         return bool(self.session.is_moving or self._gestures.has_pressed_keys or self._queue or self._notes)
 
     def handle(self, event: Event) -> None:

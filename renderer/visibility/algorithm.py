@@ -56,7 +56,7 @@ class VisibilityAlgorithm(Protocol):
 
     @property
     def opens_pass(self) -> bool:
-        """Whether the algorithm opens the pass itself. Otherwise the pass must be open when `render` is
+        """True if the algorithm opens the pass itself. Otherwise the pass must be open when `render` is
         called."""
         ...
 

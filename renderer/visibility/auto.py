@@ -56,7 +56,7 @@ class AutoCulling(CandidateSelector):
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is a trial frame, or before the first one."""
+        """True if the next frame is a trial frame, or before the first one."""
         return self._trial.is_trying and (self._warm_up_left > 0 or self._is_ready)
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
@@ -86,7 +86,7 @@ class AutoCulling(CandidateSelector):
 
     @property
     def _is_ready(self) -> bool:
-        """Whether nothing is being built, of what candidates need or else."""
+        """True if nothing is being built, of what candidates need or else."""
         is_prepared = self._prepare is None and (self._preparation is None or self._preparation.done())
         return is_prepared and not self._device.is_building
 

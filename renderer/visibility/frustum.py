@@ -56,10 +56,10 @@ class FrustumCulling(DevicelessCulling):
         self._scene = scene
         object_indices = scene.objects.fixed_indices
         lower, upper = scene.objects.lower[object_indices], scene.objects.upper[object_indices]
-        few = len(object_indices) <= _MAX_BRUTE_FORCE
+        is_small = len(object_indices) <= _MAX_BRUTE_FORCE
         self._static = (
             BruteForceCuller(lower, upper)
-            if few
+            if is_small
             else HierarchyCuller(build_by_area(lower, upper), lower, upper)
         )
 

@@ -63,7 +63,7 @@ class SpeedTrial:
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is a trial frame."""
+        """True if the next frame is a trial frame."""
         return bool(self._untried)
 
     def begin(self) -> None:
@@ -141,5 +141,5 @@ class CandidateSelector:
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is a trial frame."""
+        """True if the next frame is a trial frame."""
         return self._trial.is_trying

@@ -297,7 +297,7 @@ class Recorder(ForwardingBackend):
 
     @property
     def is_paused(self) -> bool:
-        """Whether calls are forwarded without being recorded."""
+        """True if calls are forwarded without being recorded."""
         return self._write == self.stream.skip
 
     def _fail(self, error: BaseException) -> None:

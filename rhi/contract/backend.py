@@ -197,7 +197,7 @@ class Capabilities:
 
     @property
     def renders(self) -> bool:
-        """Whether draws produce pixels: the device can draw and runs shaders."""
+        """True if draws produce pixels: the device can draw and runs shaders."""
         return self.draws and self.shading
 
 
@@ -290,7 +290,7 @@ class SupportsPreparedKernels(Protocol):
 
     @property
     def is_building(self) -> bool:
-        """Whether code is being built in the background, without which draws and dispatches take longer."""
+        """True if code is being built in the background, without which draws and dispatches take longer."""
 
     def prepare_kernels(
         self,

@@ -175,7 +175,7 @@ class SamplerDescriptor:
 
     @property
     def uses_border(self) -> bool:
-        """Whether any axis wraps to the border color."""
+        """True if any axis wraps to the border color."""
         return Wrap.BORDER in (self.wrap_u, self.wrap_v, self.wrap_w)
 
 

@@ -35,7 +35,7 @@ def allows_slow_anisotropy() -> bool:
 
 
 def is_fourth_uniform_faulty(device: str) -> bool:
-    """Whether a driver's fault breaks the fourth uniform buffer of a stage.
+    """True if a driver's fault breaks the fourth uniform buffer of a stage.
 
     Mesa 22.3's lavapipe keeps the uniforms that conditions depend on in a table of 4 for each of 32 buffers,
     but steps through it by 32. Those of a stage's fourth buffer, the fifth row, are written over the counts
@@ -46,7 +46,7 @@ def is_fourth_uniform_faulty(device: str) -> bool:
 
 
 def is_indirect_unbounded(device: str) -> bool:
-    """Whether a driver may end the process if an indirect draw names elements that its buffers don't have.
+    """True if a driver may end the process if an indirect draw names elements that its buffers don't have.
 
     Mesa 22.3's llvmpipe looks up indices some 5 million behind the end of their buffer before it compares.
     With vertices alone it counts to the end of 32 bits, for minutes.

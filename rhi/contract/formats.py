@@ -141,22 +141,22 @@ class Format(Choice):
 
     @property
     def is_packed(self) -> bool:
-        """Whether the channels of a texel share one number."""
+        """True if the channels of a texel share one number."""
         return self.components < self.channels
 
     @property
     def is_depth(self) -> bool:
-        """Whether this is a depth format, with or without stencil."""
+        """True if this is a depth format, with or without stencil."""
         return self.kind in (ChannelKind.DEPTH, ChannelKind.DEPTH_STENCIL)
 
     @property
     def has_stencil(self) -> bool:
-        """Whether this format has 8 bits of stencil beside the depth."""
+        """True if this format has 8 bits of stencil beside the depth."""
         return self.kind is ChannelKind.DEPTH_STENCIL
 
     @property
     def is_integer(self) -> bool:
-        """Whether shaders read integers: no filtering, no blending."""
+        """True if shaders read integers: no filtering, no blending."""
         return self.kind in (ChannelKind.UINT, ChannelKind.INT)
 
 

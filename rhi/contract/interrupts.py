@@ -127,7 +127,7 @@ class DeferredSignals(DeferredInterrupts):
 
 
 def _is_foreign(handler: object) -> bool:
-    """Whether a handler is one of Python that isn't another block's."""
+    """True if a handler is one of Python that isn't another block's."""
     return callable(handler) and getattr(handler, "__func__", None) is not DeferredInterrupts._hold
 
 

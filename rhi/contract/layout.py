@@ -126,7 +126,7 @@ def round_up(value: int, alignment: int) -> int:
 
 
 def is_host_shareable(type: HostType) -> bool:
-    """Whether a type has a layout in memory: it contains no bool and isn't empty."""
+    """True if a type has a layout in memory: it contains no bool and isn't empty."""
     match type:
         case ScalarType():
             return type is not BOOL
@@ -285,7 +285,7 @@ def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> I
 
 
 def accepts(expected: np.dtype[Any], actual: np.dtype[Any]) -> bool:
-    """Whether memory of dtype `actual` can be read as `expected`: elements have the same size, and each
+    """True if memory of dtype `actual` can be read as `expected`: elements have the same size, and each
     expected field is present with the same name, type and offset. Additional fields, such as named padding,
     are allowed."""
     if expected == actual:
@@ -337,8 +337,8 @@ def compare_layouts(expected: np.dtype[Any], actual: np.dtype[Any]) -> str:
     for name in [*left, *(name for name in right if name not in left)]:
         a, b = left.get(name), right.get(name)
         differs = [
-            what
-            for what, wrong in (
+            quantity
+            for quantity, wrong in (
                 ("missing", b is None),
                 ("not expected", a is None),
                 ("offset", a is not None and b is not None and a.offset != b.offset),

@@ -580,7 +580,7 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
 
 
 def _count_vectors(words: int) -> int:
-    """Return how many vectors a varying takes: a matrix of 9 or 16 words has 3 or 4 columns."""
+    """Return the number of vectors that a varying takes: a matrix of 9 or 16 words has 3 or 4 columns."""
     return {9: 3, 16: 4}.get(words, 1)
 
 

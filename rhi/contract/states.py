@@ -65,7 +65,7 @@ class DepthTest(Choice):
 
 
 class DepthWrite(Choice):
-    """Whether fragments that pass write their depth."""
+    """Writes of depth by fragments that pass."""
 
     OFF = "off"
     ON = "on"
@@ -273,7 +273,7 @@ class BlendFunction(_OfTarget):
 
     @property
     def is_off(self) -> bool:
-        """Whether the source only replaces the destination, so that blending can be disabled."""
+        """True if the source only replaces the destination, so that blending can be disabled."""
         return (
             self.source is BlendFactor.ONE
             and self.destination is BlendFactor.ZERO

@@ -101,7 +101,7 @@ class CommandBuffer(Encoder):
 
     @property
     def is_stale(self) -> bool:
-        """Whether a resource it uses was destroyed, or a program was exchanged by a `Reloader`; `submit` then
+        """True if a resource it uses was destroyed, or a program was exchanged by a `Reloader`; `submit` then
         refuses it."""
         return bool(self._destroyed_uses)
 
@@ -116,7 +116,10 @@ class CommandBuffer(Encoder):
     def __enter__(self) -> Self:
         if self._state is not _EMPTY:
             self._recorder.refuse(
-                rules.RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
+                rules.RECORD_STATE,
+                "device.record",
+                f"a command buffer that is {self._state}",
+                "a new command buffer",
             )
         self._state = _RECORDING
         self._recorder.thread = get_ident()
@@ -140,7 +143,7 @@ class CommandBuffer(Encoder):
             return
         if left:
             core.refuse(
-                rules.RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open"
+                rules.RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "no open scope"
             )
         if self.label:
             self._writer.pop_label()

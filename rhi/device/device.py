@@ -209,7 +209,7 @@ class Device(Encoder):
 
     @property
     def closed(self) -> bool:
-        """Whether the device was closed; then every other call is refused."""
+        """True if the device was closed; then every other call is refused."""
         return self._core.closed
 
     @property
@@ -628,7 +628,7 @@ class Device(Encoder):
 
     @property
     def is_building(self) -> bool:
-        """Whether the platform is compiling code in the background. Until then draws and dispatches are
+        """True if the platform is compiling code in the background. Until then draws and dispatches are
         slower, and measured times aren't representative."""
         return bool(getattr(self._core.backend, "is_building", False))
 
@@ -738,7 +738,7 @@ class Device(Encoder):
 
     @property
     def timing(self) -> bool:
-        """Whether events take timestamps."""
+        """True if events take timestamps."""
         return self._timers.enabled
 
     @timing.setter

@@ -190,7 +190,7 @@ def _is_stopped(frame: FrameType | None) -> bool:
 
 
 def _is_inside(frame: FrameType | None) -> bool:
-    """Whether a thread is inside a call of this package that hasn't been stopped."""
+    """True if a thread is inside a call of this package that hasn't been stopped."""
     if _is_stopped(frame):
         return False
     while frame is not None and not str(frame.f_globals.get("__name__")).startswith("rhi."):

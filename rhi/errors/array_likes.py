@@ -72,7 +72,7 @@ def to_real(value: Any) -> Any:
 
 
 def is_masked(value: Any) -> bool:
-    """Whether a value is an array with a mask. A program without any hasn't imported their module."""
+    """True if a value is an array with a mask. A program without any hasn't imported their module."""
     module = sys.modules.get("numpy.ma")
     return module is not None and isinstance(value, module.MaskedArray)
 
@@ -94,7 +94,7 @@ def check_order(value: Any) -> None:
 
 
 def _has_mask(items: Collection[Any], array: NDArray[Any]) -> bool:
-    """Whether nested lists have an array with a mask among them.
+    """True if nested lists have an array with a mask among them.
 
     Their numbers are looked at only if one became NaN, as a masked one does.
     """

@@ -60,18 +60,18 @@ def run_until_pipe_closes(main: Callable[[], int]) -> int:
             sys.stdout.flush()
             sys.stderr.flush()
     except BrokenPipeError as error:
-        gone = [stream for stream in (sys.stdout, sys.stderr) if _is_broken_pipe(stream)]
-        for stream in gone:
+        broken = [stream for stream in (sys.stdout, sys.stderr) if _is_broken_pipe(stream)]
+        for stream in broken:
             with open(os.devnull, "w", encoding="utf-8") as nowhere:
                 os.dup2(nowhere.fileno(), stream.fileno())  # the interpreter flushes what is left
-        if gone:
+        if broken:
             return BROKEN_PIPE_STATUS
         print(f"error: {error}", file=sys.stderr)  # another pipe
         return 2
 
 
 def _is_broken_pipe(stream: TextIO) -> bool:
-    """Whether the reader of a stream has gone away. Another write wouldn't tell, since Python may have
+    """True if the reader of a stream has gone away. Another write wouldn't tell, since Python may have
     dropped the buffer."""
     if not hasattr(select, "poll"):
         return True  # Windows doesn't tell

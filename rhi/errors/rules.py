@@ -231,7 +231,7 @@ COMMAND_CLEARED: Final = Rule(
     "read it before clear()",
 )
 ASSERTION_ARGUMENT: Final = Rule(
-    "assertion-argument", "with this argument the assertion can't check any command"
+    "assertion-argument", "an argument is invalid, so the assertion would match nothing or check nothing"
 )
 NULL_SAMPLES: Final = Rule(
     "null-samples",

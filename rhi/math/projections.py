@@ -187,7 +187,7 @@ def _project_box(
 
 
 def is_parallel(projection: Projection) -> bool:
-    """Whether a projection is orthographic."""
+    """True if a projection is orthographic."""
     return bool(projection.matrix[3, 3] != 0.0)
 
 

@@ -67,7 +67,7 @@ def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
 
 
 def is_affine(matrices: Floats) -> bool:
-    """Whether all `matrices` (..., 4, 4) are finite and have the last row 0 0 0 1."""
+    """True if all `matrices` (..., 4, 4) are finite and have the last row 0 0 0 1."""
     return bool(np.isfinite(matrices).all() and (matrices[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all())
 
 

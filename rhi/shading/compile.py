@@ -204,7 +204,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
         source.refuse(
-            rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two"
+            rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "at most one of them"
         )
     compute = stages.get(Stage.COMPUTE)
     checked = shader.checked and not any(stage.entry.native for stage in stages.values())

@@ -198,7 +198,7 @@ class HasBindings:
 
     @staticmethod
     def _fits(command: Command, bound: tuple[int, ...], expected: Any) -> bool:
-        """Whether a binding refers to the wanted resource.
+        """True if a binding refers to the wanted resource.
 
         A label or an id names a resource. A range or view must be exactly the bound one; a whole buffer or
         texture matches any part of it.
@@ -294,7 +294,7 @@ class Where:
 
 
 def is_near(actual: object, expected: object, tolerance: float) -> bool:
-    """Whether two states are equal, their numbers within `tolerance`; the target of a per-target state is
+    """True if two states are equal, their numbers within `tolerance`; the target of a per-target state is
     ignored."""
     if type(actual) is not type(expected):
         return False

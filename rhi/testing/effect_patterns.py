@@ -209,10 +209,10 @@ def assert_free(
     __tracebackhide__ = True
     checker("assert_free").instance("effect", effect, EffectPattern, "an EffectPattern")
     if not effect.parts:
-        fail(f"the pattern of {effect.effect} declares nothing, so it is in no stream")
+        fail(f"the pattern of {effect.effect} is empty, so no command can match it")
     selected = read_commands("assert_free", "commands", commands)
     if not len(selected):
-        fail(f"there are no commands, so this shows nothing about {effect.effect}")
+        fail(f"the stream has no commands, so the assertion checks nothing about {effect.effect}")
     reasons = {command.index: why for command in selected if (why := effect.explain(command))}
     if reasons:
         _fail_with_cost(effect, selected, reasons)
@@ -221,7 +221,7 @@ def assert_free(
         matched = {part for command in examined for part, _ in effect.match_parts(command)}
         missing = [f"  {kind} {name!r}" for kind, name in effect.parts if (kind, name) not in matched]
         if missing:
-            fail(f"the pattern of {effect.effect} declares what its control hasn't:", *missing)
+            fail(f"the control lacks parts of the pattern of {effect.effect}:", *missing)
 
 
 def assert_same(
@@ -239,7 +239,7 @@ def assert_same(
     selected = read_commands("assert_same", "commands", commands)
     selected_expected = read_commands("assert_same", "expected", expected)
     if not len(selected) and not len(selected_expected):
-        fail(f"there are no commands on either side, so this shows nothing about {description}")
+        fail(f"both streams are empty, so the assertion checks nothing about {description}")
     if selected.stream is selected_expected.stream and list(selected.indices()) == list(
         selected_expected.indices()
     ):

@@ -154,7 +154,7 @@ class Expectation:
                 ASSERTION_ARGUMENT,
                 "of",
                 f"the pattern of {effect.effect}",
-                "a pattern that declares something",
+                "a pattern with at least one part",
             )
         return self._and(effect)
 
@@ -253,14 +253,19 @@ class Expectation:
         """Assert that all matching commands precede all of `other`, and that both match some."""
         checker("before").instance("other", other, Expectation, "another expectation")
         if other._commands.stream is not self._commands.stream:
-            refuse(ASSERTION_ARGUMENT, "before", "an expectation on another stream", "two of the same stream")
+            refuse(
+                ASSERTION_ARGUMENT,
+                "before",
+                "an expectation on another stream",
+                "an expectation on the same stream",
+            )
         first, second = self.at_least(1), other.at_least(1)
         last, next_one = first[-1], second[0]
         if last.index >= next_one.index:
             fail(
                 f"expected all {self}\nbefore all  {other}, but",
-                show_commands("this one", [last]),
-                show_commands("comes after", [next_one]),
+                show_commands("the last of the first", [last]),
+                show_commands("comes after the first of the second", [next_one]),
             )
 
     def costs(

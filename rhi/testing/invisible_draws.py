@@ -305,7 +305,7 @@ def _inside(draw: Command, begin: Op, end: Op) -> bool:
 
 
 def _has_earlier_draws(draw: Command) -> bool:
-    """Whether earlier draws of the same pass precede the draw."""
+    """True if earlier draws of the same pass precede the draw."""
     drawn = False
     for command in _before(draw):
         if command.op is Op.BEGIN_PASS:

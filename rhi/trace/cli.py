@@ -87,7 +87,7 @@ def _make_parser() -> argparse.ArgumentParser:
     reduce_parser.add_argument(
         "predicate",
         metavar="FILE.py:FUNCTION",
-        help="or MODULE:FUNCTION: of a trace, whether the fault is there",
+        help="or MODULE:FUNCTION: a function of a trace that returns True if the trace shows the fault",
     )
     reduce_parser.add_argument("--output", type=Path, metavar="F.zip", help="write the small trace")
     reduce_parser.add_argument("--test", type=Path, metavar="test_F.py", help="write it as a pytest file")

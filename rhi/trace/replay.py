@@ -115,7 +115,10 @@ class _Player:
 
     def play(self) -> None:
         """Execute all commands."""
-        core, ids, stream, methods = self.core, self.result.ids, self.stream, self.methods
+        core = self.core
+        ids = self.result.ids
+        stream = self.stream
+        methods = self.methods
         core.program = None
         self.set_states(self.before, default_values())
         own = {

@@ -129,7 +129,9 @@ class SequenceValidator:
                 self._create(values[0], _count_bytes(values[1]))
         except InvalidCommandError as error:
             reader.refuse(
-                TRACE_REFERENCE, f"{where}: {op.method}: {error}", "what a device would have issued"
+                TRACE_REFERENCE,
+                f"{where}: {op.method}: {error}",
+                "a command that a device can issue at this point",
             )
         except TooLargeError as error:
             if not failed:
@@ -171,7 +173,7 @@ class SequenceValidator:
     def _lookup(self, resource: Id, kind: type[T]) -> T:
         descriptor: Any = self.context.resources.get(resource)
         if descriptor is None:
-            raise InvalidCommandError(f"id {resource} is nothing")
+            raise InvalidCommandError(f"no resource has the id {resource}")
         if not isinstance(descriptor, kind):
             raise InvalidCommandError(
                 f"id {resource} is a {type(descriptor).__name__}, not a {kind.__name__}"
@@ -225,7 +227,7 @@ class SequenceValidator:
         _require(not self.context.open_query, "another query is open")
 
     def end_query(self, query: Id) -> None:
-        _require(query == self.context.open_query, "it isn't open")
+        _require(query == self.context.open_query, "the query isn't open")
 
     def write_query(self, query: Id) -> None:
         _require(self._lookup(query, QueryKind) is not QueryKind.OCCLUSION, "an occlusion query")
@@ -468,7 +470,7 @@ def _draw(
 def count_vertex_array_elements(
     resources: Mapping[Id, Any], descriptor: VertexArrayDescriptor
 ) -> limits.ElementCounts:
-    """Return how many elements the buffers of a vertex array hold; one that was destroyed holds none."""
+    """Return the number of elements in the buffers of a vertex array; one that was destroyed holds none."""
     return limits.count_elements(
         descriptor, lambda buffer: resources[buffer].size if buffer in resources else 0
     )
@@ -586,7 +588,7 @@ def binding_faults(context: StreamContext) -> Faults:
 
 
 def _fits_type(type: object, kind: TextureKind, format: Format) -> bool:
-    """Whether a texture of this kind and format fits a binding of this type. Old files name some types by
+    """True if a texture of this kind and format fits a binding of this type. Old files name some types by
     texts that say nothing of formats; anything fits those."""
     if isinstance(type, TextureType):
         return type.kind is kind and str(type.scalar) == shader_kind(format)

@@ -37,7 +37,7 @@ def test_its_entry_point_is_the_function() -> None:
     assert project["project"]["entry-points"]["rhi.backends"] == {"numpy": FUNCTION}
 
 
-def test_what_it_lacks_is_refused_by_name() -> None:
+def test_a_capability_that_the_numpy_backend_lacks_is_refused_by_name() -> None:
     with (
         rhi.create_device(FUNCTION) as device,
         pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"),

@@ -75,7 +75,7 @@ def devices() -> Iterator[list[rhi.Device]]:
         yield [gl, cl]
 
 
-def test_each_needs_nothing_but_what_is_installed() -> None:
+def test_each_example_needs_only_installed_packages() -> None:
     imported = {
         name.partition(".")[0]
         for program in PROGRAMS

@@ -64,7 +64,9 @@ def test_the_same_lines_draw_the_same_image_on_gl_and_cl(
 
 
 @pytest.mark.parametrize("backend", ["gl", "cl"])
-def test_what_is_culled_is_not_missed(example: Any, devices: dict[str, rhi.Device], backend: str) -> None:
+def test_culled_houses_change_hardly_a_pixel(
+    example: Any, devices: dict[str, rhi.Device], backend: str
+) -> None:
     renderer = example.Renderer(devices[backend], SIZE)
     renderer.render(STREET, ALONG)
     assert renderer.visible.all()

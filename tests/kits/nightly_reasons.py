@@ -15,7 +15,7 @@ ONLY_KERNELS: Final = """Compiles OpenCL kernels that no other test needs.
 
 The default run shows on gl what the renderer asks of a device. What cl makes of it is shown by the conformance
 kit, by tests/rhi/backends/cl, and by the images that every technique draws on cl (test_technique_pixels.py,
-test_shadow_pixels.py, test_fog_and_glow.py, test_scenes_agree.py, test_float64.py).
+test_shadow_pixels.py, test_fog_and_bloom.py, test_scenes_agree.py, test_float64.py).
 """
 
 COVERED_ON_GL: Final = """Draws walks with all visibility algorithms, or compiles kernels no other test needs.

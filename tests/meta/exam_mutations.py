@@ -64,7 +64,7 @@ class Mutant(MetaPathFinder):
 
 
 def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
-    """Return how the cases of a mutation fail; in a process in which the renderer wasn't imported yet."""
+    """Return the failures of a mutation's cases; in a process in which the renderer wasn't imported yet."""
     with tempfile.TemporaryDirectory() as folder:
         sys.meta_path.insert(0, Mutant(mutation, Path(folder)))
         import rhi

@@ -1,4 +1,4 @@
-"""Which tests are responsible for a file, and which to run for what differs from another commit.
+"""The tests that are responsible for a file, and those to run for the differences from another commit.
 
     python tests/meta/responsible_tests.py [--base REV]
 
@@ -7,11 +7,15 @@ them on. By default that commit is where the branch left `main`; on `main` itsel
 
 | changed file | tests |
 |---|---|
-| a module of the product | those named after it or of its folder; the files elsewhere that use it most |
+| a module of the product | those named after it, and the files of its folder and elsewhere that use it most |
+| a module of the product that hardly any test of its folder names | its folder, if that is small |
+| a module named as its package | its folder, if that is small |
 | a module of a backend | also the conformance kit on that backend |
+| a part of the shading language | also the kit's tests of the language, on the devices that it is written for |
 | a test file, or one of the kit | itself |
 | a module that tests share | the test files that import it |
 | a page | the tests of the documentation |
+| any other file | those of the modules that name it |
 
 `random_faults` tries its faults against the same tests first, then against wider ones.
 """
@@ -32,6 +36,13 @@ _BACKENDS: Final = ("cl", "gl", "null", "wgpu")
 
 _MAX_USERS: Final = 8
 """Of the files of tests elsewhere that use a module, so many are run."""
+
+_MAX_FOLDER: Final = 60
+"""A folder of tests with more files is not run as a whole."""
+
+_LANGUAGE: Final = "rhi/conformance/operation/test_language.py"
+_DEVICES_OF_LANGUAGES: Final = {"glsl": ["gl"], "opencl": ["cl"], "numpy": ["null"], "wgsl": ["wgpu"]}
+_DEVICES_OF_PARSER: Final = ["gl", "null"]
 
 _EXAM: Final = "tests/renderer/lab/exam/test_cases.py"
 
@@ -89,21 +100,24 @@ def _list_wider(root: Path, path: PurePosixPath, own: str) -> list[tuple[str, ..
     return [tuple(wider)] if wider else []
 
 
-def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
+def _list_users(root: Path, path: PurePosixPath, folder: Path, *, inside: bool = False) -> list[str]:
     """Return the files of tests outside a folder that import a module's package and name most of what it
-    defines."""
+    defines; or `inside` the folder, whatever they import, with the constants that it defines."""
     module = path.with_suffix("").as_posix().replace("/", ".")
     package = re.compile(rf"\b{re.escape('.'.join(path.with_suffix('').parts[:2]))}\b")
     tree = ast.parse((root / path).read_text())
     names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
+    if inside:
+        assigned = [each.target for each in tree.body if isinstance(each, ast.AnnAssign)]
+        names += [re.escape(target.id) for target in assigned if isinstance(target, ast.Name)]
     words = re.compile(
         "|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_"))
     )
     counts = Counter[str]()
     for each in sorted((root / "tests").rglob("test_*.py")):
-        if not each.is_relative_to(folder):
+        if each.is_relative_to(folder) == inside:
             text = each.read_text()
-            if package.search(text):
+            if inside or package.search(text):
                 counts[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
     return [file for file, count in counts.most_common(_MAX_USERS) if count]
 
@@ -155,12 +169,13 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
     """Return the arguments of pytest for the tests that are responsible for files."""
     paths: dict[str, None] = {}
     kits: dict[str, None] = {}
+    languages: dict[str, None] = {}
     for file in files:
         path = PurePosixPath(file)
         if path.suffix == ".md":
             paths |= dict.fromkeys(_DOCUMENTATION)
         elif path.suffix not in (".py", ".cl"):
-            continue
+            paths |= dict.fromkeys(_list_readers(root, path))
         elif path.name.startswith("test_"):
             paths[file] = None
         elif path.parts[0] == "tests":
@@ -169,6 +184,8 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
             paths |= dict.fromkeys(_choose_near_tests(root, path))
             if path.parts[:2] == ("rhi", "backends") and path.parts[2] in _BACKENDS:
                 kits[path.parts[2]] = None
+            if path.parts[:2] == ("rhi", "shading"):
+                languages |= dict.fromkeys(_DEVICES_OF_LANGUAGES.get(path.parts[2], _DEVICES_OF_PARSER))
         elif (root / "tests" / path.parts[0]).is_dir():
             paths[f"tests/{path.parts[0]}"] = None
     paths |= dict.fromkeys(_ALWAYS)
@@ -181,15 +198,34 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
         ]
     elif any(each.startswith("rhi/conformance") for each in existing):
         existing += ["--rhi-backend", "gl", "--rhi-backend", "cl", "--rhi-backend", "null"]
+    elif languages and (root / _LANGUAGE).exists():
+        existing += [_LANGUAGE, *(part for device in languages for part in ("--rhi-backend", device))]
     return existing
 
 
 def _choose_near_tests(root: Path, path: PurePosixPath) -> list[str]:
-    """Return the tests that are named after a module, or else its folder's, and those that use it most."""
+    """Return the tests that are named after a module and those that use it most, or else its folder's."""
     if path.suffix == ".cl":
         return ["tests/rhi/backends/cl/raster"]
     *named, own = choose_tests(root, path.as_posix())[0]
-    return [*(named or [own]), *_list_users(root, path, root / own)]
+    beside = _list_users(root, path, root / own, inside=True)
+    is_small = len(list((root / own).rglob("test_*.py"))) <= _MAX_FOLDER
+    is_main = path.stem in ("__init__", path.parent.name)
+    is_hardly_named = not named and len(beside) < 2
+    near = [own] if is_small and (is_main or is_hardly_named) else [*named, *beside]
+    return [*near, *_list_users(root, path, root / own)]
+
+
+def _list_readers(root: Path, path: PurePosixPath) -> list[str]:
+    """Return the tests of what names a file of data: files of tests, and modules in its folder."""
+    readers: list[str] = []
+    for file in sorted((root / path.parent).glob("*.py")):
+        if path.name in file.read_text():
+            module = PurePosixPath(file.relative_to(root).as_posix())
+            is_shared = module.parts[0] == "tests"
+            readers += _list_test_importers(root, module) if is_shared else _choose_near_tests(root, module)
+    tests = sorted((root / "tests").rglob("test_*.py")) if path.parent.parts else []
+    return readers + [each.relative_to(root).as_posix() for each in tests if path.name in each.read_text()]
 
 
 def _list_test_importers(root: Path, path: PurePosixPath) -> list[str]:

@@ -1,4 +1,4 @@
-"""Which rules the tests break and which they keep, line by line.
+"""The rules that the tests break, and those that they keep, line by line.
 
 `python rule_coverage.py FOLDER… [-- OPTIONS OF PYTEST]` runs tests and prints a line of JSON: for each rule,
 how often a test broke it and how often one came to the same check and passed it.

@@ -19,7 +19,7 @@ def test_every_case_has_a_mutation() -> None:
     assert tried == CASES.keys()
 
 
-def test_what_a_mutation_replaces_is_there_once() -> None:
+def test_the_text_that_a_mutation_replaces_occurs_once() -> None:
     """Found in the default run, not in the nightly one: a mutation whose text has moved tries nothing."""
     for mutation in exam_mutations.MUTATIONS:
         spec = importlib.util.find_spec(mutation.module)

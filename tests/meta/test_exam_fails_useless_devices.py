@@ -14,7 +14,7 @@ from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING
 
 
 @pytest.mark.nightly
-def test_useless_devices_pass_what_has_nothing_to_do_with_them() -> None:
+def test_useless_devices_pass_the_cases_that_do_not_depend_on_their_fault() -> None:
     run = subprocess.run(
         [sys.executable, useless_devices.__file__], capture_output=True, text=True, check=True
     )

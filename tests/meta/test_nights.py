@@ -168,7 +168,7 @@ def test_a_short_file_stays_in_one_shard() -> None:
     assert sorted(short) == [0, 0, 0, 9]
 
 
-def test_a_night_begins_with_what_changed_then_what_failed_then_what_has_waited_longest() -> None:
+def test_a_night_runs_changed_tests_first_then_failed_tests_then_those_that_waited_longest() -> None:
     tests = ["ended.py::t", "new.py::t", "old.py::t", "failed.py::t", "never.py::t", "some/changed.py::t"]
     record = {
         "ended.py::t": row("ended.py::t", "started", "2019-01-01T00:00:00Z"),
@@ -226,7 +226,7 @@ def test_the_next_night_begins_with_the_failure_and_rotates_seeds(folder: pytest
     assert {each.seed for each in read_record(path).values()} == {7}
 
 
-def test_what_runs_by_day_is_left_out_but_for_property_tests(pytester: pytest.Pytester) -> None:
+def test_a_night_leaves_out_tests_of_the_default_run_except_property_tests(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         test_day="""
         from hypothesis import given, strategies
@@ -271,7 +271,9 @@ def test_a_budget_ends_the_night_and_the_next_goes_on(folder: pytest.Pytester) -
     assert nights_needed > 1
 
 
-def test_a_test_longer_than_what_is_left_waits_and_a_shorter_one_runs(folder: pytest.Pytester) -> None:
+def test_a_test_longer_than_the_remaining_budget_waits_and_a_shorter_test_runs(
+    folder: pytest.Pytester,
+) -> None:
     path = folder.path / "record.tsv"
     long = "test_some.py::test_passes[2]"
     path.write_text(format_record({long: row(long, seconds=900.0, ran="2000-01-01T00:00:00Z")}))
@@ -322,7 +324,7 @@ sys.exit(pytest.main({list(arguments)!r}, plugins=[Night(Path({str(path)!r}), "a
 
 
 @pytest.mark.parametrize("end", ["os._exit(3)", "raise KeyboardInterrupt"])
-def test_an_interrupted_run_keeps_what_passed(pytester: pytest.Pytester, end: str) -> None:
+def test_an_interrupted_run_records_the_tests_that_passed(pytester: pytest.Pytester, end: str) -> None:
     pytester.makeini("[pytest]\nmarkers = nightly: takes long")
     pytester.makepyfile(
         test_some=f"""

@@ -107,7 +107,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.nightly
-def test_what_no_test_notices_is_told_with_its_line_and_the_project_stays_as_it_is(
+def test_an_undetected_fault_is_printed_with_its_line_and_the_project_is_unchanged(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(random_faults, "_PATIENCE", (2.0, 60.0))  # what doesn't end is noticed by then
@@ -135,7 +135,7 @@ def test_a_fault_that_is_explained_is_no_survivor(
 
 
 @pytest.mark.nightly
-def test_tests_that_fail_without_a_fault_are_told(project: Path) -> None:
+def test_tests_that_fail_without_a_fault_are_reported(project: Path) -> None:
     (project / "tests/thing/test_numbers.py").write_text("def test_it():\n    assert False\n")
     with pytest.raises(AssertionError, match="without a fault"):
         try_faults(project, list_faults("thing/numbers.py", TESTED)[:1])

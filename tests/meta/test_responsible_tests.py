@@ -1,4 +1,4 @@
-"""Which tests are responsible for a module, and which are run for what differs from another commit."""
+"""The tests that are responsible for a module, and those that run for the differences from another commit."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def test_a_part_of_the_renderer_is_also_tested_where_it_is_used() -> None:
 
 
 @pytest.mark.parametrize("module", ["lighting", "structs", "pixels"])
-def test_shaders_are_also_tested_by_the_techniques_that_are_made_of_them(module: str) -> None:
+def test_shaders_are_also_tested_by_the_techniques_that_use_them(module: str) -> None:
     assert ("tests/renderer/techniques",) in choose_tests(ROOT, f"renderer/shaders/{module}.py")
 
 
-def test_what_only_its_package_imports_has_no_tests_of_importers() -> None:
+def test_a_module_that_only_its_package_imports_has_no_tests_of_importers() -> None:
     assert choose_tests(ROOT, "renderer/techniques/parts/fxaa.py")[-1] == (
         "tests/renderer/lab/exam/test_cases.py",
     )
@@ -70,6 +70,13 @@ def test_what_only_its_package_imports_has_no_tests_of_importers() -> None:
         ("docs/states.md", "tests/test_docs.py"),
         ("examples/programs/julia.py", "tests/examples"),
         ("tests/renderer/frames.py", "tests/renderer/test_editing.py"),
+        ("renderer/shadows/receiver.py", "tests/renderer/shadows"),
+        ("rhi/device/device.py", "tests/rhi/device"),
+        ("renderer/lab/accuracy/image_errors.py", "tests/renderer/lab/accuracy/test_sweep.py"),
+        ("rhi/shading/wgsl/wgsl_writer.py", "rhi/conformance/operation/test_language.py"),
+        ("tests/shader_texts.txt", "tests/test_shader_texts.py"),
+        ("tests/meta/exam_mutations.toml", "tests/meta/test_exam_detects_mutations.py"),
+        ("renderer/lab/exam/cases.toml", "tests/renderer/lab/exam/test_examine.py"),
     ],
 )
 def test_a_changed_file_runs_the_tests_that_are_responsible_for_it(file: str, responsible: str) -> None:
@@ -79,6 +86,21 @@ def test_a_changed_file_runs_the_tests_that_are_responsible_for_it(file: str, re
 
 def test_a_changed_module_does_not_run_the_tests_of_unrelated_packages() -> None:
     assert not any("renderer" in test for test in choose_changed_tests(ROOT, ["rhi/trace/diff.py"]))
+
+
+@pytest.mark.parametrize("file", ["renderer/rules.py", "renderer/renderer.py", "renderer/settings.py"])
+def test_a_module_above_many_tests_runs_the_files_that_use_it_only(file: str) -> None:
+    tests = choose_changed_tests(ROOT, [file])
+    assert "tests/renderer" not in tests
+    assert 3 <= len(tests) <= 24
+
+
+@pytest.mark.parametrize(("language", "device"), [("glsl", "gl"), ("opencl", "cl"), ("wgsl", "wgpu")])
+def test_a_writer_of_a_language_runs_the_kit_s_tests_of_the_language_on_its_device(
+    language: str, device: str
+) -> None:
+    arguments = choose_changed_tests(ROOT, [f"rhi/shading/{language}/{language}_writer.py"])
+    assert arguments[-3:] == ["rhi/conformance/operation/test_language.py", "--rhi-backend", device]
 
 
 def test_a_changed_backend_runs_the_kit_on_that_backend_only() -> None:
@@ -111,14 +133,14 @@ def repository(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_branch_differs_from_main_by_its_commits_and_by_what_is_not_committed(repository: Path) -> None:
+def test_a_branch_differs_from_main_by_its_commits_and_its_uncommitted_changes(repository: Path) -> None:
     (repository / "edited.py").write_text("1")
     (repository / "new.py").write_text("")
     (repository / "deleted.py").unlink()
     assert list_changed_files(repository) == ["committed.py", "edited.py", "new.py"]
 
 
-def test_main_differs_from_its_last_commit_by_what_is_not_committed(repository: Path) -> None:
+def test_main_differs_from_its_last_commit_by_uncommitted_changes(repository: Path) -> None:
     subprocess.run(["git", "switch", "-q", "-f", "main"], cwd=repository, check=True)
     assert list_changed_files(repository) == []
     (repository / "edited.py").write_text("1")

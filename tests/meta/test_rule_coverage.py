@@ -136,7 +136,7 @@ def draw(count):
 @pytest.mark.parametrize(
     ("count", "broken", "passed"), [(-1, {"draw-count": 1}, {}), (1, {}, {"draw-count": 1})]
 )
-def test_a_call_breaks_or_passes_what_is_checked_by_a_rule_that_it_gives(
+def test_a_call_that_passes_a_rule_to_a_check_breaks_or_passes_that_rule(
     tmp_path: Path, count: int, broken: dict[str, int], passed: dict[str, int]
 ) -> None:
     coverage = rule_coverage.Coverage(tmp_path)

@@ -11,7 +11,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
 def integrate_fog(fog: Fog, eye: float, position: NDArray[np.float64], pieces: int = 256) -> float:
-    """Return how much light from `position`, relative to an eye at the height `eye`, passes the fog."""
+    """Return the part of the light from `position`, relative to an eye at the height `eye`, that passes the fog."""
     half = np.concatenate(
         [[0.0], np.geomspace(1e-10, 0.5, pieces // 2)]
     )  # fine at both ends, where density is

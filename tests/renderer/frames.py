@@ -113,7 +113,7 @@ def draw_each(
 
 
 def max_difference(first: NDArray[Any], second: NDArray[Any]) -> int:
-    """Return how far two images are apart where they are farthest."""
+    """Return the largest difference of two images."""
     return int(np.abs(first - second).max())
 
 

@@ -203,7 +203,7 @@ def test_an_edit_uploads_the_rows_that_it_changes(null: Device) -> None:
         assert renderer.render(EYE).statistics.upload_bytes == before
 
 
-def test_a_hidden_node_hides_what_is_below_it_until_it_is_shown() -> None:
+def test_a_hidden_node_hides_its_descendants_until_it_is_shown() -> None:
     scene = make_edited()
     nodes, node = scene.nodes, scene.objects.node
     for change, rows, expected in (
@@ -237,9 +237,7 @@ def test_bounds_follow_a_mesh_that_is_replaced() -> None:
         ("scene-fixed-mesh", [4, 1], {"mesh": 1}),
     ],
 )
-def test_what_cannot_be_replaced_is_refused_and_nothing_changes(
-    rule: str, rows: int, arguments: dict[str, int]
-) -> None:
+def test_a_refused_replacement_changes_nothing(rule: str, rows: int, arguments: dict[str, int]) -> None:
     scene = make_edited()
     before = scene.objects.mesh.copy(), scene.objects.material.copy(), scene.material_version
     with pytest.raises(ValidationError, match=rule):
@@ -249,6 +247,32 @@ def test_what_cannot_be_replaced_is_refused_and_nothing_changes(
     )
     scene.replace([1, 4], material=2)  # the control
     assert scene.objects.material[[1, 4]].tolist() == [2, 2]
+
+
+@pytest.mark.parametrize(
+    ("animated", "refused"), [("none", False), ("beside", False), ("node", True), ("above", True)]
+)
+def test_a_mesh_within_declared_bounds_is_not_replaced(animated: str, refused: bool) -> None:
+    """Bounds that hold at all times are those of the mesh that the scene was built with, also where they lie in
+    the space of a dynamic node."""
+    builder = begin()
+    parent = builder.add_node(dynamic=True)
+    above = builder.add_node(parent=parent, dynamic=True)
+    node = builder.add_node(parent=above, dynamic=True)
+    beside = builder.add_node(parent=parent, dynamic=True)
+    (row,) = builder.add_objects(node, 1, 1).tolist()
+    bounds = (-1, -1, -1), (1, 2, 1)
+    moved = {"node": node, "above": above, "beside": beside}.get(animated)
+    if moved is not None:
+        builder.animate([moved], lambda seconds: translation([(0, seconds % 1.0, 0)]), bounds)
+    scene = builder.build()
+    before = scene.objects.boxes.lower.copy(), scene.objects.boxes.upper.copy()
+    if refused:
+        assert refused_rule(lambda: scene.replace(row, mesh=2)) == "scene-fixed-mesh"
+        assert all(map(np.array_equal, before, (scene.objects.boxes.lower, scene.objects.boxes.upper)))
+    else:
+        scene.replace(row, mesh=2)
+        assert scene.objects.mesh[row] == 2
 
 
 def test_a_normal_map_needs_a_mesh_that_was_built_with_one() -> None:
@@ -262,7 +286,7 @@ def test_a_normal_map_needs_a_mesh_that_was_built_with_one() -> None:
     assert scene.objects.material[scene.get_object_index(scene.add_object(2, mapped))] == mapped
 
 
-def test_what_is_animated_within_bounds_keeps_its_parents_and_others_do_not() -> None:
+def test_nodes_animated_within_bounds_keep_their_parents_and_others_may_change_them() -> None:
     builder = begin()
     base, moved, below = (builder.add_node(dynamic=True, parent=parent) for parent in (-1, 1, 2))
     builder.add_objects(below, 1, 1)

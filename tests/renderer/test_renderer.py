@@ -78,7 +78,7 @@ def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) ->
     assert 0 < moving.upload_bytes <= most
 
 
-def test_what_moves_moves_on_at_whole_steps(null: rhi.Device) -> None:
+def test_animated_objects_advance_in_steps_of_animation_step(null: rhi.Device) -> None:
     scene = load_scene("hall:columns=6,flags=2")
     camera = scene.paths["ground"].camera(0)
     with Renderer(null, scene, size=(64, 36)) as renderer:
@@ -95,7 +95,7 @@ def test_what_moves_moves_on_at_whole_steps(null: rhi.Device) -> None:
     assert scene.seconds == 13 / 60
 
 
-def test_what_is_far_away_is_neither_simulated_nor_uploaded(null: rhi.Device) -> None:
+def test_distant_objects_are_neither_simulated_nor_uploaded(null: rhi.Device) -> None:
     scene = load_scene("hall:columns=6,flags=2,fountains=2,cloths=2")
     with Renderer(null, scene, size=(640, 360), visibility=NoCulling(scene)) as renderer:
         costs = {}
@@ -122,7 +122,7 @@ def test_a_step_of_animation_and_its_lag_are_finite(
         assert getattr(renderer, name) == getattr(RenderSettings(), name) == default
 
 
-def test_two_renderers_of_one_scene_both_see_what_moves(null: rhi.Device) -> None:
+def test_two_renderers_of_one_scene_both_upload_moved_objects(null: rhi.Device) -> None:
     scene = load_scene("hall:columns=6,flags=2")
     camera = scene.paths["ground"].camera(0)
     with Renderer(null, scene) as first, Renderer(null, scene) as second:

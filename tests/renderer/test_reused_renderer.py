@@ -155,7 +155,9 @@ def compare(device: rhi.Device, technique: str, seed: int, *, frames: int = 40) 
 
 @pytest.mark.parametrize("technique", ["forward", "clustered", "deferred"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_reused_renderer_issues_what_a_new_one_does(null: rhi.Device, technique: str, seed: int) -> None:
+def test_a_reused_renderer_issues_the_same_commands_as_a_new_one(
+    null: rhi.Device, technique: str, seed: int
+) -> None:
     compare(null, technique, seed)
 
 

@@ -4,7 +4,7 @@ llvmpipe cuts what reaches beyond the viewport, at points that it rounds again; 
 other side of a sample that lies within 1/256 pixel of it, and another surface shows. In a viewport `WIDER`
 times as wide, through a projection as much wider, all has the same place in the window and is cut where
 nobody sees it. Levels of images differ as each backend rounds them
-(`test_levels_are_means_of_the_ones_before`), so here both have gl's.
+(`test_each_mip_level_is_the_mean_of_the_level_before`), so here both have gl's.
 """
 
 from __future__ import annotations

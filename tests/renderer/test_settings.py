@@ -56,7 +56,7 @@ def test_a_file_keeps_all_settings(tmp_path: Path) -> None:
     )  # commands that only cull read it, too
 
 
-def test_what_a_file_lacks_has_its_default(tmp_path: Path) -> None:
+def test_settings_that_a_file_lacks_have_their_defaults(tmp_path: Path) -> None:
     VisibilitySettings(batch=9).save(tmp_path / "tuned.json")
     assert RenderSettings.load(tmp_path / "tuned.json") == RenderSettings(
         visibility=VisibilitySettings(batch=9)

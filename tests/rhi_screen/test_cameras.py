@@ -24,7 +24,7 @@ def screen() -> Iterator[Screen]:
         yield opened
 
 
-def test_an_orbit_begins_where_it_is_told_with_the_proportions_of_the_screen(screen: Screen) -> None:
+def test_an_orbit_begins_at_its_arguments_with_the_aspect_ratio_of_the_screen(screen: Screen) -> None:
     camera = OrbitCamera(
         screen, (1.0, 2.0, 3.0), 7.0, yaw=0.4, pitch=-0.3, projection=Perspective(fov=0.8)
     ).update()
@@ -99,7 +99,7 @@ def test_a_second_has_as_many_steps_in_any_number_of_frames(frames: int) -> None
     assert steps.part == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_has_passed_of_a_step_is_its_part_and_a_slow_frame_drops_time() -> None:
+def test_part_is_the_elapsed_fraction_of_a_step_and_a_slow_frame_drops_time() -> None:
     steps = FixedSteps(10, max_steps=3)
     assert (list(steps.advance(0.25)), steps.part) == ([0, 1], pytest.approx(0.5))
     assert list(steps.advance(10.0)) == [0, 1, 2]

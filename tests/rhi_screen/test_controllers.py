@@ -72,7 +72,7 @@ def test_the_view_never_turns_over(kind: str) -> None:
 
 @pytest.mark.parametrize("pitch", [-np.pi / 2, -0.7, 0.0, 0.7, np.pi / 2])
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 2.0])
-def test_a_heading_is_found_again_in_its_camera(yaw: float, pitch: float) -> None:
+def test_the_heading_of_a_camera_is_the_heading_that_it_was_built_with(yaw: float, pitch: float) -> None:
     heading = Heading(yaw, pitch)
     camera = Camera(np.zeros(3), heading.rotation, Perspective())
     assert np.allclose(Heading.of(camera).rotation, heading.rotation, atol=1e-9)

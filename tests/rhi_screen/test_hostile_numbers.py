@@ -30,7 +30,7 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
 
 
 def is_usable(camera: Camera) -> bool:
-    """Whether a camera's matrices are finite, and see something."""
+    """True if a camera's matrices are finite, and see something."""
     return bool(np.isfinite(camera.view_projection).all() and np.isfinite(camera.frustum.planes).all())
 
 

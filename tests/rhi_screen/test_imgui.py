@@ -197,7 +197,7 @@ def test_a_click_presses_a_button_and_moves_no_camera_below_it(screen: Screen) -
     assert not np.array_equal(orbit.camera.position, begin), "beside the panel a drag turns"
 
 
-def test_what_is_typed_goes_into_a_text_field(screen: Screen) -> None:
+def test_typed_text_goes_into_a_text_field(screen: Screen) -> None:
     gui, image = open_gui(screen)
     text, keys = ["ab"], []
     screen.canvas.add_event_handler(lambda event: keys.append(event["key"]), "key_down")

@@ -225,7 +225,7 @@ def test_one_client_at_a_time_unless_more_are_asked_for() -> None:
         json.dumps(KEY | {"key": "x" * (1 << 17)}),
     ],
 )
-def test_what_is_no_event_closes_the_connection_and_the_loop_goes_on(
+def test_a_message_that_is_not_an_event_closes_the_connection_and_the_loop_goes_on(
     message: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def visit(page: Any) -> None:

@@ -97,7 +97,7 @@ def test_a_device_that_the_screen_has_created_is_closed_with_it() -> None:
     screen.close()
 
 
-def test_a_device_that_was_given_stays_open() -> None:
+def test_closing_a_screen_leaves_the_user_s_device_open() -> None:
     with rhi.create_device("null") as device:
         with open_screen(device, canvas="offscreen") as screen:
             assert screen.device is device
@@ -127,7 +127,7 @@ def test_an_unknown_canvas_is_refused_with_all_names() -> None:
         ("jupyter", "jupyter_rfb", "pip install jupyter_rfb"),
     ],
 )
-def test_what_is_missing_is_named_with_what_to_install(
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
     kind: str, module: str, tip: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] in ("rendercanvas", module)]:

@@ -87,7 +87,7 @@ def window_position(screen: Screen) -> tuple[int, int]:
 
 
 def shows(display: Display, screen: Screen, image: rhi.Texture) -> bool:
-    """Whether the window's pixels on the screen are, or become without another frame, the image's."""
+    """True if the window's pixels on the screen are, or become without another frame, the image's."""
     expected = image.read()[..., :3]
     for _ in range(100):
         seen = display.look(*window_position(screen), *screen.size)
@@ -442,7 +442,7 @@ def test_a_window_that_is_closed_ends_the_loop(windows: Check, backend: str) -> 
 
 
 @pytest.mark.parametrize("backend", ["gl", "wgpu"])
-def test_two_windows_show_what_their_own_devices_draw(windows: Check, backend: str) -> None:
+def test_two_windows_show_the_images_of_their_own_devices(windows: Check, backend: str) -> None:
     windows(check_two, backend)
 
 

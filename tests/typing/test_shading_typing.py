@@ -50,6 +50,6 @@ def test_right_shaders_pass_and_each_mistake_is_refused_on_its_line(mypy_strict,
     check_mistakes(mypy_strict, tmp_path, RIGHT, MISTAKES)
 
 
-def test_the_stubs_are_what_the_tables_say():
+def test_the_stubs_are_generated_from_the_tables():
     for path, text in stub_texts().items():
         assert path.read_text() == text, f"run python -m rhi.shading.tools.stubs ({path.name})"

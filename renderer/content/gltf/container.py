@@ -114,9 +114,7 @@ class GltfFile:
                     "uri", problem, "the buffer's file, or data:…;base64,…", EXPORT_TIP if others else ""
                 )
             if len(data) < length:
-                fields.refuse(
-                    "byteLength", f"{length:,}", f"{len(data):,}, the bytes that are there, or less"
-                )
+                fields.refuse("byteLength", f"{length:,}", f"at most {len(data):,}, the length of the data")
             self._buffers[number] = data[:length]
         return self._buffers[number]
 
@@ -194,7 +192,7 @@ class GltfFile:
             if field == "version" and major != 2:  # later minor versions only add to 2.0
                 asset.refuse(field, version, "2.0, or another 2.x")
             if field == "minVersion" and (numbers is None or (major, minor) > (2, 0)):
-                asset.refuse(field, version, "2.0 or less: the version that readers have to know")
+                asset.refuse(field, version, "2.0 or lower")
         required = [name for name in self.names("extensionsRequired") if name not in EXTENSIONS]
         if required:
             self.root.refuse("extensionsRequired", ", ".join(required), ", ".join(EXTENSIONS), EXPORT_TIP)

@@ -144,7 +144,7 @@ class Skeleton:
 
     @property
     def moves(self) -> bool:
-        """Whether any joint is animated."""
+        """True if any joint is animated."""
         return len(self._members) > 0
 
     def matrices(self, seconds: float) -> Floats:
@@ -191,12 +191,12 @@ class DeformedMesh:
 
     @property
     def is_animated(self) -> bool:
-        """Whether it changes with time."""
+        """True if it changes with time."""
         return bool(self.weights.list_tracks(0)) or (self.skeleton is not None and self.skeleton.moves)
 
     @property
     def has_tangents(self) -> bool:
-        """Whether its vertices have tangents."""
+        """True if its vertices have tangents."""
         return "tangent" in self.geometry.attributes
 
     def vertices(self, seconds: float) -> NDArray[Any]:

@@ -121,7 +121,7 @@ class JsonObject:
         """Return a text; without a default it must be there."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
-            self.refuse(name, self._describe(name, value), "a text")
+            self.refuse(name, self._describe(name, value), "a string")
         return value
 
     def choice(self, name: str, allowed: Iterable[str], default: str | None = None) -> str:
@@ -169,7 +169,7 @@ class JsonObject:
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether a value of a document is a number that is finite, with room for products of a few."""
+    """True if a value of a document is a number that is finite, with room for products of a few."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 

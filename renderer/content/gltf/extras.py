@@ -65,7 +65,7 @@ def primitive_name(primitive: JsonObject, name: str) -> str:
 
 
 def is_holder(fields: JsonObject) -> bool:
-    """Whether `save_scene` has written a node only to hold a light or a camera."""
+    """True if `save_scene` has written a node only to hold a light or a camera."""
     extras = get_extras(fields)
     is_used = "children" in fields or "mesh" in fields  # by another program
     return extras is not None and extras.flag(HOLDER) and not is_used

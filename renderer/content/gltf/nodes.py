@@ -77,7 +77,7 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
     else:
         level = np.flatnonzero(above < 0).tolist()
         if nodes and not level:
-            root.refuse("nodes", "each is a child of another")
+            root.refuse("nodes", "each node is the child of another, in a cycle")
     listed: list[GltfNode] = []
     row_of: dict[int, int] = {}
     while level:

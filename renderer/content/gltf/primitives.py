@@ -95,7 +95,9 @@ class Primitives:
             packed is not None
             and "bufferView" not in self.accessors.fields[self._number(attributes, "POSITION")]
         ):
-            packed.refuse("", "the vertices are there only compressed", "also as accessors", EXPORT_TIP)
+            packed.refuse(
+                "", "only compressed vertices", "accessors with the same vertices, uncompressed", EXPORT_TIP
+            )
         for name in sorted(attributes.values.keys() - ATTRIBUTES.keys()):
             if name not in ("JOINTS_0", "WEIGHTS_0"):
                 self.omissions.add(f"vertex attribute {name}", attributes.where)

@@ -222,7 +222,7 @@ class _GltfReader:
         tracks: Tracks,
         skeletons: list[deformations.Skeleton | None],
     ) -> deformations.DeformedMesh | None:
-        """Return how a part of a mesh is deformed at a node, or None if it isn't."""
+        """Return the deformation of a part of a mesh at a node, or None if it isn't deformed."""
         skin = node.fields.index("skin", len(skeletons))
         skeleton = skeletons[skin] if skin >= 0 else None
         if skin >= 0 and (skeleton is None or "JOINTS_0" not in part.primitive.child("attributes")):

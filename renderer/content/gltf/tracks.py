@@ -201,7 +201,7 @@ class NodeMotion:
 
     @property
     def version(self) -> int:
-        """That of the clips."""
+        """The version of the clips."""
         return self._clips.version
 
     def __deepcopy__(self, memo: object) -> NodeMotion:

@@ -125,7 +125,7 @@ def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: in
 
 
 def can_ray_trace(scene: Scene) -> bool:
-    """Whether the reference ray tracer supports all of a scene: no bloom, no simulated meshes, no materials
+    """True if the reference ray tracer supports all of a scene: no bloom, no simulated meshes, no materials
     with shaders of their own."""
     return (
         scene.bloom is None

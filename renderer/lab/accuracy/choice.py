@@ -405,11 +405,11 @@ def choose(
     fast = [point for point in best if budget_ms is None or _min_milliseconds(point) <= budget_ms]
     good = [point for point in fast if max_error is None or point.error <= max_error]
     bounds = ((budget_ms, "ms"), (max_error, "levels"))
-    asked = " and ".join(f"{bound:.4g} {unit}" for bound, unit in bounds if bound is not None)
+    bounds_text = " and ".join(f"{bound:.4g} {unit}" for bound, unit in bounds if bound is not None)
     if not good:
         least, first = min(point.error for point in best), min(map(_min_milliseconds, best))
         allowed = f"{first:.4g} ms or more, an error of {least:.4g} levels or more"
-        refuse(rules.OUT_OF_REACH, "choose", asked, allowed)
+        refuse(rules.OUT_OF_REACH, "choose", bounds_text, allowed)
     scene = load_scene(setup.scene)
     front_views = list_views(scene, setup)
     checks = list_held_out(scene, setup, views, front_views)
@@ -435,7 +435,7 @@ def choose(
                 return CheckedChoice(
                     point, max(errors), expected, len(checks), rejected, last, len(others), over_budget
                 )
-    refuse(rules.OUT_OF_REACH, "choose", asked, found_out)
+    refuse(rules.OUT_OF_REACH, "choose", bounds_text, found_out)
 
 
 def _min_milliseconds(point: ParetoPoint) -> float:

@@ -47,7 +47,7 @@ class ErrorUnit(Enum):
 
     @property
     def is_per_pixel(self) -> bool:
-        """Whether each pixel has an error."""
+        """True if each pixel has an error."""
         return self in (ErrorUnit.LEVELS, ErrorUnit.DEPTH)
 
 
@@ -128,7 +128,7 @@ class QualitySetting:
 
     @property
     def is_encoding(self) -> bool:
-        """Whether values are encodings, which are part of the shaders."""
+        """True if values are encodings, which are part of the shaders."""
         return not (self.path or self.option)
 
     @property
@@ -250,7 +250,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "how exact functions such as pow are in shaders (OpenCL; GL has one way)",
             "precision",
             _same(Precision.FAST, Precision.EXACT),
-            "an image of 8 bits shows nothing of what EXACT adds",
+            "an image of 8 bits does not show the difference",
             reference=FLOAT64,
         ),
         _image_quality(
@@ -371,14 +371,14 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "largest width of a local light's map in texels",
             "shadows.max_size",
             _same(32, 64, 128, 256, 512, 1024),
-            "a map is drawn once, and as wide as what it lights on the screen",
+            "a map is drawn once, and as wide as the lit part of the screen",
         ),
         _shadows(
             "shadow_budget",
             "maps of far lights that are drawn again in a frame",
             "shadows.budget",
             _same(1, 2, 8, 32),
-            "what moves far away may be late by some frames",
+            "distant casters may be late by some frames",
             history_frames=6,
         ),
         _inferred(
@@ -531,21 +531,21 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "cloth_sub_steps",
             "sub-steps of a step of cloth",
             values=_same(1, 2, 4, 8, 16, 32),
-            reason="a period is right to a hundredth",
+            reason="the period of a swing is exact to 1 %",
             option="sub_steps",
         ),
         _cloth(
             "cloth_rate",
             "steps of cloth a second",
             values=_same(15, 30, 60, 120),
-            reason="one for each frame; smaller parts of it are sub-steps",
+            reason="one step for each frame; sub-steps divide it further",
             option="cloth_rate",
         ),
         _cloth(
             "cloth_detail",
             "parts of a banner between two of its rings",
             values=_same(1, 2, 4, 8),
-            reason="finer folds are hardly seen",
+            reason="finer folds are hardly visible",
             option="cloth_detail",
         ),
         _image_quality(
@@ -554,7 +554,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             path="",
             reference=LAST_VALUE,
             values=_same(15, 30, 45, 90),
-            reason="a drop moves on in each frame",
+            reason="each drop moves in each frame",
             requirement=Requirement.FOUNTAINS,
             history_frames=96,
             option="drops",

@@ -17,18 +17,15 @@ aren't divided: each shard would have to draw these again.
 
 from __future__ import annotations
 
-import io
-from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import astuple, dataclass, field
 from functools import partial
 from operator import truediv
 from statistics import fmean, median
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rhi
 from renderer.content import GENERATORS, change_options, load_scene, parse_camera, parse_camera_path
@@ -36,6 +33,12 @@ from renderer.content.fountains import FountainSimulation
 from renderer.inspection.frame_cost import settle
 from renderer.lab.accuracy.bench import Bench, can_ray_trace, read_image_levels
 from renderer.lab.accuracy.float64 import Float64Image, shade_in_float64
+from renderer.lab.accuracy.image_errors import (
+    compute_flip_error,
+    count_reached,
+    crop_worst_region,
+    distances_from_depth,
+)
 from renderer.lab.accuracy.quality_settings import (
     ErrorUnit,
     QualitySetting,
@@ -47,7 +50,7 @@ from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.measurement import Measurement, alternate
 from renderer.renderer import FrameResult
-from renderer.scene import Bloom, Camera, CameraPath, Orthographic, PathFrame, Perspective, Scene
+from renderer.scene import Bloom, CameraPath, PathFrame, Scene
 from renderer.scene.arrays import Floats
 from renderer.scene.cloth import ClothSimulation
 from renderer.settings import RenderSettings
@@ -57,8 +60,6 @@ from rhi import Device
 
 T = TypeVar("T")
 
-_CROP: Final = (112, 63)
-"""Width and height of the crop around the worst pixel of an image."""
 _VALUES: Final = 1 << 14
 """The number of vectors that an encoding is measured with."""
 _REFERENCE_ROUNDS: Final = 3
@@ -530,7 +531,7 @@ class SettingBench(Bench):
 
     @property
     def _has_own_reference(self) -> bool:
-        """Whether the reference is an image that is none of the values'."""
+        """True if the reference is an image that is none of the values'."""
         return (
             self._reference_renderer is not None and self._reference_renderer not in self._renderers.values()
         )
@@ -653,7 +654,9 @@ class SettingBench(Bench):
 
     def _draw_timed(self, name: str) -> Callable[[int], None]:
         """A function that draws the frame of a round with a value."""
-        views, renderer, settings = self._timed, self._renderers[name], self._settings[name]
+        views = self._timed
+        renderer = self._renderers[name]
+        settings = self._settings[name]
         return lambda number: self.draw(renderer, settings, views[number % len(views)])
 
     def _time_reference(self, draw_best: Callable[[int], None]) -> tuple[float, ...]:
@@ -725,58 +728,6 @@ def list_frames(
     first = max(len(frames) - counted, 0)
     counting = frames[first:]
     return frames[:first], counting[:compared], counting[compared:] or counting
-
-
-def distances_from_depth(camera: Camera, depth: Floats) -> Floats:
-    """The distances from the eye's plane, computed back from depths."""
-    projection = camera.projection
-    assert isinstance(projection, Perspective | Orthographic)
-    matrix = projection.matrix
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((matrix[2, 3] - depth * matrix[3, 3]) / (matrix[2, 2] - depth * matrix[3, 2]))
-
-
-def count_reached(scene: Scene, camera: Camera, positions: Floats) -> int:
-    """The number of pairs of a position (k, 3), relative to the eye, and a local light whose range and cone
-    contain it."""
-    total = 0
-    for lights in (scene.lights.point, scene.lights.spot):
-        for light in lights:
-            away = positions - (light["position"] - camera.position)
-            squares = np.einsum("ij,ij->i", away, away)
-            reached = squares <= float(light["range"]) ** 2
-            if lights is scene.lights.spot:
-                reached &= away @ light["direction"] >= np.cos(float(light["outer"])) * np.sqrt(squares)
-            total += int(np.count_nonzero(reached))
-    return total
-
-
-def compute_flip_error(reference: Floats, rendered: Floats) -> float | None:
-    """The mean FLIP error of an image, 0 to 1: how visible the difference is when switching between image and
-    reference, at 67 pixels a degree (Andersson and others, FLIP: A Difference Evaluator for Alternating
-    Images, 2020). None without `flip-evaluator`. Images: (h, w, 3), levels of 255."""
-    try:
-        import flip_evaluator
-    except ImportError:
-        return None
-    images = [np.clip(image / 255.0, 0.0, 1.0).astype(np.float32) for image in (reference, rendered)]
-    return float(flip_evaluator.evaluate(*images, "LDR", applyMagma=False)[1])
-
-
-def crop_worst_region(reference: Floats, rendered: Floats, x: int, y: int) -> str:
-    """The region around a pixel as PNG in base64: the reference, the value's image, and four times the
-    difference."""
-    (width, height), (rows, columns) = _CROP, reference.shape[:2]
-    left = min(max(x - width // 2, 0), max(columns - width, 0))
-    top = min(max(y - height // 2, 0), max(rows - height, 0))
-    part = slice(top, top + height), slice(left, left + width)
-    difference = np.abs(rendered[part] - reference[part]).max(axis=2, keepdims=True).repeat(3, axis=2)
-    panels: NDArray[Any] = np.concatenate([reference[part], rendered[part], 4.0 * difference], axis=1)
-    file = io.BytesIO()
-    from PIL import Image  # optional
-
-    Image.fromarray(np.clip(np.round(panels), 0, 255).astype(np.uint8)).save(file, "PNG", optimize=True)
-    return b64encode(file.getvalue()).decode()
 
 
 def _sweep_encodings(

@@ -298,7 +298,7 @@ def list_faults(number: int, never: CountedFrame, removed: CountedFrame, leftove
         "calls differ": leftovers.calls,
         "calls of its modules": count_calls(number, removed),
     }
-    faults += [f"once it is removed, {count} {what}" for what, count in leftover_counts.items() if count]
+    faults += [f"once it is removed, {count} {noun}" for noun, count in leftover_counts.items() if count]
     return faults + [
         f"once it is removed, {name} is still held"
         for name in sorted(leftovers.allocated_bytes.keys() - ALLOWED_LEFTOVERS)

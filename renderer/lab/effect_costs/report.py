@@ -93,7 +93,7 @@ def time_effect_costs(
     rows: Sequence[EffectRow],
     device: rhi.Device,
     rounds: int,
-    watch: Callable[[Iterable[int], str], Iterable[int]] = lambda items, what: items,
+    watch: Callable[[Iterable[int], str], Iterable[int]] = lambda items, task: items,
 ) -> None:
     """Time what steps add on a device, and what remains of each once it is removed.
 

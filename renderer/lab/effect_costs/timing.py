@@ -130,5 +130,5 @@ def time_effect_collection(device: rhi.Device, rounds: int) -> EffectCollectionT
         {"ask": ask, "frame": draw}, range(rounds), warm_ups=_WARM, before=lambda _: forget_commands(device)
     )
     step_renderer.destroy()
-    asked, drawn = times["ask"].in_milliseconds() / _COLLECTIONS, times["frame"].in_milliseconds()
-    return EffectCollectionTime(Interval.of(1e3 * asked), Interval.of(asked / drawn))
+    queried, drawn = times["ask"].in_milliseconds() / _COLLECTIONS, times["frame"].in_milliseconds()
+    return EffectCollectionTime(Interval.of(1e3 * queried), Interval.of(queried / drawn))

@@ -76,7 +76,7 @@ class Case:
 
     @property
     def device_use(self) -> str:
-        """How the case uses a device: it draws, or computes, or doesn't use it."""
+        """The use that the case makes of a device: it draws, or computes, or doesn't use it."""
         return DRAWS if "renders" in self.requires else COMPUTES if self.requires else NOTHING
 
     def find_missing_capability(self, can: Capabilities) -> str | None:
@@ -84,5 +84,5 @@ class Case:
         return next((name for name in self.requires if not getattr(can, name)), None)
 
     def passes(self, result: CaseResult) -> bool:
-        """Whether a result passes."""
+        """True if a result passes."""
         return result.error <= self.tolerance and all(result.holds.values())

@@ -144,7 +144,7 @@ class Pairs:
 
     @cached_property
     def overlap(self) -> NDArray[np.bool_]:
-        """Whether each pair overlaps."""
+        """The pairs that overlap, a mask."""
         return self.distances <= self.radii
 
 

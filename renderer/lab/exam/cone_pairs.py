@@ -87,7 +87,7 @@ def nearest_points_in_cones(cones: Cones, points: Floats) -> Floats:
 
 
 def are_in_cones(cones: Cones, points: Floats) -> NDArray[np.bool_]:
-    """Which points are certainly in their cones."""
+    """The points that are certainly in their cones, a mask."""
     away = points - cones["apex"]
     length = np.linalg.norm(away, axis=1)
     along = (away * cones["axis"]).sum(1)
@@ -168,7 +168,7 @@ class RunConeTests(Shader):
 
 
 def run_cone_tests(device: Device, pairs: ConePairs) -> dict[str, NDArray[np.bool_]]:
-    """Which pairs pass each test."""
+    """The pairs that pass each test, a mask."""
     rows = np.zeros(len(pairs.near), ConePair.dtype)
     for name, values in pairs.cones.items():
         rows["cone"][name] = values

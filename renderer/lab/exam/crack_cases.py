@@ -78,7 +78,7 @@ def _make_builder(name: str) -> SceneBuilder:
 
 
 def background_pixels(image: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which pixels (h, w) show the background."""
+    """The pixels (h, w) that show the background, a mask."""
     return np.asarray(image[..., 0] > 200) & (image[..., 1] < 50)
 
 
@@ -102,7 +102,7 @@ def distances_to_seams(camera: Camera, pixels: NDArray[np.bool_]) -> Floats:
 
 
 def covers_view(camera: Camera) -> bool:
-    """Whether the rays of all pixels meet the field: those of the corners do so at its lowest height."""
+    """True if the rays of all pixels meet the field: those of the corners do so at its lowest height."""
     x, y = np.array([(-1, -1, 1, 1), (-1, 1, -1, 1)]) / np.diag(camera.projection.matrix)[:2, None]
     rays = np.stack([x, y, -np.ones(4)], axis=1) @ camera.rotation
     ends = camera.position - rays * ((camera.position[1] + _LOWEST) / rays[:, 1:2])

@@ -528,7 +528,7 @@ def measure_sphere_tests(device: Device) -> CaseResult:
 
 
 def exceeds_padding(pairs: Pairs) -> NDArray[np.bool_]:
-    """Which pairs are farther apart than the padding of radii."""
+    """The pairs that are farther apart than the padding of radii, a mask."""
     lengths = np.abs(pairs.corners).max((1, 2)) * 3 + np.abs(pairs.centres).sum(1) + pairs.radii
     return np.asarray(pairs.distances > pairs.radii + 4e-6 * lengths)
 

@@ -275,7 +275,9 @@ def measure_many_frames(_: Device) -> CaseResult:
             return names
 
         draw_lap()
-        first, creations, blocks = describe(), null.statistics.creations, _count_memory_blocks()
+        first = describe()
+        creations = null.statistics.creations
+        blocks = _count_memory_blocks()
         laps = -(-_MANY_FRAMES // len(path))
         for lap in range(laps):
             draw_lap()

@@ -24,7 +24,7 @@ def run_tests(
     pair: type[Struct],
     pair_rows: NDArray[Any],
 ) -> dict[str, NDArray[np.bool_]]:
-    """Which pairs `rows` (n,) of type `pair` pass each of `tests`.
+    """The pairs `rows` (n,) of type `pair` that pass each of `tests`.
 
     Args:
         shader: stores in `passed` a bit for each test, in their order, for each of `pairs`.

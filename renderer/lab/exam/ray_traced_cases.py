@@ -46,7 +46,7 @@ class TracedImage:
 
     @property
     def is_smooth(self) -> NDArray[np.bool_]:
-        """Whether each pixel (h, w) shows no edge."""
+        """The pixels (h, w) without an edge, a mask."""
         return np.asarray((self.high - self.low).max(axis=2) < _EDGE)
 
 
@@ -95,7 +95,9 @@ def draw(
 
 def measure_traced_views(make: Callable[[], TestViews], device: Device) -> CaseResult:
     """Draw scenes, and measure by how many levels pixels are out of their bounds."""
-    numbers, holds, images = dict[str, object](), dict[str, bool](), dict[str, CaseImage]()
+    numbers = dict[str, object]()
+    holds = dict[str, bool]()
+    images = dict[str, CaseImage]()
     error = 0.0
     for title, (scene, camera, technique, traced) in trace_all(make).items():
         image = draw(device, scene, camera, technique=technique)
@@ -207,7 +209,9 @@ def make_bright_views() -> TestViews:
         for side in (-0.3, 0.3):
             builder.lights.add_point((x + side, 2.0, 0.9), 3.5, intensity=strength)
     _add_object(builder, "box", (-1.5, 0.3, 2.0), (0.6, 0.6, 0.6), base_color=(0.9, 0.5, 0.1), emission=3.0)
-    camera, scene, glowing = make_camera((0.0, 3.0, 7.0), (0.0, 0.3, 0.0)), builder.build(), builder.build()
+    camera = make_camera((0.0, 3.0, 7.0), (0.0, 0.3, 0.0))
+    scene = builder.build()
+    glowing = builder.build()
     glowing.bloom = Bloom(1e-9)
     views = {name: (scene, camera, name) for name in ("forward", "deferred", "light_pre_pass")}
     return views | {"bloom": (glowing, camera, "forward")}

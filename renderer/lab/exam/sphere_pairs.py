@@ -67,7 +67,7 @@ class RunSphereTests(Shader):
 
 
 def run_sphere_tests(device: Device, grid: ClusterGrid, rows: NDArray[Any]) -> dict[str, NDArray[np.bool_]]:
-    """Which pairs `rows` (n,) of `SpherePair` pass each test."""
+    """The pairs `rows` (n,) of `SpherePair` that pass each test."""
     return run_tests(device, RunSphereTests, SPHERE_TESTS, grid, SpherePair, rows)
 
 

@@ -183,7 +183,10 @@ class BackendPasses:
 
     def wait_for_boxes(self) -> list[int]:
         """The same as `count_boxes`, waiting for each query before the next."""
-        device, view, program, query = self.device, self.view.buffer, self._box, self._query
+        device = self.device
+        view = self.view.buffer
+        program = self._box
+        query = self._query
         assert query is not None
         samples = []
         with device.render_pass(depth=self.targets.depth), self._box_states():

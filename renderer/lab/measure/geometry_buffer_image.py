@@ -35,7 +35,9 @@ def render_geometry_buffer_image(
         device, scene, technique=DeferredPlus(multi_pass=True), visibility="frustum", size=size
     ) as renderer:
         targets = renderer.render(camera).targets
-        image, depth, words = targets["image"].read(), targets["depth"].read(), targets["packed"].read()
+        image = targets["image"].read()
+        depth = targets["depth"].read()
+        words = targets["packed"].read()
         rectangles = renderer.view.workspace(MaterialRectangles).read()
     seen = (depth != FARTHEST[camera.projection.depth])[..., None]
     normals = np.asarray(evaluate(decode_normal, words[..., 0])) * 0.5 + 0.5

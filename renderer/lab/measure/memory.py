@@ -64,7 +64,7 @@ def describe_memory(commands: Iterable[Command], images: SceneImages | None) -> 
             }
             described = [
                 "{} × {}".format(*descriptor.size),
-                *(f"{count} {what}" for what, count in numbers.items() if count > 1),
+                *(f"{count} {noun}" for noun, count in numbers.items() if count > 1),
                 descriptor.format.name,
             ]
             allocations[command["texture"]] = (

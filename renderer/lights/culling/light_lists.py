@@ -224,7 +224,9 @@ class LightLists:
 
     def read(self) -> LightListData:
         """Return the lists of the last frame. Waits for the device."""
-        cells, lists, kinds = self.cells, self.lists.read().astype(np.int64), len(LOCAL_LIGHT_KINDS)
+        cells = self.cells
+        lists = self.lists.read().astype(np.int64)
+        kinds = len(LOCAL_LIGHT_KINDS)
         header = kinds * cells + 1
         bounds = (
             np.stack([lists[number : number + header : kinds][:cells] for number in range(kinds + 1)], 1)

@@ -130,7 +130,7 @@ class ClothBuffers:
 
 
 def count_iterations(cloth_grid: ClothGrid) -> int:
-    """Return how many turns the loops of a lane make in a step."""
+    """Return the number of iterations of the loops of a lane in a step."""
     points = -(-len(cloth_grid.points) // LANES)
     batches: int = sum(1 + -(-size // LANES) for size in np.diff(cloth_grid.batches).tolist())
     return 1 + points * (1 + MAX_GUSTS) + cloth_grid.sub_steps * (1 + 3 * points + batches)

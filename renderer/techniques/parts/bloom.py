@@ -53,7 +53,7 @@ _EXPONENT: Final = 0x7F800000
 
 @sl.function
 def is_finite(number: float) -> bool:
-    """Whether a float is finite. Tests bits, because fast arithmetic may assume that all floats are."""
+    """True if a float is finite. Tests bits, because fast arithmetic may assume that all floats are."""
     return (sl.float_bits_to_uint(number) & sl.uint(_EXPONENT)) != sl.uint(_EXPONENT)
 
 

@@ -77,7 +77,7 @@ class VolumeShader(SphereLightReader, ShadowReceiver):
     volume_lights: sl.Storage[int]
 
     def is_reached(self, position: sl.vec3, light: int) -> bool:
-        """Whether a position is in the range of the light of this index."""
+        """True if a position is in the range of the light of this index."""
         return False
 
     def light_incidence(self, position: sl.vec3, light: int) -> Incidence:
@@ -288,7 +288,7 @@ def draw_volumes(
 
 
 def crosses_far_plane(frame: Frame, effect: Effect, volume_lights: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which lights of `volume_lights` (k,) may have volumes that cross the far plane. They can't be
+    """The lights of `volume_lights` (k,) whose volumes may cross the far plane. They can't be
     masked: moved to the background's depth, their front faces would cancel the marks of their back faces."""
     camera, lights = frame.camera, frame.resources.lights.of_kind(LOCAL_LIGHTS[effect].kind)[volume_lights]
     distances = (lights["position"] - camera.position) @ camera.forward

@@ -215,7 +215,7 @@ PACKED_SHADERS: Final[tuple[type[sl.Shader], ...]] = (
 
 
 def can_pack(effects: FrameEffects) -> bool:
-    """Whether the packed buffer has room for all texture coordinates: one set and transform per material,
+    """True if the packed buffer has room for all texture coordinates: one set and transform per material,
     and repeated textures."""
     return Effect.MIXED_COORDINATES not in effects.enabled
 

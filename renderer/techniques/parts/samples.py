@@ -49,18 +49,18 @@ class SampleReader(PixelShader, FogReader):
         return total / float(self.samples)
 
     def is_covered(self, sample: int) -> bool:
-        """Whether a sample has a surface; otherwise its texels are left from an earlier frame."""
+        """True if a sample has a surface; otherwise its texels are left from an earlier frame."""
         return self.depth_samples.load(self.get_pixel(), sample).x != self.rays.farthest
 
     def is_new(self, sample: int) -> bool:
-        """Whether a sample differs from the sample before it."""
+        """True if a sample differs from the sample before it."""
         if sample == 0:
             return True
         covered = self.is_covered(sample)
         return covered != self.is_covered(sample - 1) or (covered and not self.is_same(sample, sample - 1))
 
     def is_same(self, first: int, second: int) -> bool:
-        """Whether two covered samples have the same texels."""
+        """True if two covered samples have the same texels."""
         return True
 
     def background_color(self) -> sl.vec4:

@@ -35,7 +35,7 @@ from rhi.math import is_parallel
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """How a technique lights the surfaces that it draws: the bases of a `ForwardShader` variant, its
+    """The lighting of the surfaces that a technique draws: the bases of a `ForwardShader` variant, its
     switches, its own bindings, and the resources that it reads."""
 
     bases: tuple[type[Any], ...] = (ForwardShader,)

@@ -53,8 +53,8 @@ def compute_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | N
 
 
 def _nearest_depth(lower: Floats, upper: Floats, planes: Floats, forward: Floats) -> float:
-    """Return how far along the view a box begins inside all planes, inf if it isn't inside: each face is cut
-    by them."""
+    """Return the distance along the view to a box inside all planes, inf if it isn't inside: each face is cut by
+    them."""
     corners = np.where(_CORNERS, upper, lower)
     nearest = np.inf
     for face in _FACES:

@@ -142,12 +142,12 @@ class Forest:
         them the index of its node in `nodes`."""
         selected = np.array(nodes, np.int64)
         counts = self.count[selected]
-        which = np.repeat(np.arange(len(selected)), counts)
+        tree_index = np.repeat(np.arange(len(selected)), counts)
         object_indices = self.order[
-            np.arange(len(which)) + (self.first[selected] - np.cumsum(counts) + counts)[which]
+            np.arange(len(tree_index)) + (self.first[selected] - np.cumsum(counts) + counts)[tree_index]
         ]
         seen = self._in_view[object_indices]
-        return object_indices[seen], which[seen]
+        return object_indices[seen], tree_index[seen]
 
     def _number(self) -> None:
         """Number the nodes of all trees, and find the run and the leaf of each object."""
@@ -189,7 +189,9 @@ class Forest:
         child = self._below
         inner = np.flatnonzero(child >= 0)
         areas = _areas(self.lower, self.upper)
-        levels, fits, below = np.zeros(len(areas), np.int64), np.ones(len(areas), bool), areas
+        levels = np.zeros(len(areas), np.int64)
+        fits = np.ones(len(areas), bool)
+        below = areas
         for _ in range(_MAX_TIGHT_DEPTH):
             deeper = below.copy()
             deeper[inner] = below[child[inner]] + below[child[inner] + 1]

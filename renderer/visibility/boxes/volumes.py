@@ -122,11 +122,9 @@ def compute_rotated_boxes(scene: Scene, object_indices: Indices) -> RotatedBoxes
     """Return rotated boxes of those of the objects `object_indices` (n,) whose oriented box is rectangular
     and has a smaller surface than the aligned one."""
     boxes = scene.objects.boxes
-    world, lower, upper = (
-        boxes.transforms(scene.nodes, object_indices),
-        boxes.lower[object_indices],
-        boxes.upper[object_indices],
-    )
+    world = boxes.transforms(scene.nodes, object_indices)
+    lower = boxes.lower[object_indices]
+    upper = boxes.upper[object_indices]
     linear, offset = world[:, :3, :3], world[:, :3, 3]
     centre = np.einsum("nij,nj->ni", linear, 0.5 * (lower + upper)) + offset
     furthest = np.maximum(np.abs(lower), np.abs(upper))

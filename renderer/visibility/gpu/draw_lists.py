@@ -244,7 +244,9 @@ class IndirectDrawList:
     def read_object_indices_async(self) -> Callable[[], NDArray[np.int64]]:
         """Begin to read what `read_object_indices` returns, and return a function that waits for the device
         and returns it."""
-        totals, draws, count = self.totals.read_async(), self.draws.read_async(), self._occludees.count
+        totals = self.totals.read_async()
+        draws = self.draws.read_async()
+        count = self._occludees.count
 
         def wait() -> NDArray[np.int64]:
             rows, sizes = draws.result(), totals.result().tolist()[:-1]

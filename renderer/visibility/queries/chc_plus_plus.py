@@ -87,7 +87,10 @@ class ChcPlusPlus(TreeCulling):
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in recent frames."""
-        forest, frontier, pending, visit = self._forest, self._frontier, self._i_queries, self._visit
+        forest = self._forest
+        frontier = self._frontier
+        pending = self._i_queries
+        visit = self._visit
         self._begin(camera)
         while True:
             if frontier:
@@ -216,7 +219,9 @@ class ChcPlusPlus(TreeCulling):
 
     def _group_i_queue(self) -> list[list[int]]:
         """Return the nodes of the i-queue in groups, one for each query."""
-        since, frame, last = self._hidden_since, self._frame, len(STAY_HIDDEN_PROBABILITIES) - 1
+        since = self._hidden_since
+        frame = self._frame
+        last = len(STAY_HIDDEN_PROBABILITIES) - 1
         hidden = sorted(self._i_queue, key=since.__getitem__)
         probabilities = [STAY_HIDDEN_PROBABILITIES[min(frame - since[node], last)] for node in hidden]
         groups = [[node] for node in self._requery]

@@ -50,7 +50,10 @@ class ConditionalCulling(ChcPlusPlus):
             refuse(rules.NO_CONDITIONAL_RENDERING, "ConditionalCulling(...)", lacking)
         if settings.emulated:
             refuse(
-                rules.NO_CONDITIONAL_RENDERING, "ConditionalCulling(...)", "emulated queries", "native ones"
+                rules.NO_CONDITIONAL_RENDERING,
+                "ConditionalCulling(...)",
+                "emulated queries",
+                "native queries",
             )
         super().__init__(scene, device, settings, seed=seed)
         self._pending: FixedQueue[tuple[PendingQueries, int]] = FixedQueue(_MAX_PENDING)

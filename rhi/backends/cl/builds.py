@@ -117,7 +117,7 @@ class Kernel:
 
     @property
     def is_quick(self) -> bool:
-        """Whether the kernel isn't optimised."""
+        """True if the kernel isn't optimised."""
         return self._optimisation is not None
 
     def optimise(self) -> Future[None] | None:
@@ -192,7 +192,7 @@ class Builds:
 
     @property
     def is_building(self) -> bool:
-        """Whether kernels are being optimised."""
+        """True if kernels are being optimised."""
         return self._waiting > 0
 
     def request(self, source: str, names: Sequence[str], flushes_denormals: bool = False) -> Request:
@@ -346,10 +346,10 @@ class Builds:
             program = build_again(self._context.context, cache.make_binary(request) or code, options)
             optimisation.program = self._make_evictable(program, request)
 
-    def _count(self, begun: int, done: int) -> None:
-        if not begun and not done:
+    def _count(self, started: int, done: int) -> None:
+        if not started and not done:
             return
         with self._lock:
-            self._begun += begun
+            self._begun += started
             self._done += done
             LOGGER.info("building kernels, %d of %d", self._done, self._begun)

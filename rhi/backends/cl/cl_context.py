@@ -145,9 +145,9 @@ def open_context(loading: DriverLoader | None = None) -> ClContext:
         except (cl.Error, RuntimeError) as error:
             rejected_devices.append(f"{describe(device)}: {shorten(error)}")
         else:
-            begun = list_threads() - threads
-            if len(begun) == device.max_compute_units:  # PoCL starts workers with its first device
-                spread_threads(begun)
+            started = list_threads() - threads
+            if len(started) == device.max_compute_units:  # PoCL starts workers with its first device
+                spread_threads(started)
             programs = ProgramResidency(releases=cache.works)
             return ClContext(device, context, queue, shares_memory, tuple(rejected_devices), cache, programs)
     if not devices:

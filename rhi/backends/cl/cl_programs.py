@@ -59,7 +59,7 @@ _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line
 
 
 def count_lanes(device: cl.Device) -> int:
-    """Return how many invocations a work-item executes: as many as a vector register of the device has
+    """Return the number of invocations that a work-item executes: as many as a vector register of the device has
     floats, or 1 on GPUs, whose compilers vectorise over work-items themselves."""
     native = int(device.native_vector_width_float)
     return next((width for width in _WIDTHS if native >= width), 1)

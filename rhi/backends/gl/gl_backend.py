@@ -207,8 +207,8 @@ class GlBackend:
                 DEVICE_CONTEXT,
                 "device.make_current",
                 "a context that the driver refuses to make current here",
-                "no context of GLX on this thread, and the device's own on no other thread",
-                "let toolkits create windows with EGL, or release their context; release_current() on the "
+                "a thread without a GLX context, while the device's context is current on no other thread",
+                "let toolkits create windows with EGL, or release their context; call release_current() on the "
                 "other thread",
             )
         self._is_current = True

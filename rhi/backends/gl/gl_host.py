@@ -258,7 +258,7 @@ class SharedContext:
 
     @property
     def restores_host(self) -> bool:
-        """Whether the host's context is current on this thread after the device's."""
+        """True if the host's context is current on this thread after the device's."""
         return get_ident() == self._thread
 
     def load(self, name: str) -> int:
@@ -300,7 +300,9 @@ def open_shared_context(host: HostContext) -> tuple[moderngl.Context, SharedCont
     current_context = _get_current()
     if current_context is None:
         tip = "make the window's context current first, e.g. glfw.make_context_current(window)"
-        raise DeviceError(DEVICE_DRIVER, _CALL, "no OpenGL context is current", "one made by EGL or GLX", tip)
+        raise DeviceError(
+            DEVICE_DRIVER, _CALL, "no OpenGL context is current", "a context of EGL or GLX", tip
+        )
     api, binding = current_context
     before = current[1] if current is not None else ContextBinding(0, binding.display, 0, 0)
     own = api.create_shared(binding)

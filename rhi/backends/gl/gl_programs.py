@@ -75,7 +75,7 @@ class VertexArrays:
         self._elements: dict[Id, ElementCounts] = {}
 
     def count_elements(self, vertex_array: Id) -> ElementCounts:
-        """Return how many elements the buffers of a vertex array hold."""
+        """Return the number of elements in the buffers of a vertex array."""
         elements = self._elements.get(vertex_array)
         if elements is None:
             elements = self._elements[vertex_array] = count_elements(

@@ -156,12 +156,12 @@ class Queries:
 
     @property
     def is_counting(self) -> bool:
-        """Whether the sample counter is running, so that occlusion queries are differences of it."""
+        """True if the sample counter is running, so that occlusion queries are differences of it."""
         return self._counter.is_running
 
     @property
     def is_active(self) -> bool:
-        """Whether a query of GL counts now."""
+        """True if a query of GL counts now."""
         return self._counter.is_running or self._active is not None
 
     def __getitem__(self, query: Id) -> GlQuery:

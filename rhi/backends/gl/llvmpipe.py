@@ -40,7 +40,7 @@ def keep_freed_memory() -> None:
 
 
 class UnfinishedDraws:
-    """Whether passes, resolves or mip levels have been drawn since all draws were last waited for."""
+    """A flag for passes, resolves or mip levels that were drawn since all draws were last waited for."""
 
     __slots__ = ("_draws", "_gl", "_keeps_order")
 

@@ -6,7 +6,7 @@ from rhi.contract.states import PlatformState
 
 
 class DepthClamp(PlatformState):
-    """Whether depth beyond the viewport's range is clamped to it, instead of clipping triangles at the near
+    """Clamping of depth beyond the viewport's range, instead of clipping triangles at the near
     and the far plane: shadow casters in front of the light's near plane still cast."""
 
     OFF = "off"

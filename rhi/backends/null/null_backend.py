@@ -365,7 +365,7 @@ class NullBackend(CommandMethods):
 
     @property
     def _follows_draws(self) -> bool:
-        """Whether each draw must be processed individually: its samples are counted, or its program has a
+        """True if each draw must be processed individually: its samples are counted, or its program has a
         stand-in."""
         state = self._state
         return state.outcome is DrawOutcome.EXECUTED and (

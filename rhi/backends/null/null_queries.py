@@ -62,7 +62,7 @@ class Queries:
 
     @property
     def counts(self) -> bool:
-        """Whether draws must be passed to `add_draw` one by one."""
+        """True if draws must be passed to `add_draw` one by one."""
         return self._samples is not None
 
     @property

@@ -40,7 +40,7 @@ class PassTargets(Protocol):
         """Copy the stand-ins that were drawn to back to their textures."""
 
     def has_stencil(self, texture: Id) -> bool:
-        """Whether a texture has stencil."""
+        """True if a texture has stencil."""
 
     def dummy(self, size: tuple[int, int], samples: int) -> GpuObject:
         """Return the view of a dummy target, for passes without targets."""
@@ -254,7 +254,7 @@ class Stream:
 
 
 def _clears(descriptor: PassDescriptor) -> bool:
-    """Whether a pass without draws changes its targets."""
+    """True if a pass without draws changes its targets."""
     depth = descriptor.depth
     return any(color.clear is not None for color in descriptor.colors) or (
         depth is not None and (depth.clear is not None or depth.clear_stencil is not None)

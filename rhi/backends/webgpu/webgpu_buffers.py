@@ -122,11 +122,11 @@ class Buffers:
         self.objects[buffer] = GpuBuffer(created, descriptor, size)
 
     def destroy(self, buffer: Id) -> None:
-        gone = self.objects.pop(buffer)
-        self._readbacks.pop(id(gone), None)
-        self._drop_mapping(gone)
-        self._dirty.pop(id(gone), None)
-        gone.object.destroy()
+        removed = self.objects.pop(buffer)
+        self._readbacks.pop(id(removed), None)
+        self._drop_mapping(removed)
+        self._dirty.pop(id(removed), None)
+        removed.object.destroy()
 
     def use(self, buffer: Id) -> GpuBuffer:
         """Return a buffer that the open encoder will use."""

@@ -376,7 +376,7 @@ class Draws:
         self._current = None
 
     def _restarts(self, vertex_array: Id, primitive: Primitive, first: int, count: int) -> bool:
-        """Whether some of the indices of a list may restart it."""
+        """True if some of the indices of a list may restart it."""
         array = self.arrays[vertex_array]
         buffer = self._buffers[array.descriptor.index_buffer]
         copy = buffer.copy
@@ -393,7 +393,7 @@ class Draws:
     def _list(
         self, array: GpuVertexArray, primitive: Primitive, first: int, count: int
     ) -> tuple[int, GpuObject | None]:
-        """Return how many indices the whole primitives of a list have, and a buffer of them if any."""
+        """Return the number of indices of a list's whole primitives, and a buffer of them if any."""
         form = array.descriptor.index_format
         buffer = self._buffers[array.descriptor.index_buffer]
         if buffer.copy is not None:
@@ -541,7 +541,7 @@ class Draws:
         arguments.serial = self._stream.serial
 
     def _restarts_anywhere(self, vertex_array: Id, primitive: Primitive) -> bool:
-        """Whether any index of a list's buffer may restart it."""
+        """True if any index of a list's buffer may restart it."""
         descriptor = self.arrays[vertex_array].descriptor
         copy = self._buffers[descriptor.index_buffer].copy
         count = 0 if copy is None else len(copy) // descriptor.index_format.size

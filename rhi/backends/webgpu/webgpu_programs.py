@@ -163,8 +163,8 @@ class GpuProgram:
                 pipeline_layout = self._layouts[unfiltered] = PipelineLayout(self._device, groups, unfiltered)
         return pipeline_layout
 
-    def _entry(self, kind: BindingKind, binding: int, **what: object) -> dict[str, Any]:
-        return {"binding": binding, "visibility": self._get_visibility(kind, binding), **what}
+    def _entry(self, kind: BindingKind, binding: int, **layout: object) -> dict[str, Any]:
+        return {"binding": binding, "visibility": self._get_visibility(kind, binding), **layout}
 
     def _get_visibility(self, kind: BindingKind, binding: int) -> int:
         fallback = GpuShaderStage.COMPUTE if Stage.COMPUTE in self.modules else GpuShaderStage.FRAGMENT

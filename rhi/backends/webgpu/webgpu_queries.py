@@ -153,12 +153,12 @@ class Queries:
 
     @property
     def is_full(self) -> bool:
-        """Whether the next pass should begin a submission, and with it another set."""
+        """True if the next pass should begin a submission, and with it another set."""
         return "occlusion" in self._current and len(self._current["occlusion"].slots) > _SLOTS - _SPARE
 
     @property
     def is_idle(self) -> bool:
-        """Whether no query is open."""
+        """True if no query is open."""
         return self._active is None
 
     def _begin_slot(self) -> None:

@@ -105,9 +105,9 @@ class Textures:
                 self.write(texture, level, Region(0, 0, width, height, 0, depth), texels)
 
     def destroy(self, texture: Id) -> None:
-        gone = self.objects.pop(texture)
-        gone.views.clear()
-        gone.object.destroy()
+        removed = self.objects.pop(texture)
+        removed.views.clear()
+        removed.object.destroy()
 
     # -- views -------------------------------------------------------------------------------------------
 

@@ -262,7 +262,7 @@ class NativeMappings:
         return self._latest
 
     def is_done(self, ticket: int) -> bool:
-        """Whether the buffer is mapped."""
+        """True if the buffer is mapped."""
         return bool(self._records[ticket].number)
 
     def end(self, ticket: int, buffer: GpuObject, offset: int, size: int) -> bytes:

@@ -80,7 +80,7 @@ def test_an_operation_combines_source_and_destination(device: Device, operation:
 
 
 @pytest.mark.parametrize("name", ["OFF", "ALPHA", "ADDITIVE", "PREMULTIPLIED", "MULTIPLY"])
-def test_a_named_function_does_what_its_name_says(device: Device, name: str) -> None:
+def test_each_named_blend_function_blends_as_its_name_says(device: Device, name: str) -> None:
     assert_near(*blended(device, getattr(BlendFunction, name)))
 
 

@@ -159,7 +159,7 @@ def test_a_write_lock_replaces_its_range_at_its_end(device: Device) -> None:
         assert_same(buffer.read(), [*numbers(8)[:2], 1, 2, 3, *numbers(8)[5:]])
 
 
-def test_a_read_write_lock_changes_what_it_shows(device: Device) -> None:
+def test_changes_to_the_array_of_a_read_write_lock_are_written_back(device: Device) -> None:
     with device.buffer(np.arange(8, dtype="u4")) as buffer:
         with buffer.lock(Access.READ_WRITE, 4) as array:
             assert_same(array, [4, 5, 6, 7])
@@ -240,7 +240,7 @@ def test_writes_of_cpu_and_device_take_turns(device: Device, usage: BufferUsage)
         assert_same(buffer.read(), expected)
 
 
-def test_a_copy_takes_what_was_written_before_it_and_not_after(device: Device) -> None:
+def test_a_copy_reads_earlier_writes_and_not_later_ones(device: Device) -> None:
     with device.buffer(4, np.dtype("u4")) as a, device.buffer(4, np.dtype("u4")) as b:
         a.write(np.full(4, 1, "u4"))
         a.copy_to(b)

@@ -93,7 +93,7 @@ def test_a_color_format_is_cleared_under_a_draw_as_in_a_pass_before(device: Devi
         assert (image.read()[-1, -1] == image.read()[0, 0]).all()
 
 
-def test_blending_reads_what_was_cleared(device: Device) -> None:
+def test_blending_reads_the_cleared_color(device: Device) -> None:
     with device.texture(SIZE, Format.RGBA16F) as first, device.texture(SIZE, Format.RGBA16F) as second:
         for image, together in ((first, True), (second, False)):
             draw_over(device, image, Colored, (0.5, 0.25, 1, 1), together, BlendFunction.ADDITIVE)
@@ -147,7 +147,7 @@ def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, use
 @pytest.mark.parametrize(
     "first", [(ColorWrite.OFF,), (rhi.DepthTest.OFF, DepthWrite.OFF)], ids=["depth", "color"]
 )
-def test_what_the_first_draw_leaves_out_is_cleared_for_the_second(
+def test_targets_that_the_first_draw_does_not_write_are_cleared_for_the_second(
     device: Device, first: tuple[State, ...]
 ) -> None:
     with (
@@ -241,7 +241,7 @@ def test_all_samples_are_cleared_under_a_draw(device: Device) -> None:
         assert_same(target.read()[..., 0], 255)
 
 
-def test_a_second_pass_clears_again_what_the_first_one_drew(device: Device) -> None:
+def test_a_second_pass_clears_the_draws_of_the_first_pass(device: Device) -> None:
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.D32F) as depth,

@@ -46,7 +46,7 @@ def named(family: Family) -> str:
 
 
 def count(device: Device, triangles: Any, *states: Any) -> NDArray[Any]:
-    """Return how often each texel is drawn by triangles (n, 3, 4)."""
+    """Return the number of draws of each texel by triangles (n, 3, 4)."""
     rows = corners(np.asarray(triangles, np.float64).reshape(-1, 4))
     return draw_once(
         device, SIZE, Format.R16F, rows, CullMode.NONE, BlendFunction.ADDITIVE, *states, shader=FlatColored
@@ -63,7 +63,7 @@ def test_a_triangle_with_a_corner_just_behind_the_eye_is_drawn(device: Device) -
 @pytest.mark.parametrize(
     "family", [family for family in CUT if family is not exam.beyond_the_guard_band], ids=named
 )
-def test_a_cut_triangle_covers_what_float64_says(device: Device, family: Family) -> None:
+def test_a_clipped_triangle_covers_the_texels_that_float64_computes(device: Device, family: Family) -> None:
     """Texels farther than 1/256 texel from every edge and cut."""
     require_blendable(device, Format.RGBA32F)
     drawn = 0
@@ -76,7 +76,7 @@ def test_a_cut_triangle_covers_what_float64_says(device: Device, family: Family)
 
 @pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("wide", [exam.CELL, MAX_VIEWPORT_SIZE])
-def test_a_triangle_that_reaches_far_beyond_the_view_covers_what_float64_says(
+def test_a_triangle_that_reaches_far_beyond_the_view_covers_the_texels_that_float64_computes(
     device: Device, wide: int
 ) -> None:
     wide = min(wide, device.capabilities.max_texture_size)

@@ -251,7 +251,7 @@ def make_scene(device: rhi.Device) -> tuple[Any, ...]:
 
 
 @pixels
-def test_what_is_drawn_later_is_what_is_drawn_at_once(device: rhi.Device) -> None:
+def test_a_recorded_scene_and_a_scene_drawn_at_once_have_equal_images(device: rhi.Device) -> None:
     parts = make_scene(device)
     with (
         device.texture(SIZE, rhi.Format.RGBA16F) as direct,

@@ -96,7 +96,7 @@ class ArgumentChecker(sl.Shader):
         self.words[2] = sl.uint(1)
 
 
-def test_an_indirect_dispatch_sees_what_a_dispatch_before_it_wrote(device: Device) -> None:
+def test_an_indirect_dispatch_sees_the_writes_of_an_earlier_dispatch(device: Device) -> None:
     with device.storage(sl.uint, 1) as total, device.storage(sl.uint, 3) as arguments:
         device.dispatch(device.program(ArgumentChecker), 1, words=arguments)
         device.dispatch_indirect(device.program(Count), arguments, 0, total=total)
@@ -581,7 +581,7 @@ class Double(sl.Shader):
         self.target[i] = self.source[(i + 37) % 256] * sl.uint(2) + sl.uint(1)
 
 
-def test_a_dispatch_sees_what_the_one_before_wrote(device: Device) -> None:
+def test_a_dispatch_sees_the_writes_of_the_dispatch_before(device: Device) -> None:
     values = np.arange(256, dtype="u4")
     with device.storage(sl.uint, values) as a, device.storage(sl.uint, 256) as b:
         expected = values

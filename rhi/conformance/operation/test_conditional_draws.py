@@ -88,7 +88,7 @@ def lit(image: Any) -> list[int]:
     return np.flatnonzero(image.read()[..., :3].any(axis=(0, 2))).tolist()
 
 
-def test_what_counted_nothing_is_not_drawn(
+def test_a_draw_whose_query_counted_no_sample_is_skipped(
     device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)
@@ -125,7 +125,7 @@ def test_draws_that_count_may_have_the_same_program_and_states(
         assert lit(image) == sorted({*VISIBLE, *(i for i in range(COLUMNS) if rows[i] in VISIBLE)})
 
 
-def test_rows_say_what_decides_about_which_draw(
+def test_query_indices_select_the_condition_of_each_draw(
     device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)

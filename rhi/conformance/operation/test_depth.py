@@ -202,7 +202,7 @@ def test_depth_is_divided_by_w(device: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize(("depth", "drawn"), [(-0.01, False), (0.0, True), (1.0, True), (1.01, False)])
-def test_what_lies_before_0_or_behind_1_is_clipped(device: rhi.Device, depth: float, drawn: bool) -> None:
+def test_depths_below_0_or_above_1_are_clipped(device: rhi.Device, depth: float, drawn: bool) -> None:
     after = depth_after(device, rectangle(depth=depth), clear=0.5, states=(rhi.DepthFunction.ALWAYS,))
     assert_same(after, depth if drawn else 0.5)
 
@@ -219,7 +219,7 @@ def test_an_infinite_far_plane_can_be_drawn_to(device: rhi.Device) -> None:
     assert_same(depth_after(device, rows, clear=0.0, states=(rhi.DepthFunction.GREATER_EQUAL,)), 0.0)
 
 
-def test_what_lies_behind_the_camera_is_clipped(device: rhi.Device) -> None:
+def test_the_part_of_a_triangle_behind_the_camera_is_clipped(device: rhi.Device) -> None:
     """One corner has w < 0. Only the part in front of the camera is drawn, not a mirrored triangle."""
     rows = corners([(-1, -1, 0.5, 1), (1, -1, 0.5, 1), (0, 2, -0.5, -1)])
     seen = draw_once(device, (8, 8), rhi.Format.R8, rows, rhi.CullMode.NONE)
@@ -279,7 +279,7 @@ def test_a_polygon_offset_is_counted_in_the_polygon_s_slope(device: rhi.Device, 
     assert_near(offset - plain, slope * 0.5 / 8, 2.0**-20, "slopes are computed in float32")
 
 
-def test_a_polygon_offset_does_not_move_what_faces_the_camera(device: rhi.Device) -> None:
+def test_a_polygon_offset_does_not_move_triangles_that_face_the_camera(device: rhi.Device) -> None:
     assert_near(
         depth_after(device, rectangle(depth=0.5), states=(rhi.PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32"
     )

@@ -64,14 +64,14 @@ def since(recording: Device) -> int:
 
 
 @pytest.mark.parametrize("kind", CREATORS)
-def test_what_nobody_holds_is_destroyed(recording: Device, since: int, kind: str) -> None:
+def test_an_unreferenced_resource_is_destroyed(recording: Device, since: int, kind: str) -> None:
     make(recording, kind)
     recording.finish()
     assert destroyed(recording, since) == created(recording, since) != []
 
 
 @pytest.mark.parametrize("kind", CREATORS)
-def test_what_somebody_holds_stays(recording: Device, since: int, kind: str) -> None:
+def test_a_referenced_resource_is_not_destroyed(recording: Device, since: int, kind: str) -> None:
     resource = make(recording, kind)
     gc.collect()
     recording.finish()
@@ -80,7 +80,9 @@ def test_what_somebody_holds_stays(recording: Device, since: int, kind: str) -> 
 
 
 @pytest.mark.parametrize("kind", ["texture", "buffer", "mesh", "query"])
-def test_what_was_destroyed_before_is_destroyed_once(recording: Device, since: int, kind: str) -> None:
+def test_a_resource_that_is_destroyed_and_then_dropped_is_destroyed_once(
+    recording: Device, since: int, kind: str
+) -> None:
     make(recording, kind).destroy()
     recording.finish()
     assert destroyed(recording, since) == created(recording, since)
@@ -105,7 +107,7 @@ def test_the_garbage_collector_may_drop_a_resource(recording: Device, since: int
     assert destroyed(recording, since) == created(recording, since)
 
 
-def test_creations_destroy_what_was_dropped_in_a_program_without_frames(
+def test_creations_destroy_dropped_resources_in_a_program_without_frames(
     recording: Device, since: int
 ) -> None:
     """They wait for two lots of 64 MiB at most, so of 600 buffers of 1 MiB at least 400 are gone at the
@@ -116,7 +118,7 @@ def test_creations_destroy_what_was_dropped_in_a_program_without_frames(
 
 
 @pytest.mark.requires("draws", "shading")
-def test_a_draw_has_what_was_dropped_right_after_it(device: Device) -> None:
+def test_a_draw_uses_resources_that_are_dropped_right_after_it(device: Device) -> None:
     with device.texture((4, 4), Format.RGBA8) as image:
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             device.draw(
@@ -142,7 +144,7 @@ def test_a_pass_holds_its_targets(device: Device) -> None:
 
 
 @pytest.mark.requires("draws", "shading")
-def test_a_command_buffer_holds_what_it_uses(device: Device) -> None:
+def test_a_command_buffer_keeps_its_resources_alive(device: Device) -> None:
     with device.texture((4, 4), Format.RGBA8) as image:
         with device.record() as commands:
             tint = device.uniform(Tint(color=vec4(0.0, 0.0, 1.0, 1.0)))

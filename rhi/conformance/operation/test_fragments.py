@@ -249,7 +249,7 @@ class Sampled(Shaded):
         return self.source.load(sl.ivec2(sl.fragment_coordinate().xy)) + v.color
 
 
-def test_a_pass_reads_what_the_pass_before_drew(device: rhi.Device) -> None:
+def test_a_pass_reads_the_image_of_the_pass_before(device: rhi.Device) -> None:
     step = corners([(-1, -1), (3, -1), (-1, 3)], (1 / 32, 0, 0, 0))
     with (
         device.texture(SIZE, rhi.Format.RGBA32F) as first,
@@ -288,7 +288,7 @@ class Sum(sl.Shader):
 
 
 @pytest.mark.requires("compute")
-def test_a_dispatch_reads_what_fragments_wrote(
+def test_a_dispatch_reads_the_writes_of_fragments(
     device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
 ) -> None:
     with device.storage(sl.uint, 64) as values, device.storage(sl.uint, 1) as total:
@@ -312,7 +312,9 @@ class WaterfallAtEdges(Shaded):
         return sl.vec4(value, sl.ddx(value), 0.0, 1.0)
 
 
-def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(device: rhi.Device) -> None:
+def test_a_loop_over_values_that_fragments_broadcast_ends_at_the_edges_of_triangles(
+    device: rhi.Device,
+) -> None:
     """Quads at edges have helper invocations, which wait for their value as well."""
     slim = {
         "position": np.array([[-1, -1, 0.5, 1], [0.8, -0.9, 0.5, 1], [-0.7, 0.9, 0.5, 1]], "f4"),
@@ -355,7 +357,7 @@ def test_a_vertex_stage_reads_storage(device: rhi.Device) -> None:
 
 
 class Digit(sl.Struct):
-    """Whether a digit is one, behind 16 other bytes."""
+    """A digit that is 0 or 1, behind 16 other bytes."""
 
     before: sl.vec4
     is_one: float

@@ -540,7 +540,7 @@ READS = [
 @pytest.mark.requires("max_texture_slots")
 @pytest.mark.parametrize("format", [Format.R32F, Format.D32F], ids=["color", "depth"])
 @pytest.mark.parametrize("read", READS)
-def test_what_was_drawn_last_is_read_while_an_older_pass_samples_the_texture(
+def test_a_read_sees_the_last_draw_while_an_older_pass_samples_the_texture(
     device: Device,
     slow: Callable[[rhi.Texture], None],
     read: Callable[[Device, rhi.Texture], Any],

@@ -185,7 +185,7 @@ class Specials(sl.Shader):
         self.target[2 * i + 1] = sl.float_bits_to_uint(x)
 
 
-def test_infinities_and_nan_are_known_for_what_they_are(device: Device) -> None:
+def test_isinf_and_isnan_tell_special_floats_apart(device: Device) -> None:
     values = np.array([0.0, -0.0, 1.5, np.inf, -np.inf, np.nan], "f4")
     back = run(device, Specials, sl.uint, values.view("u4"), 2)
     assert_same(back[:, 0], [4, 4, 12, 14, 6, 1])
@@ -354,7 +354,7 @@ class Integers(sl.Shader):
         self.target[o + 4] = sl.ivec4(int(a < b), int(a == b), int(a <= b and a != 7), a if a > b else b)
 
 
-def test_integers_mean_what_they_mean_in_python(device: Device) -> None:
+def test_integer_arithmetic_equals_that_of_python(device: Device) -> None:
     pairs = [(7, 2), (-7, 2), (7, -2), (-7, -2), (0, 5), (6, 3), (-6, 3), (7, 7), (100, -9), (-1, 1)]
     rows = np.zeros((len(pairs), 4), "i4")
     rows[:, :2] = pairs
@@ -589,7 +589,7 @@ class Waterfall(sl.Shader):
             self.target[sl.global_id().x] = total
 
 
-def test_a_loop_over_what_invocations_broadcast_gives_each_its_own(device: Device) -> None:
+def test_a_loop_over_broadcast_values_gives_each_invocation_its_own_result(device: Device) -> None:
     random = np.random.default_rng(3)
     own = np.r_[random.integers(-3, 9, 64), np.repeat([4, 7], [21, 12]), np.arange(31)].astype("i4")
     sums = run(device, Waterfall, int, own, 1)[:, 0]

@@ -39,7 +39,7 @@ def mesh(device: rhi.Device) -> Iterator[rhi.Mesh]:
 def count_points(
     device: rhi.Device, mesh: Any, instances: int = 1, shader: type[sl.Shader] = Colored
 ) -> NDArray[Any]:
-    """Return how often each of 8 texels in a row was drawn."""
+    """Return the number of draws of each of 8 texels in a row."""
     with device.texture(ROW, rhi.Format.R16F) as image:
         with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(device.program(shader), mesh, instances)
@@ -82,7 +82,7 @@ def test_a_base_vertex_is_added_to_each_index(device: rhi.Device, base: int, dty
         assert_same(count_points(device, mesh.view(base_vertex=base)), expected)
 
 
-def test_a_base_vertex_reaches_what_16_bits_cannot(device: rhi.Device) -> None:
+def test_a_base_vertex_reaches_vertices_beyond_16_bits(device: rhi.Device) -> None:
     rows = corners(np.full((70_000, 2), -3.0))
     rows["position"][69_999, :2] = CENTERS[4]
     with device.mesh(rows, np.array([65_000], "u2"), primitive=rhi.Primitive.POINTS) as mesh:
@@ -115,7 +115,7 @@ def test_meshes_can_share_buffers(device: rhi.Device) -> None:
         second.destroy()
 
 
-def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: rhi.Device) -> None:
+def test_a_mesh_draws_the_latest_data_of_its_buffer(device: rhi.Device) -> None:
     with device.mesh(corners(CENTERS[:1]), primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(count_points(device, mesh), np.arange(8) == 0)
         vertices_of(mesh).write(corners(CENTERS[5:6]))
@@ -393,7 +393,7 @@ def test_a_shader_without_attributes_counts_its_vertices(device: rhi.Device) -> 
 # -- many draws in one call --------------------------------------------------------------------------------
 
 
-def test_many_draws_draw_what_each_says(device: rhi.Device) -> None:
+def test_draw_many_follows_the_arguments_of_each_draw(device: rhi.Device) -> None:
     with (
         device.texture(ROW, rhi.Format.RGBA32F) as image,
         device.mesh(corners(CENTERS), np.arange(4, dtype="u2"), primitive=rhi.Primitive.POINTS) as mesh,
@@ -511,7 +511,7 @@ def test_clipped_draws_are_assembled_as_others(
         assert_same(image.read(), expected.read())
 
 
-def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: rhi.Device) -> None:
+def test_after_clipped_draws_the_scissor_of_the_enclosing_scope_holds(device: rhi.Device) -> None:
     with device.texture(ROW, rhi.Format.RGBA16F) as image, device.mesh(rectangle()) as mesh:
         program = numbered(device)
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.BlendFunction.ADDITIVE):

@@ -115,7 +115,7 @@ def test_only_a_part_of_the_levels_may_exist(device: Device) -> None:
         check_levels(texture)
 
 
-def test_levels_follow_what_was_drawn_and_are_made_again(device: Device) -> None:
+def test_mip_levels_follow_draws_and_can_be_generated_again(device: Device) -> None:
     with device.texture((5, 3), Format.RGBA16F, levels=None) as texture:
         for red in (0.25, 0.75):
             with device.render_pass(texture.at(level=0), clear=(red, 0.5, 0, 1)):

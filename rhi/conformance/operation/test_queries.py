@@ -97,7 +97,7 @@ POSITION = st.tuples(st.integers(0, 256), st.integers(0, 256))
 
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(points=st.lists(POSITION, min_size=3, max_size=9))
-def test_counts_are_those_of_an_exact_rasteriser(
+def test_counts_of_queries_equal_those_of_an_exact_rasteriser(
     device: rhi.Device, query: rhi.OcclusionQuery, points: Any
 ) -> None:
     triangles = np.array(points[: len(points) // 3 * 3]).reshape(-1, 3, 2)
@@ -132,7 +132,7 @@ def test_a_query_counts_after_the_stencil_test(device: rhi.Device, query: rhi.Oc
     assert count(device, query, rectangle(depth=0.75), *states) == 0
 
 
-def test_a_query_does_not_count_what_is_discarded(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+def test_a_query_does_not_count_discarded_fragments(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     assert draw_counted(device, query, rectangle(), Checkered).wait() == 128
 
 
@@ -162,7 +162,7 @@ def test_a_query_counts_without_a_depth_buffer(device: rhi.Device, query: rhi.Oc
     assert draw_counted(device, query, rectangle(-1, -1, 0, 0)).wait() == 64
 
 
-def test_a_query_counts_only_what_lies_inside_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+def test_a_query_counts_only_the_draws_inside_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
         with device.render_pass(image):

@@ -28,7 +28,7 @@ BARS = np.concatenate([texel_rectangle(0, 0, 1 + i % 16, 1 + i // 16, SIZE) for 
 
 @pytest.fixture(params=["native", "emulated"])
 def emulated(device: Device, request: pytest.FixtureRequest) -> bool:
-    """Whether the queries are emulated: no and yes, as far as the device supports them."""
+    """False for native queries and True for emulated ones, as far as the device supports them."""
     emulated: bool = request.param == "emulated"
     capability = "sample_counter" if emulated else "occlusion_queries"
     if not getattr(device.capabilities, capability):
@@ -78,7 +78,7 @@ def test_each_draw_is_counted_by_a_query_of_its_own(
     assert count(device, image, queries, bars, parts(bars, *range(64))) == COUNTS
 
 
-def test_counts_are_those_of_queries_asked_one_by_one(device: Device, emulated: bool) -> None:
+def test_counts_of_a_query_set_equal_those_of_single_queries(device: Device, emulated: bool) -> None:
     """Random boxes over a stepped depth buffer, as in visibility algorithms."""
     random = np.random.default_rng(7)
     size, boxes = (64, 48), 100
@@ -111,7 +111,9 @@ def test_counts_are_those_of_queries_asked_one_by_one(device: Device, emulated: 
             query.destroy()
 
 
-def test_rows_say_what_counts_which_draw(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_query_indices_select_the_query_that_counts_each_draw(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     answers = count(device, image, queries, bars, parts(bars, 5, 9, 2), [40, 0, 63])
     assert [answers[40], answers[0], answers[63]] == [COUNTS[5], COUNTS[9], COUNTS[2]]
 
@@ -153,7 +155,7 @@ def test_a_set_may_be_empty(device: Device, emulated: bool, bars: Mesh, image: A
     empty.destroy()
 
 
-def test_a_set_forgets_what_it_was_asked_before(
+def test_a_query_set_clears_the_results_of_earlier_calls(
     device: Device, queries: QuerySet, bars: Mesh, image: Any
 ) -> None:
     for first in (0, 30, 7):
@@ -161,7 +163,9 @@ def test_a_set_forgets_what_it_was_asked_before(
         assert answers == [{first: COUNTS[first], 50: COUNTS[first + 1]}.get(row, -1) for row in range(64)]
 
 
-def test_answers_stay_as_they_were_given(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
+def test_results_of_a_query_set_are_read_only_and_do_not_change_later(
+    device: Device, queries: QuerySet, bars: Mesh, image: Any
+) -> None:
     with device.render_pass(image):
         device.draw_counted(device.program(Colored), bars, parts(bars, 4), queries)
     first = queries.wait()
@@ -259,7 +263,7 @@ def test_sets_may_be_large(device: Device, emulated: bool, image: Any) -> None:
         queries.destroy()
 
 
-def test_what_is_passed_may_change_afterwards(
+def test_draws_and_query_indices_may_change_after_the_call(
     device: Device, queries: QuerySet, bars: Mesh, image: Any
 ) -> None:
     draws, rows = parts(bars, 9, 10), np.array([3, 4])
@@ -341,7 +345,7 @@ def test_changed_indices_are_those_that_are_counted(device: Device, queries: Que
 
 
 @pytest.mark.requires("alpha_test")
-def test_what_the_alpha_test_drops_is_not_counted(
+def test_samples_that_the_alpha_test_drops_are_not_counted(
     device: Device, queries: QuerySet, bars: Mesh, image: Any
 ) -> None:
     rows = BARS.copy()

@@ -25,7 +25,7 @@ SIZE = (16, 16)
 
 
 def counts(device: Device, rows: VertexRows, *states: State, size: tuple[int, int] = SIZE) -> NDArray[Any]:
-    """Return how often each texel is drawn."""
+    """Return the number of draws of each texel."""
     with device.states(CullMode.NONE, BlendFunction.ADDITIVE):
         return draw_once(device, size, Format.R16F, rows, *states)
 
@@ -110,7 +110,7 @@ def test_a_triangle_far_outside_covers_nothing(device: Device) -> None:
     assert_same(counts(device, corners([(1000, 1000), (1001, 1000), (1000, 1001)])), 0)
 
 
-def test_an_edge_through_the_whole_target_is_exact_on_a_large_one(device: Device) -> None:
+def test_an_edge_across_a_large_target_is_exact(device: Device) -> None:
     size = (256, 256)
     triangle = np.array([(5, 3), (251, 97), (88, 254)]) * SUBTEXELS + (3, 7)
     mask = rasterise(triangle, *size)
@@ -257,7 +257,7 @@ def test_the_viewport_of_a_mip_level_is_the_level(device: Device) -> None:
         assert_same(image.read(2), 0)
 
 
-def test_what_lies_outside_of_the_viewport_is_not_drawn(device: Device) -> None:
+def test_a_viewport_clips_geometry_outside_of_it(device: Device) -> None:
     """A viewport clips: geometry beyond clip space doesn't spill into the rest of the target."""
     mask = np.zeros((16, 16), bool)
     mask[4:12, 4:12] = True

@@ -77,7 +77,7 @@ def show(device: Device, draw: Any, size: tuple[int, int] = SIZE) -> NDArray[np.
         return np.asarray(image.read()[..., 0] > 0)
 
 
-def test_a_scissor_anywhere_cuts_what_lies_outside(device: Device) -> None:
+def test_a_scissor_at_any_position_cuts_the_texels_outside(device: Device) -> None:
     """The boxes are drawn into one column of targets each, since a pass costs more than a draw."""
     program = device.program(Colored)
     with device.mesh(rectangle(-1, -1, 1, 1), primitive=Primitive.TRIANGLES) as whole:
@@ -91,7 +91,7 @@ def test_a_scissor_anywhere_cuts_what_lies_outside(device: Device) -> None:
 
 
 @pytest.mark.parametrize("last", ["near", "far"])
-def test_a_clip_anywhere_cuts_what_lies_outside(device: Device, last: str) -> None:
+def test_a_clip_at_any_position_cuts_the_texels_outside(device: Device, last: str) -> None:
     """Each clip alone, and all in one call: then the texels of any."""
     program = device.program(Colored)
     boxes = SCISSORS[:: 3 if last == "near" else 5] + ([(2, 2, 3, 3)] if last == "near" else [])

@@ -126,7 +126,9 @@ def test_depth_is_read_at_the_position_of_each_sample(device: Device, samples: i
 
 
 @COUNTS
-def test_each_sample_has_the_color_of_what_covers_its_position(device: Device, samples: int) -> None:
+def test_each_sample_has_the_color_of_the_triangle_that_covers_its_position(
+    device: Device, samples: int
+) -> None:
     require_samples(device, samples)
     positions = measure_sample_positions(device, samples)[:, 0, 0]
     with device.texture(SIZE, Format.RGBA16F, samples=samples) as image:

@@ -114,7 +114,7 @@ def texel_centers(width: int, height: int) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=identity)
-def test_a_shader_reads_what_the_format_means(device: Device, format: Format) -> None:
+def test_a_shader_reads_the_decoded_values_of_each_format(device: Device, format: Format) -> None:
     require_format(device, format)
     data = random_texels(format, 4, 8)
     with device.texture(squeezed(format, data), format) as texture:
@@ -278,7 +278,7 @@ def wrapped(index: NDArray[np.int64], wrap: Wrap, size: int) -> NDArray[np.int64
     ids=identity,
 )
 @pytest.mark.parametrize("axis", [0, 1], ids=["u", "v"])
-def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis: int) -> None:
+def test_each_wrap_mode_defines_the_texels_beyond_the_edges(device: Device, wrap: Wrap, axis: int) -> None:
     index = np.arange(-9, 14)
     coordinates = np.full((len(index), 2), 0.5)
     coordinates[:, axis] = (index + 0.5) / 4
@@ -317,7 +317,7 @@ def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
     ],
     ids=identity,
 )
-def test_a_border_is_clamped_to_what_its_format_can_hold(
+def test_a_border_color_is_clamped_to_the_range_of_its_format(
     device: Device, format: Format, expected: tuple[float, ...]
 ) -> None:
     descriptor = SamplerDescriptor(
@@ -392,7 +392,7 @@ def test_levels_are_loaded_and_measured(device: Device) -> None:
 # -- texture kinds -----------------------------------------------------------------------------------------
 
 
-def test_an_array_s_layer_is_chosen_by_its_number(device: Device) -> None:
+def test_the_layer_of_an_array_texture_is_selected_by_its_number(device: Device) -> None:
     data = np.arange(4, dtype="f4").reshape(4, 1, 1, 1) * np.ones((4, 2, 2, 1), "f4")
     layers = [-1.0, 0.0, 0.4, 0.6, 2.0, 3.4, 9.0]
     with device.texture(data, Format.R32F, kind=TextureKind.D2_ARRAY) as texture:
@@ -853,7 +853,7 @@ def sample_at(
 
 
 @pytest.mark.parametrize("mip", [Filter.NEAREST, Filter.LINEAR], ids=lambda f: f.name)
-def test_a_level_beyond_the_last_is_the_last_and_one_below_0_the_first(device: Device, mip: Filter) -> None:
+def test_levels_of_detail_are_clamped_to_the_first_and_last_level(device: Device, mip: Filter) -> None:
     levels = [0.0, 1.0, 2.0, 3.0, 4.0, 100.0, 1e6, 2e9, *FAR]
     with device.texture((8, 8), Format.R32F, levels=4) as texture:
         for level in range(4):

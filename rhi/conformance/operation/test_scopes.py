@@ -140,7 +140,7 @@ def test_only_differences_are_sent(recording: rhi.Device) -> None:
     assert sent(recording, since) == [rhi.CullMode]
 
 
-def test_what_nothing_draws_with_is_never_sent(recording: rhi.Device) -> None:
+def test_states_that_no_draw_uses_are_never_sent(recording: rhi.Device) -> None:
     states_of_draws(recording, lambda draw: draw())
     since = len(recording.stream)
     with recording.states(rhi.CullMode.NONE):

@@ -70,7 +70,7 @@ def test_a_stencil_function_compares_reference_with_stored(device: Device, funct
 
 @pytest.mark.parametrize("operation", list(StencilOperation), ids=lambda f: f.name)
 @pytest.mark.parametrize("stored", [0, 1, 100, 254, 255])
-def test_an_operation_changes_what_is_stored(
+def test_each_stencil_operation_computes_the_stored_value(
     device: Device, operation: StencilOperation, stored: int
 ) -> None:
     _, value = after(device, StencilFront(both_pass=operation), StencilReference(77, 77), stored=stored)
@@ -195,7 +195,7 @@ def test_stencil_counts_overdraw(device: Device) -> None:
     assert_same(value, [[1, 1], [1, 1]])  # of equal depths, only the first one passes the depth test
 
 
-def test_a_stencil_mask_cuts_out_what_is_drawn_through_it(device: Device) -> None:
+def test_draws_through_a_stencil_mask_are_cut_to_its_shape(device: Device) -> None:
     with (
         device.texture((4, 4), Format.R8) as image,
         device.texture((4, 4), Format.D24S8) as target,

@@ -85,7 +85,7 @@ def test_signed_normalised_targets_clamp_to_one_number_each_way(
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is ChannelKind.SNORM], ids=identity)
-def test_the_second_number_that_means_minus_one_is_read_as_the_first(
+def test_the_lowest_integer_of_a_signed_normalised_format_reads_as_minus_one(
     device: rhi.Device, format: rhi.Format
 ) -> None:
     texels = np.full((*SIZE, format.channels), -128, np.int8)
@@ -343,7 +343,7 @@ def test_inside_a_triangle_all_samples_are_covered(device: rhi.Device, samples: 
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_an_edge_covers_some_samples_of_its_texels(device: rhi.Device, samples: int) -> None:
+def test_an_edge_covers_a_part_of_the_samples_of_its_texels(device: rhi.Device, samples: int) -> None:
     """An edge through the middle of a column: its texels are covered in part, those beside it fully or
     not."""
     require_samples(device, samples)
@@ -534,7 +534,7 @@ def test_a_fragment_of_several_samples_reads_its_position_in_the_point(device: r
 
 
 @pytest.mark.parametrize("names_targets", [True, False])
-def test_prepared_draws_draw_what_others_do(device: rhi.Device, names_targets: bool) -> None:
+def test_prepared_draws_draw_the_same_image_as_others(device: rhi.Device, names_targets: bool) -> None:
     """`device.prepare` builds ahead what a draw needs, on platforms that can, and changes nothing else."""
     states = rhi.BlendFunction.ADDITIVE, rhi.CullMode.NONE
     images = []

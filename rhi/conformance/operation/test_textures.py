@@ -59,7 +59,7 @@ def test_every_size_reads_back_as_written(device: Device, size: tuple[int, int])
 
 
 @pytest.mark.parametrize("width", [6, 64])
-def test_a_texture_can_be_made_from_its_texels_and_what_is_read_can_be_changed(
+def test_a_texture_is_created_from_texels_and_the_array_that_is_read_is_writable(
     device: Device, width: int
 ) -> None:
     data = random_texels(Format.RGBA8, 3, width)
@@ -225,7 +225,7 @@ def test_a_write_lock_replaces_its_region(device: Device) -> None:
         assert_same(texture.read(), data)
 
 
-def test_a_read_write_lock_changes_what_it_shows(device: Device) -> None:
+def test_changes_to_the_array_of_a_read_write_lock_are_written_back(device: Device) -> None:
     data = random_texels(Format.R32F, 2, 3)
     with device.texture(data[..., 0], Format.R32F) as texture:
         with texture.lock(Access.READ_WRITE) as array:
@@ -276,7 +276,7 @@ def test_a_copy_goes_between_levels_and_layers(device: Device) -> None:
         assert_same(back[:2], 0)
 
 
-def test_a_slice_that_a_copy_wrote_stays_when_one_that_nothing_wrote_is_read(device: Device) -> None:
+def test_reading_an_unwritten_slice_leaves_a_copied_slice_unchanged(device: Device) -> None:
     data = random_texels(Format.RGBA8, 4, 4)
     with (
         device.texture(data, Format.RGBA8) as source,
@@ -484,7 +484,7 @@ def test_a_clear_of_stencil_stores_it_and_leaves_depth(device: Device, format: F
         assert_near(texture.read(), 0.5, 2.0**-24, "24 bits of depth")
 
 
-def test_a_pass_without_clear_keeps_what_is_there(device: Device) -> None:
+def test_a_pass_without_clear_keeps_the_contents_of_its_targets(device: Device) -> None:
     data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture:
         with device.render_pass(texture):

@@ -20,7 +20,7 @@ def test_signals_count_up(device: Device) -> None:
     assert device.signal() == first + 2
 
 
-def test_completed_reaches_what_was_signalled(device: Device) -> None:
+def test_completed_reaches_the_signalled_value(device: Device) -> None:
     value = device.signal()
     assert device.wait(value)
     assert device.completed >= value
@@ -67,7 +67,7 @@ def _texels(height: int, width: int, seed: int = 0) -> NDArray[np.uint8]:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 4), np.uint8)
 
 
-def test_an_asynchronous_read_of_a_texture_returns_what_a_read_does(device: Device) -> None:
+def test_an_asynchronous_read_of_a_texture_equals_a_read(device: Device) -> None:
     data = _texels(5, 7)
     with device.texture(data, Format.RGBA8) as texture:
         assert_same(texture.read_async().result(), data)
@@ -76,7 +76,7 @@ def test_an_asynchronous_read_of_a_texture_returns_what_a_read_does(device: Devi
         assert_same(texture.read_async(level=1).result(), texture.read(1))
 
 
-def test_an_asynchronous_read_of_a_buffer_returns_what_a_read_does(device: Device) -> None:
+def test_an_asynchronous_read_of_a_buffer_equals_a_read(device: Device) -> None:
     data = np.arange(600, dtype=np.uint32).reshape(-1)
     with device.buffer(data) as buffer:
         assert_same(buffer.read_async().result(), data)

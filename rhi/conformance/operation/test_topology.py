@@ -154,7 +154,7 @@ def test_the_triangles_of_a_strip_have_one_winding(device: Device) -> None:
 def draw_sum(
     device: Device, primitive: Primitive, positions: NDArray[Any], indices: NDArray[Any]
 ) -> NDArray[Any]:
-    """Return how often each texel is drawn."""
+    """Return the number of draws of each texel."""
     states = (CullMode.NONE, BlendFunction.ADDITIVE)
     rows, clear = corners(positions), (0, 0, 0, 0)
     return draw_once(
@@ -195,7 +195,7 @@ def test_quads_that_are_not_convex_show_which_diagonal_is_used(device: Device) -
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
 @pytest.mark.parametrize("primitive", list(Primitive), ids=lambda p: p.name)
-def test_indexed_vertices_draw_what_the_same_vertices_draw_in_a_row(
+def test_indexed_vertices_draw_the_same_texels_as_consecutive_vertices(
     device: Device, primitive: Primitive, dtype: str
 ) -> None:
     order = np.array([3, 0, 4, 1, 5, 2, 7, 6])
@@ -266,7 +266,7 @@ RESTARTED = {
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
 @pytest.mark.parametrize("primitive", list(Primitive), ids=lambda p: p.name)
-def test_the_largest_index_drops_what_is_incomplete_and_begins_anew(
+def test_the_restart_index_drops_an_incomplete_primitive_and_begins_a_new_one(
     device: Device, primitive: Primitive, dtype: str
 ) -> None:
     """Of lists of points, lines and triangles, on devices that declare it; incomplete ones are dropped on

@@ -115,7 +115,7 @@ def test_a_fence_in_mid_frame_frees_nothing_of_the_frame(fresh_device: Device) -
         assert_same(image.read(), 7)
 
 
-def test_a_ring_that_grows_keeps_what_was_given_out_alive(fresh_device: Device) -> None:
+def test_a_ring_that_grows_keeps_earlier_allocations_alive(fresh_device: Device) -> None:
     device = fresh_device
     with device.texture((2, 2), Format.R32F) as image, device.mesh(rectangle()) as mesh:
         tint = device.transient.uniform(shaders.Tint(color=(7, 0, 0, 0)))
@@ -129,7 +129,7 @@ def test_a_ring_that_grows_keeps_what_was_given_out_alive(fresh_device: Device) 
         assert_same(image.read(), 7)
 
 
-def test_rings_settle_at_what_their_frames_need(fresh_device: Device) -> None:
+def test_rings_settle_at_the_size_that_their_frames_need(fresh_device: Device) -> None:
     device = fresh_device
     for _ in range(100):
         for index in range(300):
@@ -566,7 +566,7 @@ def test_vertices_one_by_one_make_quads(device: Device) -> None:
 
 
 @pytest.mark.parametrize("primitive", list(Primitive), ids=lambda p: p.name)
-def test_immediate_vertices_draw_what_a_mesh_of_them_draws(device: Device, primitive: Primitive) -> None:
+def test_immediate_vertices_draw_the_same_image_as_a_mesh(device: Device, primitive: Primitive) -> None:
     rows = corners(centers([(1, 1), (3, 13), (14, 12), (12, 2), (5, 5), (6, 9), (10, 8), (9, 4)], SIZE))
     program = device.program(shaders.Colored)
     with (

@@ -247,7 +247,7 @@ class StoresInVertexStage(sl.Shader):
         (StoresInVertexStage, "vertex_writes"),
     ],
 )
-def test_programs_need_a_device_that_has_what_they_use(
+def test_programs_need_a_device_with_the_capabilities_that_they_use(
     recording: rhi.Device, shader: type[sl.Shader], feature: str
 ) -> None:
     if float(getattr(recording.capabilities, feature)) > (1.0 if feature == "max_point_size" else 0.0):

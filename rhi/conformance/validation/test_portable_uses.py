@@ -219,7 +219,7 @@ def test_an_image_is_written_by_a_dispatch_that_has_it_twice_or_refused(
 
 @pytest.mark.requires("draws", "max_storage_slots")
 @pytest.mark.usefixtures("earlier")
-def test_a_command_buffer_refuses_what_a_device_refuses(recording: Device) -> None:
+def test_a_command_buffer_refuses_the_same_calls_as_a_device(recording: Device) -> None:
     program = recording.program(ReadAndWrite)
     if not recording.capabilities.compute:
         pytest.skip("no dispatches")
@@ -260,7 +260,7 @@ def test_two_targets_are_not_resolved_to_one_texture(recording: Device) -> None:
 
 @pytest.mark.requires("draws")
 @pytest.mark.usefixtures("earlier")
-def test_a_pass_samples_what_it_resolves_to_or_refuses_it(recording: Device) -> None:
+def test_a_pass_samples_its_resolve_target_or_refuses_to(recording: Device) -> None:
     target = recording.texture(SIZE, Format.RGBA8, samples=samples(recording))
     mesh, program = recording.mesh(3), recording.program(Sampled)
     with (
@@ -422,7 +422,7 @@ def test_a_depth_bias_may_be_as_large_as_a_float(recording: Device, units: float
 
 
 @pytest.mark.parametrize("text", ["\udc80", "a\ud800b"])
-def test_labels_that_no_driver_can_be_given_are_refused(recording: Device, text: str) -> None:
+def test_labels_that_no_driver_accepts_are_refused(recording: Device, text: str) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
         recording.texture(SIZE, Format.R8, label=text)
     with refuses(rules.DEVICE_ARGUMENT, recording):

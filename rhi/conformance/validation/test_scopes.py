@@ -121,7 +121,9 @@ def surround(stack: ExitStack, things: Things, *kinds: str) -> None:
 
 @pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize(("outer", "inner"), PAIRS)
-def test_a_scope_left_before_one_inside_it(recording: Device, things: Things, outer: str, inner: str) -> None:
+def test_leaving_an_outer_scope_before_an_inner_scope_is_refused(
+    recording: Device, things: Things, outer: str, inner: str
+) -> None:
     """Refused where it matters; then all is as before, and commands nest."""
     since = len(recording.stream)
     before = recording._core.states.requested

@@ -135,7 +135,7 @@ class FixedQueue(Generic[T]):
 
     @property
     def is_full(self) -> bool:
-        """Whether the next push would be refused."""
+        """True if the next push would be refused."""
         return self._count == self.capacity
 
     def clear(self) -> None:

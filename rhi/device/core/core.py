@@ -404,7 +404,7 @@ class Core(DeviceObject):
             self.refuse(rules.LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
     def has_open_pass(self) -> bool:
-        """Whether a pass is open. First ends a pass whose block was left without its `__exit__`."""
+        """True if a pass is open. First ends a pass whose block was left without its `__exit__`."""
         if self.render_pass is not None:
             self.scopes.end_unreferenced()
         return self.render_pass is not None
@@ -430,7 +430,7 @@ class Core(DeviceObject):
                     del self.lock_blocks[index], self.locked[index]
 
     def is_locked(self, owner: Owner) -> bool:
-        """Whether a resource has an open lock."""
+        """True if a resource has an open lock."""
         if owner in self.locked:
             self.unlock()
         return owner in self.locked

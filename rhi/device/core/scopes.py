@@ -197,7 +197,7 @@ class OpenScopes(FixedStack[Scope]):
             self._end_innermost(cut_off=True)
 
     def _is_referenced(self) -> bool:
-        """Whether anything but this stack refers to the innermost scope's block."""
+        """True if anything but this stack refers to the innermost scope's block."""
         block = self.top.get_block()
         ours = sum(entry.get_block() is block for entry in self) + (block in self._cut)
         return getrefcount(block) > ours + _OWN
@@ -233,12 +233,12 @@ def unwrap(entry: Scope) -> Scope:
 
 
 def _may_raise(error: BaseException | None) -> bool:
-    """Whether a block's end may raise: no exception is propagating, or only one that closes a generator."""
+    """True if a block's end may raise: no exception is propagating, or only one that closes a generator."""
     return error is None or isinstance(error, GeneratorExit)
 
 
 def _comes_of_interrupt(error: BaseException | None) -> bool:
-    """Whether an exception is an interrupt, or was raised while an interrupt propagated."""
+    """True if an exception is an interrupt, or was raised while an interrupt propagated."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
     return error is not None

@@ -81,7 +81,7 @@ class PendingQuery(DeviceObject, Generic[T]):
 
     @property
     def is_finished(self) -> bool:
-        """Whether the result is available; never blocks. False if the query was never ended."""
+        """True if the result is available; never blocks. False if the query was never ended."""
         if self._answer is None and self._state is _ENDED and not self.destroyed:
             self._core.check_ready()
             if not self.emulated or self._core.timeline.completed >= self._fence:

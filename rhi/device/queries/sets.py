@@ -113,7 +113,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         missing = each[~np.isin(each, counted)]
         if len(missing):
             given = f"query {missing[0]}, in which the latest draw_counted counted nothing"
-            self._core.refuse(QUERY_INDICES, call, given, "queries that it used")
+            self._core.refuse(QUERY_INDICES, call, given, "queries that this command buffer has used")
         return each
 
     def _resolve_query_indices(self, query_indices: object, draws: int, call: str) -> NDArray[np.int64]:

@@ -518,7 +518,7 @@ def _name(kind: object) -> str:
 
 
 def _is_plain(dtype: np.dtype[Any]) -> bool:
-    """Whether a dtype consists of numbers alone, at any depth."""
+    """True if a dtype consists of numbers alone, at any depth."""
     if dtype.subdtype is not None:
         return _is_plain(dtype.subdtype[0])
     if dtype.fields is not None:

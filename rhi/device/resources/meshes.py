@@ -157,7 +157,7 @@ class MeshData(DrawableData):
     def describe_vertex_array(
         self, program: Id, name: str, attributes: tuple[Attribute, ...]
     ) -> VertexArrayDescriptor:
-        """Return how a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
+        """Return the vertex array that reads a program's inputs from this mesh; `mesh-attribute` if it can't."""
         call = f"draw of program {name!r}"
         sources = [
             StreamSource(buffer.id, buffer.dtype, per_instance)
@@ -216,8 +216,8 @@ class StreamSource(NamedTuple):
 def describe_streams(
     core: Core, sources: Sequence[StreamSource], attributes: tuple[Attribute, ...], rule: Rule, call: str
 ) -> tuple[VertexStream, ...]:
-    """Return how the inputs of a vertex stage are read: each from the first source that has a field of its
-    name.
+    """Return the streams that the inputs of a vertex stage are read from: each from the first source that has
+    a field of its name.
 
     Raises:
         ValidationError: `rule` if a field is missing or has a type that the stage can't read.
@@ -349,7 +349,7 @@ class Drawable(DeviceObject):
 
     @property
     def is_indexed(self) -> bool:
-        """Whether there are indices."""
+        """True if there are indices."""
         return self.data.is_indexed
 
     @property
@@ -591,7 +591,7 @@ def instance_field_names(
 
 
 def reads_instances(mesh: Drawable, attributes: tuple[Attribute, ...]) -> bool:
-    """Whether a program with these attributes reads per-instance data of a mesh."""
+    """True if a program with these attributes reads per-instance data of a mesh."""
     fields = mesh.instance_fields
     return bool(fields) and any(attribute.name in fields for attribute in attributes)
 
@@ -670,7 +670,7 @@ def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> N
 
 
 def _has_finite_words(vertices: NDArray[Any]) -> bool:
-    """Whether all words of an array are finite as floats: ten times as fast as a test of each field.
+    """True if all words of an array are finite as floats: ten times as fast as a test of each field.
 
     A product with zeros reads them once, where minimum and maximum would read them twice. A negative result
     proves nothing, since bytes and integers may look like NaN.

@@ -112,7 +112,7 @@ class Program(DeviceObject, Generic[P]):
 
     @property
     def must_check_aliases(self) -> bool:
-        """Whether the program writes memory that it may use only once."""
+        """True if the program writes memory that it may use only once."""
         return self.descriptor.writes_memory and not self.core.capabilities.aliased_writes
 
     def _install_code(self, code: CodeType) -> None:
@@ -488,7 +488,7 @@ class Program(DeviceObject, Generic[P]):
 
 
 def _is_alias(written: Binding, value: Any, other: Binding, used: Any) -> bool:
-    """Whether two values of a program's bindings, of which the first is written, share memory."""
+    """True if two values of a program's bindings, of which the first is written, share memory."""
     if written.kind is BindingKind.IMAGE:
         if other.kind is not BindingKind.IMAGE or used.texture != value.texture or used.level != value.level:
             return False

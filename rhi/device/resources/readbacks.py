@@ -67,7 +67,7 @@ class Readback(DeviceObject):
 
     @property
     def done(self) -> bool:
-        """Whether `result` returns without waiting. Never blocks."""
+        """True if `result` returns without waiting. Never blocks."""
         if self._array is not None:
             return True
         self._core.check_ready()

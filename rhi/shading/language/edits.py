@@ -165,7 +165,7 @@ class Edit:
         return ""
 
     def _is_current(self, cls: type) -> bool:
-        """Whether a class isn't left over from a text that was refused, or that was copied into another."""
+        """True if a class isn't left over from a text that was refused, or that was copied into another."""
         is_nested = "." in cls.__qualname__
         is_elsewhere = cls.__module__ != self.module.__name__
         return is_nested or is_elsewhere or any(value is cls for value in vars(self.module).values())
@@ -218,7 +218,7 @@ class Edit:
             is_submodule = isinstance(old, ModuleType) and old.__name__ == f"{module.__name__}.{name}"
             stays = self._is_plain(old) or is_submodule or name in used_names or name.startswith("__")
             if name not in after and not stays:
-                self._set_name(name, None, gone=True)
+                self._set_name(name, None, is_removed=True)
         exchanged = exchange_source(self._file)
         self._undo.append(lambda: exchange_source(exchanged, str(self._file)))
         self._undo.append(forget_signatures)
@@ -238,17 +238,17 @@ class Edit:
                 self._put_shader(self._exchanges.get(id(new), new), new)
 
     def _is_plain(self, value: object) -> bool:
-        """Whether a value is a function or class of Python that the module defines: these stay."""
+        """True if a value is a function or class of Python that the module defines: these stay."""
         is_python = isinstance(value, FunctionType | type) and not _is_kind(value, (Shader, Struct))
         return is_python and is_own(value, self.module)
 
-    def _set_name(self, name: str, value: object, gone: bool = False) -> None:
+    def _set_name(self, name: str, value: object, is_removed: bool = False) -> None:
         names = vars(self.module)
         if name in names:
             self._undo.append(partial(names.__setitem__, name, names[name]))
-        elif not gone:
+        elif not is_removed:
             self._undo.append(lambda: names.pop(name, None))
-        if gone:
+        if is_removed:
             del names[name]
         else:
             names[name] = value

@@ -88,8 +88,8 @@ NONUNIFORM: Final = Rule(
 ENDLESS: Final = Rule(
     "shading-endless",
     "a loop doesn't end (found on the device)",
-    "use `for … in range(…)`: only llvmpipe stops such a loop early; "
-    "a `while` loop is stopped even without `checked`",
+    "bound it with `for … in range(…)`, or split the work over several dispatches; OpenCL ends a `while` loop "
+    "after 2²⁰ iterations, llvmpipe any loop after 65,535, and both go on with wrong values",
 )
 RACE: Final = Rule(
     "shading-race",

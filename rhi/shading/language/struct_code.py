@@ -143,7 +143,7 @@ def _is_simple(field: Field) -> bool:
 
 
 def _count(field: Field) -> int:
-    """Return how many numbers a field has; the bytes of a matrix are one."""
+    """Return the count of numbers in a field; the bytes of a matrix are one."""
     return field.type.size if isinstance(field.type, VectorType) else 1
 
 

@@ -17,7 +17,10 @@ from rhi.contract.layout import FLOAT, INT, UINT
 from rhi.shading.language.builtins import Builtin, BuiltinParameter, Overload, SideEffect, expand
 from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
 
-_D2, _ARRAY, _D3, _CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
+_D2 = TextureKind.D2
+_ARRAY = TextureKind.D2_ARRAY
+_D3 = TextureKind.D3
+_CUBE = TextureKind.CUBE
 _NOT_3D: Final = frozenset({_D2, _ARRAY, _CUBE})
 _NOT_CUBE: Final = frozenset({_D2, _ARRAY, _D3})
 _FLAT: Final = frozenset({_D2})

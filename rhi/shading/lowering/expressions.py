@@ -93,7 +93,9 @@ def lower_construct(lowering: Lowering, node: tree.Construct) -> list[Value]:
 
 def lower_select(lowering: Lowering, node: tree.Select) -> list[Value]:
     """Lower `then if condition else otherwise`."""
-    condition, then, otherwise = lowering.lower_scalar(node.condition), node.then, node.otherwise
+    condition = lowering.lower_scalar(node.condition)
+    then = node.then
+    otherwise = node.otherwise
     if is_simple(then) and is_simple(otherwise):
         condition = lowering.let(condition)
         pairs = zip(lowering.lower(then), lowering.lower(otherwise), strict=True)

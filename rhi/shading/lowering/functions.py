@@ -102,7 +102,10 @@ def inline(
             f"{function.name} has no Python body, only {', '.join(function.native)}",
             tip="write a Python body for the other languages",
         )
-    caller, outer, pending, span = lowering.frame, lowering.scope, lowering.jump_pending, lowering.span
+    caller = lowering.frame
+    outer = lowering.scope
+    pending = lowering.jump_pending
+    span = lowering.span
     line = lowering.line
     early = tree.has_early_return(function.body) or (lowering.may_discard and not path)
     discards = lowering.discards
@@ -234,12 +237,12 @@ def lower_if(lowering: Lowering, node: tree.If) -> None:
 
 def lower_for(lowering: Lowering, node: tree.For) -> None:
     path = lowering.frame.path
-    start, stop, step = (
-        lowering.lower_scalar(node.start),
-        lowering.lower_scalar(node.stop),
-        lowering.lower_scalar(node.step),
-    )
-    start, stop, step = lowering.let(start), copy(lowering, stop), copy(lowering, step)
+    start = lowering.lower_scalar(node.start)
+    stop = lowering.lower_scalar(node.stop)
+    step = lowering.lower_scalar(node.step)
+    start = lowering.let(start)
+    stop = copy(lowering, stop)
+    step = copy(lowering, step)
     key = (path, id(node), "count")
     uniformity = max(start.uniformity, step.uniformity)
     stride = (
@@ -307,7 +310,9 @@ def lower_loop(
     advance: lanes.Block,
 ) -> None:
     """Lower a loop, with a mask if its condition or one of its breaks varies."""
-    key, outer, returns = (lowering.frame.path, id(node)), lowering.scope, lowering.returns
+    key = (lowering.frame.path, id(node))
+    outer = lowering.scope
+    returns = lowering.returns
     uniformity = lowering.assume_uniformity((key, "loop"))
     iteration_uniformity = lowering.assume_uniformity((key, "iteration"))
     mask, masked = outer.mask, not lowering.branches(uniformity)

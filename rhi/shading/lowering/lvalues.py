@@ -119,20 +119,20 @@ def member(at: Lvalue, name: str) -> Lvalue:
             return LvalueChoice(field.type, at.index, [member(part, name) for part in at.choices])
 
 
-def part(at: Lvalue, which: int) -> Lvalue:
+def part(at: Lvalue, position: int) -> Lvalue:
     """Return the lvalue of a vector's component, matrix's row or array's element with a constant index."""
     inner = element_type(at.type)
     match at:
         case LocalLvalue(type=ArrayType()):
-            return element(at, number(which))
+            return element(at, number(position))
         case LocalLvalue():
             size = len(leaf_kinds(inner))
-            return LocalLvalue(inner, at.homes[which * size : (which + 1) * size], at.index)
+            return LocalLvalue(inner, at.homes[position * size : (position + 1) * size], at.index)
         case MemoryLvalue():
-            offset = at.offset + which * _element_words(at.type, at.layout)
+            offset = at.offset + position * _element_words(at.type, at.layout)
             return replace(at, type=inner, offset=offset)
         case LvalueChoice():
-            return LvalueChoice(inner, at.index, [part(choice, which) for choice in at.choices])
+            return LvalueChoice(inner, at.index, [part(choice, position) for choice in at.choices])
 
 
 def element(at: Lvalue, index: Value) -> Lvalue:
@@ -144,7 +144,7 @@ def element(at: Lvalue, index: Value) -> Lvalue:
             return LocalLvalue(inner, at.homes, row)
         case LocalLvalue(type=type):
             size = getattr(type, "size", 0)
-            return LvalueChoice(inner, index, [part(at, which) for which in range(size)])
+            return LvalueChoice(inner, index, [part(at, position) for position in range(size)])
         case MemoryLvalue():
             words = _element_words(at.type, at.layout)
             if isinstance(at.index, Literal) and at.index.value == 0:
@@ -158,7 +158,7 @@ def element(at: Lvalue, index: Value) -> Lvalue:
 def select_by_index(index: Value, values: list[Value]) -> Value:
     """Return `values[index]`, or the nearest value, by a chain of selects."""
     result = values[0]
-    for which, value in enumerate(values[1:], 1):
-        is_chosen = apply("greater_equal", index, number(which))
+    for position, value in enumerate(values[1:], 1):
+        is_chosen = apply("greater_equal", index, number(position))
         result = apply("select", is_chosen, value, result)
     return result

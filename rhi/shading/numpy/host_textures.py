@@ -327,7 +327,9 @@ class HostTexture:
             return sample(*at, dtype(0.5) * np.log2(longer) + bias)
         regular = (longer > 2.0**-100) & (aa + bb < 2.0**100)
         scale = 1 / np.where(regular, longer, 1)
-        half, product, area = (aa - bb) / 2 * scale, ab * scale, np.cross(a, b) * scale[..., None]
+        half = (aa - bb) / 2 * scale
+        product = ab * scale
+        area = np.cross(a, b) * scale[..., None]
         spread = np.sqrt(half**2 + product**2)
         longest = (aa + bb) / 2 * scale + spread
         ratio = np.fmin(longest / np.sqrt(np.sum(area**2, axis=-1)), dtype(anisotropy))
@@ -385,12 +387,12 @@ class HostTexture:
         result: Array | None = None
         for number in range(last + 1):
             weight = np.where(first == number, 1 - part, np.where(first == number - 1, part, 0)).astype(dtype)
-            for which, lanes in ((sampler.minify, ~magnified), (sampler.magnify, magnified)):
+            for selected_filter, lanes in ((sampler.minify, ~magnified), (sampler.magnify, magnified)):
                 selected = (weight > 0) & lanes
                 if not selected.any():
                     continue
                 value = self._filter(
-                    dtype, number, which, selected, u[selected], v[selected], z[selected], compare
+                    dtype, number, selected_filter, selected, u[selected], v[selected], z[selected], compare
                 )
                 if result is None:
                     result = np.zeros((*lod.shape, value.shape[-1]), value.dtype)

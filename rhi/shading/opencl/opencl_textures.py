@@ -143,13 +143,13 @@ def _pair_text(lanes: list[str]) -> str:
         ]
         return "\n".join([head, *lines, "}"])
     loads, gathers = ["    global const uint *q = (global const uint *)p;"], []
-    for name, part, which in (("low", lanes[:half], "lo"), ("high", lanes[half:], "hi")):
+    for name, part, suffix in (("low", lanes[:half], "lo"), ("high", lanes[half:], "hi")):
         parts = ", ".join(f"*(global const rhi_wide *)(q + {lane})" for lane in part)
         loads.append(f"    ulong{half} {name} = (ulong{half})({parts});")
-        gathers.append(f"    ulong{half} {name} = RHI_GATHER64(p, i.{which});")
+        gathers.append(f"    ulong{half} {name} = RHI_GATHER64(p, i.{suffix});")
     lines = ["#ifdef RHI_GATHER64", *gathers, "#else", *loads, "#endif"]
-    for name, which in (("left", "even"), ("right", "odd")):
-        lines.append(f"    *{name} = (UINT)(as_UINT(low).{which}, as_UINT(high).{which});")
+    for name, suffix in (("left", "even"), ("right", "odd")):
+        lines.append(f"    *{name} = (UINT)(as_UINT(low).{suffix}, as_UINT(high).{suffix});")
     return "\n".join([head, *lines, "}"])
 
 
@@ -165,9 +165,9 @@ def _long_pair_text(lanes: list[str]) -> str:
     for name, part in (("low", lanes[:half]), ("high", lanes[half:])):
         parts = ", ".join(f"vload2(0, q + {lane})" for lane in part)
         lines.append(f"    ulong{len(lanes)} {name} = (ulong{len(lanes)})({parts});")
-    for name, which in (("left", "even"), ("right", "odd")):
+    for name, suffix in (("left", "even"), ("right", "odd")):
         for number, word in enumerate(("even", "odd")):
-            words = ", ".join(f"as_UINT({half_lanes}.{which}).{word}" for half_lanes in ("low", "high"))
+            words = ", ".join(f"as_UINT({half_lanes}.{suffix}).{word}" for half_lanes in ("low", "high"))
             lines.append(f"    {name}[{number}] = (UINT)({words});")
     return "\n".join([head, *lines, "}"])
 

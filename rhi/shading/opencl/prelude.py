@@ -220,7 +220,9 @@ def _check_text(width: int) -> str:
     if width == 1:
         kind, condition, first = "int", "wrong", "given"
     else:
-        kind, condition, first = f"int{width}", "rhi_any(wrong)", "rhi_uniform(given, wrong)"
+        kind = f"int{width}"
+        condition = "rhi_any(wrong)"
+        first = "rhi_uniform(given, wrong)"
     return f"""{_HEAD}void rhi_check({kind} wrong, {kind} given, int limit, global int *faults, int line) {{
     if ({condition} && atomic_cmpxchg((volatile global int *)faults, 0, line) == 0) {{
         faults[1] = {first};

@@ -73,11 +73,11 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
     for keyword in node.keywords:
         name = keyword.arg or ""
         if name not in names or name in nodes_by_name:
-            what = "twice" if name in nodes_by_name else "unknown"
+            problem = "twice" if name in nodes_by_name else "unknown"
             parser.refuse(
                 rules.WRONG_ARGUMENTS,
                 keyword,
-                f"{name}=…, {what}",
+                f"{name}=…, {problem}",
                 ", ".join(names),
                 suggest(name, names),
             )

@@ -261,13 +261,13 @@ def cast(
     return tree.Convert(type, span, value)
 
 
-def check_size(parser: FunctionParser, type: types.Type, at: ast.AST, what: str) -> None:
+def check_size(parser: FunctionParser, type: types.Type, at: ast.AST, description: str) -> None:
     """Refuse a local array, or a struct with one, that is too large for an invocation."""
     if isinstance(type, layout.ArrayType | layout.StructType) and types.has_array(type):
         scalars = types.count_scalars(type)
         if scalars > MAX_LOCAL:
             actual, tip = (
-                f"{what}, {scalars} numbers",
+                f"{description}, {scalars} numbers",
                 "use a buffer, StorageRW[…], or memory of the work-group, shared(…)",
             )
             parser.refuse(rules.TOO_LARGE, at, actual, f"up to {MAX_LOCAL} numbers for each invocation", tip)

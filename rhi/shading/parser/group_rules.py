@@ -33,7 +33,7 @@ _COMPARISONS: Final = frozenset(
 
 
 class LaneClass(enum.Enum):
-    """How a value differs among the lanes of a work-item.
+    """The variation of a value among the lanes of a work-item.
 
     A work-group shares GROUP values, and the lanes of a work-item share LANES values. RISING values differ:
     they grow with the lane, or follow no pattern. NOT_FALLING values are one or the other. UNKNOWN values may
@@ -177,7 +177,7 @@ class _Screening:
     # -- values
 
     def lane_class(self, node: Expression) -> LaneClass:
-        """Return how a scalar, or each component of a vector, differs among lanes."""
+        """Return the variation among lanes of a scalar, or of each component of a vector."""
         match node:
             case tree.Constant():
                 return LaneClass.GROUP
@@ -207,7 +207,7 @@ class _Screening:
         return LaneClass.UNKNOWN
 
     def _axis_class(self, axis: int) -> LaneClass:
-        """Return how a component of an invocation's index differs: 16 lanes lie in one row if rows are that
+        """Return the variation of a component of an invocation's index: 16 lanes lie in one row if rows are that
         long."""
         size, row = self.work_group[axis], self.work_group[0]
         if axis and row % WIDTH == 0:

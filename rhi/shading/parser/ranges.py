@@ -272,12 +272,12 @@ class _Prover:
         node.inside = inside and (node.inside or node not in self.visited)
         self.visited.add(node)
 
-    def component(self, base: Expression, which: int) -> Range | None:
+    def component(self, base: Expression, index: int) -> Range | None:
         """Return the range of a component of an input of the stage."""
         if isinstance(base, tree.Read) and base.local in self.values:
             base = self.values[base.local]
         if isinstance(base, tree.BuiltinCall) and base.builtin.name == "local_id":
-            return 0, self.work_group[which] - 1
+            return 0, self.work_group[index] - 1
         return (
             (0, _MAX_INT)
             if isinstance(base, tree.BuiltinCall) and base.builtin.name in _INDEX_BUILTINS

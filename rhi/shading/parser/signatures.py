@@ -83,8 +83,8 @@ def signature_of(source: Source, is_method: bool) -> Signature:
 
 def _annotation(source: Source, name: str, at: ast.AST, node: ast.expr | None) -> Any:
     if node is None:
-        what = "a return annotation (`-> None` for none)" if name == "return" else f"a type for {name!r}"
-        source.refuse(rules.ANNOTATION, at, "none", what)
+        missing = "a return annotation (`-> None` for none)" if name == "return" else f"a type for {name!r}"
+        source.refuse(rules.ANNOTATION, at, "none", missing)
     return evaluate_annotation(source, node, source.function.__annotations__.get(name, MISSING))
 
 

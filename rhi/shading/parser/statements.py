@@ -175,7 +175,9 @@ def parse_if(parser: FunctionParser, node: ast.If) -> None:
 
     After `_LONGEST_CHAIN` branches the chain continues in a new statement, under the condition that no branch
     was taken."""
-    before, reachable, depth = set(parser.assigned), parser.reachable, len(parser.blocks)
+    before = set(parser.assigned)
+    reachable = parser.reachable
+    depth = len(parser.blocks)
     chain = [node]
     while len(chain[-1].orelse) == 1 and isinstance(chain[-1].orelse[0], ast.If):
         chain.append(chain[-1].orelse[0])

@@ -429,7 +429,7 @@ class TextWriter:
         """
         name = self.names.get(node.local, node.local.name)
         first, last, more = (
-            self.names.get((node, what), f"{name}_{what}") for what in ("first", "last", "more")
+            self.names.get((node, role), f"{name}_{role}") for role in ("first", "last", "more")
         )
         least = int_text(max(change, 0) - 2**31) if change else f"{int_text(-(2**31))} + {by}"
         most = int_text(min(change, 0) + 2**31 - 1) if change else f"{int_text(2**31 - 1)} + {by}"
@@ -447,7 +447,7 @@ class TextWriter:
             self.line(f"{self.variable(self.type(type), local, text)};", node.span)
         return first, more, f"{more} = {test}, {advance}"
 
-    def hoist_bound(self, node: tree.For, value: Expression, what: str) -> str:
+    def hoist_bound(self, node: tree.For, value: Expression, role: str) -> str:
         """Return a bound's value, stored in a variable before the loop unless nothing can change it."""
         fixed = isinstance(value, tree.Constant) or (
             isinstance(value, tree.Read) and value.local.writes == (0 if value.local.is_parameter else 1)
@@ -455,7 +455,7 @@ class TextWriter:
         text = self.expression(value)
         if fixed:
             return text
-        name = self.names.get((node, what), f"{node.local.name}_{what}")
+        name = self.names.get((node, role), f"{node.local.name}_{role}")
         self.line(f"{self.variable(self.type(INT), name, text)};", node.span)
         return name
 
@@ -558,7 +558,7 @@ def is_nonzero(node: Expression) -> bool:
 
 
 def count_returns(body: tree.Block) -> int:
-    """Return how many returns a body has outside loops."""
+    """Return the number of returns in a body outside loops."""
     count = 0
     for statement in body:
         if isinstance(statement, tree.Return):

@@ -147,9 +147,9 @@ class WgslWriter(TextWriter):
                 )
         return any(map(self.needs_statements, tree.parts_of(node)))
 
-    def hoist(self, node: Expression, text: str, what: str = "hoisted") -> str:
+    def hoist(self, node: Expression, text: str, role: str = "hoisted") -> str:
         """Evaluate an expression here, and return the name of its value."""
-        name = self.names.get((node, what), what)
+        name = self.names.get((node, role), role)
         self.line(f"let {name} = {text};", node.span)
         return name
 

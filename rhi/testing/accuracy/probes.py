@@ -192,7 +192,7 @@ class Probe:
         return result
 
     def is_defined(self, inputs: Array) -> Array:
-        """Whether the result is defined, for each row of words."""
+        """True if the result is defined, for each row of words."""
         if not self.error.defined:
             return np.ones(len(inputs), bool)
         with np.errstate(all="ignore"):
@@ -201,7 +201,7 @@ class Probe:
         return defined
 
     def is_in_domain(self, inputs: Array) -> Array:
-        """Whether all floats of a row lie within the domain of the stated error; a NaN does not."""
+        """True if all floats of a row lie within the domain of the stated error; a NaN does not."""
         inside = np.ones(len(inputs), bool)
         for number, values in enumerate(self.columns(inputs).values()):
             if values.dtype == np.float32:

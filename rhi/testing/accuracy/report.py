@@ -182,7 +182,9 @@ def _on_device(
 
 
 def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) -> tuple[Array, Array, float]:
-    inputs, levels, four = probe.sample(SAMPLES), probe.texture.levels, rhi.shading.vec4
+    inputs = probe.sample(SAMPLES)
+    levels = probe.texture.levels
+    four = rhi.shading.vec4
     height, width = levels[0].shape[1:3]
     with (
         device.texture((width, height), probe.format, levels=len(levels)) as image,

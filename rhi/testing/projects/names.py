@@ -58,7 +58,7 @@ not."""
 
 
 def describe_fault(name: str) -> str:
-    """Say why a project can't have a name; "" if it can."""
+    """Return the reason why a project can't have a name; "" if it can."""
     if not re.fullmatch(r"[a-z](?:[a-z0-9_]*[a-z0-9])?", name):
         return (
             "it isn't made of lower-case letters, digits and underscores, from a letter to a letter or digit"
@@ -90,7 +90,7 @@ def _list_distributions() -> set[str]:
 
 
 def _is_module(name: str) -> bool:
-    """Whether Python finds a module or a package of this name; a mere folder is none."""
+    """True if Python finds a module or a package of this name; a mere folder is none."""
     try:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):

@@ -130,7 +130,7 @@ def test_frames_of_a_path_are_summed_up(capsys: pytest.CaptureFixture[str]) -> N
     assert times["min"] <= times["median"] <= times["max"]
 
 
-def test_visibility_changes_what_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_option_visibility_changes_the_number_of_draws(capsys: pytest.CaptureFixture[str]) -> None:
     draws = [
         run_json(capsys, CITY, "--backend", "null", "--camera", "street", "--visibility", visibility)["draws"]
         for visibility in ("none", "frustum")
@@ -138,12 +138,12 @@ def test_visibility_changes_what_is_drawn(capsys: pytest.CaptureFixture[str]) ->
     assert draws[0] > draws[1]
 
 
-def test_the_memory_of_images_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_prints_the_memory_of_images(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_json(capsys, CITY, "--backend", "null")["image_bytes"] > 100_000
     assert run_json(capsys, "grid:count=4", "--backend", "null")["image_bytes"] == 0
 
 
-def test_without_json_the_same_is_said_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_json_the_same_values_are_printed_as_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", CITY, "--backend", "null"]) == 0
     names = [line.partition(":")[0].replace(" ", "_") for line in capsys.readouterr().out.splitlines()]
     printed_names = {"uploads_bytes": "bytes_uploaded", "image_bytes": "bytes_of_images"}
@@ -198,7 +198,7 @@ def write_dusty(path: Path) -> dict[str, object]:
     ],
     ids=lambda command: command.partition(" dusty")[0],
 )
-def test_what_a_file_has_and_the_scene_has_not_is_listed_once(
+def test_extensions_of_a_file_that_the_scene_leaves_out_are_listed_once(
     capsys: pytest.CaptureFixture[str], here: Path, command: str
 ) -> None:
     listed = write_dusty(here / "dusty.gltf")
@@ -214,7 +214,7 @@ def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture
         "accuracy dusty.gltf --backend gl --size 32x18 --quality-setting normal_bits --views 1 --rounds 1"
         " --plot errors.svg"
     )
-    test_what_a_file_has_and_the_scene_has_not_is_listed_once(capsys, here, command)
+    test_extensions_of_a_file_that_the_scene_leaves_out_are_listed_once(capsys, here, command)
     assert (here / "errors.svg").read_text().startswith("<?xml")
 
 
@@ -253,7 +253,7 @@ def test_a_scene_is_converted_and_looks_the_same(capsys: pytest.CaptureFixture[s
     assert {key for key in original if original[key] != converted[key]} <= {"scene", "milliseconds", "image"}
 
 
-def test_what_a_file_cannot_hold_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulations_that_a_gltf_file_cannot_store_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     main(["convert", "hall:columns=2,flags=2", "hall.gltf"])
     output = capsys.readouterr()
     assert output.err == "left out: simulations of nodes (simulated[0], 12 times)\n"
@@ -313,7 +313,7 @@ def test_demo_takes_the_backend_that_the_environment_names(
 
 
 @pytest.mark.usefixtures("gl")
-def test_demo_leaves_out_what_does_not_work_and_says_why(
+def test_demo_omits_devices_that_do_not_work_and_states_the_reason(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create = rhi.create_device
@@ -422,7 +422,9 @@ def test_only_the_viewer_falls_back(command: str, is_view: bool, monkeypatch: py
     assert install.called is is_view
 
 
-def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_states_the_reason_of_each_pass_and_of_omitted_passes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     report = run_json(capsys, "grid:mesh=box,count=9", "--size", "64x36", command="plan")
     assert [entry["name"] for entry in report["passes"]] == ["forward"]
     assert report["passes"][0]["reason"]

@@ -68,7 +68,7 @@ def test_a_process_that_is_ended_is_an_error_of_one_line() -> None:
         pool.submit(os._exit, 1).result()
 
 
-def test_an_executor_of_no_known_kind_is_refused() -> None:
+def test_an_executor_of_an_unknown_kind_is_refused() -> None:
     for text in ("process", "processes:0", "threads:x", "dask", "serial:2"):
         with pytest.raises(OutputError, match="is none of serial, processes"), make_executor(text):
             pass

@@ -96,7 +96,7 @@ def test_a_command_refuses_a_path_that_it_cannot_write_before_any_work(
     assert (tmp_path / "file").read_bytes() == b"kept"
 
 
-def test_every_path_is_one_that_is_read_or_one_that_is_checked() -> None:
+def test_every_path_option_is_an_input_or_a_checked_output() -> None:
     unchecked = {
         f"{' '.join(words)} {option.flag}"
         for words, command in list_commands()
@@ -106,7 +106,7 @@ def test_every_path_is_one_that_is_read_or_one_that_is_checked() -> None:
     assert unchecked == set()
 
 
-def test_what_can_be_written_is_taken(tmp_path: Path) -> None:
+def test_writable_output_paths_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     check_output_file(tmp_path / "file", "--output")
     check_output_file(tmp_path / "new/deep/file.png", "--output")
@@ -152,7 +152,7 @@ LINES = {
 )
 @pytest.mark.parametrize("line", LINES)
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
-def test_a_command_with_closed_streams_does_what_it_does_without_a_reader(
+def test_a_command_with_closed_streams_behaves_as_with_discarded_output(
     line: str, closed: str, tmp_path: Path
 ) -> None:
     environment = {**os.environ, "RHI_BACKEND": "null"}

@@ -83,7 +83,7 @@ REFUSED = {
     f"{DEBUG} --camera nowhere": "camera-unknown-name",
     f"{DEBUG} --frame 1800": "camera-frame-range",
     f"{DEBUG} --output culled.nothing": "has no known image extension",
-    **{f"view city {options}": "both, or neither" for options in ("--live swept", "--budget-ms 30")},
+    **{f"view city {options}": "need each other" for options in ("--live swept", "--budget-ms 30")},
     "view city --live swept --budget-ms 30": "swept/pareto_front.json",
     "compare backends city --passes dept": "'dept' is not a pass",
     "compare backends grid --backends gl --passes textured": "measure-no-images",

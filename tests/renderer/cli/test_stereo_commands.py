@@ -39,7 +39,9 @@ def test_two_eyes_draw_twice_as_much(capsys: pytest.CaptureFixture[str]) -> None
     assert (stereo["stereo"], stereo["eye_distance"]) == ("dubois", 0.0)
 
 
-def test_eyes_are_comfortable_where_nothing_else_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_stereo_defaults_to_a_comfortable_eye_distance_and_convergence(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     # The street enters the image 1.8 m below the eye and some 3 m ahead; its harmonic middle with infinity is
     # at 6 m.
     report = run(capsys, "render", CITY, "--stereo", "grey", *WALK)

@@ -82,7 +82,7 @@ def test_a_surface_repeats_without_a_seam(kind):
             assert seam <= inside.max() + 1.0
 
 
-def test_normals_of_a_surface_lean_away_from_what_is_higher():
+def test_normals_of_a_surface_lean_downhill():
     surface = paint_surface("studs", 96, 0)
     normals = surface.normal[..., :3] / 127.5 - 1.0
     assert np.linalg.norm(normals, axis=-1) == pytest.approx(1.0, abs=0.02)

@@ -81,7 +81,9 @@ def test_a_folder_that_was_moved_is_found_once_it_was_listed(
         assert any(line.endswith(f"1 users  {path}") for line in lines)
 
 
-def test_what_a_model_names_is_read_outside_only_if_that_may_be(folder: Path, tmp_path: Path) -> None:
+def test_a_file_outside_of_the_model_s_folder_is_read_only_with_the_limit_outside(
+    folder: Path, tmp_path: Path
+) -> None:
     before = describe(folder / "grid.gltf")
     (tmp_path / "away").mkdir()
     (folder / "grid.bin").rename(tmp_path / "away" / "grid.bin")

@@ -338,7 +338,7 @@ def test_images_of_all_kinds_become_four_channels(tmp_path):
         assert (image[..., 3] == 255).all()
 
 
-def test_what_materials_cannot_say_is_listed(tmp_path):
+def test_unsupported_material_extensions_are_listed(tmp_path):
     document = with_image(extensions={"KHR_materials_clearcoat": {}, "KHR_materials_sheen": {}})
     assert left_out(load(document, tmp_path)) == {"KHR_materials_clearcoat": 1, "KHR_materials_sheen": 1}
 

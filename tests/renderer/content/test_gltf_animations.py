@@ -88,7 +88,7 @@ def test_animations_of_different_nodes_are_played_together(tmp_path):
         ({"node": 0, "path": "x"}, "animations of 'x'"),
     ],
 )
-def test_channels_of_what_no_scene_has_are_listed(tmp_path, target, what):
+def test_animation_channels_with_unsupported_targets_are_listed(tmp_path, target, what):
     document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
     document.animate(0, "translation", [0, 1], [[0, 0, 0], [2, 0, 0]], animation=0)
     document.values["animations"][0]["channels"][1]["target"] = target

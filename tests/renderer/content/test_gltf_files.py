@@ -36,7 +36,7 @@ def test_a_large_scene_is_read_and_read_back_the_same(tmp_path):
     assert (again.objects.mesh == engine.objects.mesh).all()
 
 
-def test_what_cannot_be_said_is_listed():
+def test_unsupported_material_extensions_of_a_downloaded_model_are_listed():
     coated = load("ClearCoat-glTF/ClearCoatTest.gltf")
     assert [(omission.what, omission.count) for omission in coated.omissions] == [
         ("KHR_materials_clearcoat", 6)

@@ -124,7 +124,7 @@ def test_the_documents_are_read_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_null_is_never_missing_and_what_is_missing_is(tmp_path: Path, name: str) -> None:
+def test_messages_name_null_as_null_and_an_absent_value_as_missing(tmp_path: Path, name: str) -> None:
     count = 0
     for path in [path for document, path in NUMBERS if document == name]:
         text, allowed = explain(write_changed(tmp_path, DOCUMENTS[name], path, None))
@@ -141,7 +141,7 @@ def test_null_is_never_missing_and_what_is_missing_is(tmp_path: Path, name: str)
 
 @pytest.mark.parametrize("value", [1e38, -1e38, 2**70, "x", True, []])
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_bounds_are_said_in_full(tmp_path: Path, name: str, value: Any) -> None:
+def test_messages_state_both_bounds_of_a_number(tmp_path: Path, name: str, value: Any) -> None:
     """Both ends of a range, all values of a list, or that there is none."""
     count = 0
     for path in [path for document, path in NUMBERS if document == name]:
@@ -175,7 +175,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_a_bad_camera_is_left_out_and_told_and_the_rest_is_read(tmp_path: Path, name: str) -> None:
+def test_a_bad_camera_is_listed_as_omitted_and_the_rest_is_read(tmp_path: Path, name: str) -> None:
     good = {"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}
     nodes: list[dict[str, Any]] = [{"mesh": 0}, {"camera": 0}, {"camera": 1, "name": "good"}]
     document = GltfDocument(nodes=nodes, cameras=[CAMERAS[name], good])
@@ -208,7 +208,7 @@ OBJECTS = [(name, path) for name, document in DOCUMENTS.items() for path in list
 
 
 @pytest.mark.parametrize("extension", ["EXT_unheard_of", "KHR_materials_variants", "KHR_texture_basisu"])
-def test_an_extension_is_told_wherever_it_is_used(tmp_path: Path, extension: str) -> None:
+def test_an_unknown_extension_is_listed_wherever_it_is_used(tmp_path: Path, extension: str) -> None:
     for name, path in OBJECTS:
         if {"attributes", "targets"} & set(path):  # whose fields are accessors
             continue
@@ -226,7 +226,7 @@ def test_an_extension_is_told_wherever_it_is_used(tmp_path: Path, extension: str
     assert len(OBJECTS) > 60
 
 
-def test_an_extension_of_the_file_is_told_where_its_parts_are_used(tmp_path: Path) -> None:
+def test_an_extension_of_the_whole_file_is_listed_where_its_parts_are_used(tmp_path: Path) -> None:
     document = GltfDocument(nodes=[{"mesh": 0}], extensionsUsed=["KHR_materials_variants"])
     document.values["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "red"}]}}
     document.mesh()
@@ -238,7 +238,7 @@ def test_an_extension_of_the_file_is_told_where_its_parts_are_used(tmp_path: Pat
     assert str(omission) == "KHR_materials_variants (meshes[0].primitives[0])"
 
 
-def test_an_extension_that_is_read_elsewhere_is_told_where_it_isnt(tmp_path: Path) -> None:
+def test_a_supported_extension_is_listed_at_objects_where_it_is_not_read(tmp_path: Path) -> None:
     document = GltfDocument(nodes=[{"mesh": 0}], extensionsUsed=["KHR_materials_unlit"])
     document.mesh()
     document.values["meshes"][0]["extensions"] = {"KHR_materials_unlit": {}}
@@ -246,7 +246,7 @@ def test_an_extension_that_is_read_elsewhere_is_told_where_it_isnt(tmp_path: Pat
     assert str(omission) == "KHR_materials_unlit (meshes[0])"
 
 
-def test_offsets_that_are_not_read_are_told(tmp_path: Path) -> None:
+def test_unsupported_morph_attributes_are_listed(tmp_path: Path) -> None:
     document = make_morphing()
     (first, _) = document.values["meshes"][0]["primitives"][0]["targets"]
     first["TEXCOORD_0"] = first["_OWN"] = document.accessor(np.zeros((3, 2), np.float32))

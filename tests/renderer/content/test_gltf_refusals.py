@@ -188,7 +188,7 @@ def test_an_index_beyond_the_vertices_is_refused_and_the_last_one_is_not(tmp_pat
 def test_nodes_that_contain_each_other_are_refused(tmp_path):
     document = GltfDocument(nodes=[{"mesh": 0, "children": [1]}, {"children": [0]}])
     document.mesh()
-    assert refusal(document, tmp_path)[1] == "nodes: each is a child of another"
+    assert refusal(document, tmp_path)[1] == "nodes: each node is the child of another, in a cycle"
     document.values["scenes"] = [{"nodes": [0]}]
     assert refusal(document, tmp_path)[1] == "scenes[0].nodes[0]: 0 is a child of nodes[1]"
 
@@ -225,8 +225,8 @@ def test_vertices_that_are_there_only_compressed_are_refused_and_others_are_read
     document.values["accessors"][0].pop("bufferView")
     path = "meshes[0].primitives[0].extensions.KHR_draco_mesh_compression"
     assert refusal(document, tmp_path)[1:] == (
-        f"{path}: the vertices are there only compressed",
-        "also as accessors",
+        f"{path}: only compressed vertices",
+        "accessors with the same vertices, uncompressed",
     )
 
 
@@ -239,10 +239,10 @@ def test_vertices_that_are_there_only_compressed_are_refused_and_others_are_read
             "the buffer's",
         ),
         ({}, "uri: missing", "the buffer's file, or data:"),
-        ({"uri": "data:;base64,AAAAAAAA"}, "byteLength: 36", "6, the bytes that are there, or less"),
+        ({"uri": "data:;base64,AAAAAAAA"}, "byteLength: 36", "at most 6, the length of the data"),
     ],
 )
-def test_a_buffer_that_lacks_bytes_is_refused_with_what_there_is(tmp_path, buffer, problem, allowed):
+def test_a_buffer_without_bytes_is_refused_with_its_source(tmp_path, buffer, problem, allowed):
     values = with_triangle(nodes=[{"mesh": 0}]).values | {"buffers": [{"byteLength": 36, **buffer}]}
     (tmp_path / "bad.gltf").write_text(json.dumps(values))
     with pytest.raises(ValidationError) as error:
@@ -253,7 +253,7 @@ def test_a_buffer_that_lacks_bytes_is_refused_with_what_there_is(tmp_path, buffe
 
 
 @pytest.mark.parametrize("content", [b"<html>", b"version https://git-lfs", '{"asset": 1}'.encode("utf-16")])
-def test_what_is_no_gltf_at_all_is_refused_with_what_it_begins_with(tmp_path, content):
+def test_a_file_that_is_not_gltf_is_refused_with_its_first_bytes(tmp_path, content):
     (tmp_path / "bad.glb").write_bytes(content)
     with pytest.raises(ValidationError) as error:
         load_model(tmp_path / "bad.glb")

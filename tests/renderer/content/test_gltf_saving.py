@@ -100,7 +100,7 @@ def test_a_generated_scene_is_read_back_the_same(tmp_path, text, name):
     assert left_out == loaded.omissions == ()
 
 
-def test_saving_what_was_loaded_changes_no_byte(tmp_path):
+def test_saving_a_loaded_scene_changes_no_byte(tmp_path):
     save_scene(load_scene("night:blocks=2,lights=16"), tmp_path / "one.glb")
     save_scene(load_model(str(tmp_path / "one.glb")), tmp_path / "two.glb")
     name = json.dumps(str(tmp_path / "one.glb")).encode()
@@ -109,7 +109,7 @@ def test_saving_what_was_loaded_changes_no_byte(tmp_path):
     assert name in second  # scenes are named after what they were made from
 
 
-def test_what_is_below_a_hidden_node_is_shown_with_it_after_loading(tmp_path):
+def test_showing_a_loaded_hidden_node_shows_its_children(tmp_path):
     builder, mesh = SceneBuilder("hidden"), make_geometry(TRIANGLE, [0, 1, 2])
     below = builder.add_node(parent=builder.add_node())
     builder.add_objects(below, builder.add_mesh(mesh), builder.add_material())
@@ -185,7 +185,7 @@ def make_rich_scene():
     return builder.build()
 
 
-def test_everything_that_can_be_said_is_read_back_the_same(tmp_path):
+def test_a_scene_with_every_supported_feature_is_read_back_the_same(tmp_path):
     scene = make_rich_scene()
     loaded, left_out = save_and_load(scene, tmp_path)
     assert list_differences(scene, loaded) == []

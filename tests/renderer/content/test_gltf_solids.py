@@ -57,7 +57,7 @@ def draw(device, scene, technique=None, visibility="auto", camera=None):
 
 
 def line_distances(mode):
-    """Return how many pixels lie between each pixel's centre and the nearest projected point or segment, (h,
+    """Return the number of pixels between each pixel's centre and the nearest projected point or segment, (h,
     w)."""
     scale = SIZE[1] / 2 / np.tan(FOV / 2)
     at = POSITIONS.astype(np.float64)
@@ -161,7 +161,7 @@ def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
 # -- materials and normals -----------------------------------------------------------------------------------
 
 
-def test_lines_with_normals_are_lit_by_these_and_others_are_not(tmp_path):
+def test_lines_with_normals_are_lit_and_lines_without_are_not(tmp_path):
     document = make_file(3)
     normals = np.tile(np.float32([[0, 0.6, 0.8]]), (len(POSITIONS), 1))
     document.mesh(POSITIONS, mode=3, material=0, NORMAL=normals)
@@ -264,7 +264,7 @@ def test_a_segment_without_a_length_is_drawn_as_a_point(tmp_path):
     assert lower + upper == pytest.approx([2, 4, 6])
 
 
-def test_a_vertex_of_a_line_that_is_no_number_is_refused_and_a_finite_one_is_not(tmp_path):
+def test_a_line_vertex_that_is_not_finite_is_refused(tmp_path):
     for value in (5.0, np.nan, np.inf):
         document = GltfDocument(nodes=[{"mesh": 0}])
         document.mesh(np.float32([[0, 0, 0], [0, 1, 0], [0, value, 1]]), mode=3)
@@ -286,7 +286,7 @@ def test_a_line_of_one_vertex_is_listed(tmp_path):
     assert scene.triangle_count == 1
 
 
-def test_what_solids_consist_of_counts_before_memory_is_taken(tmp_path):
+def test_the_vertices_of_solids_count_against_the_limit_before_they_are_allocated(tmp_path):
     path = make_file(0).write(tmp_path / "a.glb")
     most = 5 + 5 + 5 * (6 + 24)
     assert load_model(path, ModelLimits(vertices=most)).triangle_count == 40

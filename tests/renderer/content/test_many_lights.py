@@ -59,7 +59,7 @@ def test_there_are_as_many_lights_as_asked(spec: str, count: int) -> None:
         assert len(light_positions(load_scene(spec.format(count)))) == count
 
 
-def test_a_hall_and_a_grid_without_lights_of_their_own_are_what_they_were() -> None:
+def test_a_hall_and_a_grid_with_the_option_lights_at_0_are_the_plain_scenes() -> None:
     for spec in ("hall:columns=8", "grid:count=9"):
         plain, zero = load_scene(spec), load_scene(f"{spec},lights=0")
         assert plain.name == zero.name

@@ -91,7 +91,7 @@ def test_listed_formats_are_read_wherever_a_model_names_them(tmp_path, name, whe
 
 
 @pytest.mark.parametrize("where", [name for name in MAKERS if name != "material file"])
-def test_a_damaged_image_is_left_out_and_told(tmp_path, where):
+def test_a_damaged_image_is_listed_as_omitted(tmp_path, where):
     outcomes = set()
     for seed in range(20):
         pick, data = random.Random(seed), bytearray(save("PNG" if seed % 2 else "JPEG", TEXELS))

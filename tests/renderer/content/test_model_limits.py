@@ -128,7 +128,7 @@ def test_the_pixels_of_an_image_are_counted_before_it_is_decoded(tmp_path: Path)
 
 
 @pytest.mark.parametrize("suffix", [".gltf", ".glb", ".obj", ".ply", ".stl"])
-def test_what_is_no_regular_file_is_not_waited_for(tmp_path: Path, suffix: str) -> None:
+def test_a_pipe_or_folder_is_refused_instead_of_waited_for(tmp_path: Path, suffix: str) -> None:
     pipe, folder = tmp_path / f"pipe{suffix}", tmp_path / f"folder{suffix}"
     os.mkfifo(pipe)
     folder.mkdir()

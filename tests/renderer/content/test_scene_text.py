@@ -56,7 +56,7 @@ def test_fog_and_bloom_are_as_the_text_says_and_their_scene_says_so(name):
         ("grid:mesh=cube", "scene-missing-file", "cube"),
     ],
 )
-def test_bad_text_is_refused_with_what_is_allowed(text, rule, message):
+def test_bad_scene_text_is_refused_with_the_allowed_values(text, rule, message):
     error = refusal(text)
     assert error.rule.id == rule
     assert message in str(error)

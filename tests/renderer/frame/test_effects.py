@@ -78,7 +78,7 @@ def test_the_key_is_the_same_while_the_effects_are() -> None:
     assert collect_frame_effects(build(), EYE).key != here.key
 
 
-def test_the_same_needs_are_returned_until_the_scene_or_what_is_in_view_changes() -> None:
+def test_frame_effects_are_reused_until_the_scene_or_the_lights_in_view_change() -> None:
     scene = build(CHANGES[Effect.POINT_LIGHTS])
     effects = collect_frame_effects(scene, EYE)
     assert collect_frame_effects(scene, EYE, last=effects) is effects
@@ -125,9 +125,7 @@ def test_no_light_that_reaches_a_point_in_view_is_left_out(
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(-1e-9, [0]), (1e-9, [])])
-def test_a_light_that_ends_at_a_plane_is_in_view_and_one_that_ends_before_is_not(
-    distance: float, expected: list[int]
-) -> None:
+def test_a_light_is_in_view_if_its_range_reaches_the_plane(distance: float, expected: list[int]) -> None:
     planes = Frustum(np.array([[1.0, 0.0, 0.0, 0.0]])).planes
     assert (
         select_lights_in_view(planes, np.array([[-3.0 - distance, 0, 0]]), np.array([3.0])).tolist()

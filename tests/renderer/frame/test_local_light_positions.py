@@ -109,7 +109,7 @@ def test_one_eye_sees_local_lights_where_the_same_eye_of_two_does(drawing_device
     both.destroy()
 
 
-def test_a_device_without_kernels_is_given_relative_positions() -> None:
+def test_a_device_without_compute_gets_relative_positions() -> None:
     plain = replace(NullBackend().capabilities, compute=False)
     with rhi.create_device("null", profile=plain) as device:
         local_lights, lights = LocalLightBuffers(device), make_lights()
@@ -147,7 +147,7 @@ def test_lights_are_uploaded_when_they_change_and_placed_when_eyes_move(null: rh
     local_lights.destroy()
 
 
-def test_an_eye_that_was_closed_sees_what_has_changed(gl: rhi.Device) -> None:
+def test_an_eye_that_was_closed_sees_changed_lights(gl: rhi.Device) -> None:
     local_lights, lights = PlacedLocalLights(gl), make_lights(count=3)
     eyes = [np.zeros(3), np.ones(3)]
     local_lights.position(lights, eyes)

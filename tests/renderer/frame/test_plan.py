@@ -71,7 +71,7 @@ def test_contents_are_read_before_they_are_drawn_over() -> None:
     assert names(make_plan([over, final, bloom, first])) == ["first", "bloom", "over", "final"]
 
 
-def test_what_nobody_reads_is_dropped_with_all_that_only_it_reads() -> None:
+def test_a_pass_whose_target_nobody_reads_is_dropped_with_the_passes_that_only_it_reads() -> None:
     blurred = step("blur", "normals", [Target("blurred", Format.R8)])
     edges = step("edges", "blurred", [Target("edges", Format.R8)])
     plan = make_plan([GEOMETRY, LIGHTS, blurred, edges, RESOLVE])
@@ -94,7 +94,7 @@ def test_a_pass_with_side_effects_runs_and_keeps_its_inputs() -> None:
     ]
 
 
-def test_an_output_is_what_the_last_pass_leaves_that_draws_over_it() -> None:
+def test_an_output_is_the_texture_of_the_last_pass_that_changes_it() -> None:
     haze, smooth = step("haze", changes={"image": "hazy"}), step("smooth", changes={"hazy": "smooth"})
     plan = make_plan([smooth, GEOMETRY, LIGHTS, RESOLVE, haze])
     assert names(plan) == ["geometry", "lights", "resolve", "haze", "smooth"]
@@ -102,7 +102,7 @@ def test_an_output_is_what_the_last_pass_leaves_that_draws_over_it() -> None:
     assert texture.names == ("image", "hazy", "smooth")
 
 
-def test_what_is_read_in_the_next_frame_is_needed() -> None:
+def test_a_target_that_the_next_frame_reads_is_drawn() -> None:
     history = step("remember", "lit", [Target("history", Format.RGBA16F)])
     without = make_plan([GEOMETRY, LIGHTS, history, RESOLVE])
     resolve = step("resolve", "lit", [IMAGE], reads_previous="history")
@@ -159,7 +159,7 @@ def test_contents_are_drawn_over_once() -> None:
 
 
 @pytest.mark.parametrize("outputs", [("image",), ("image", "depth")])
-def test_what_is_needed_is_written(outputs: tuple[str, ...]) -> None:
+def test_a_resource_that_is_read_but_never_written_is_refused(outputs: tuple[str, ...]) -> None:
     with pytest.raises(rhi.ValidationError, match="plan-unwritten") as error:
         make_plan([step("final", "shadows", [IMAGE, DEPTH])], outputs)
     assert "'shadows', read by the pass 'final'" in str(error.value.given)

@@ -55,7 +55,7 @@ def test_another_number_of_rows_is_another_buffer(null: rhi.Device) -> None:
 
 
 @given(st.lists(st.lists(st.integers(0, 3), max_size=6), min_size=1, max_size=6))
-def test_the_buffer_holds_what_was_written_last(history: list[list[int]]) -> None:
+def test_the_buffer_has_the_latest_written_values(history: list[list[int]]) -> None:
     with rhi.create_device("null") as device:
         array = MirroredArray(device, vec4, "rows")
         for values in history:

@@ -40,7 +40,7 @@ def test_the_same_plan_creates_nothing(null: rhi.Device) -> None:
     assert created(null) == 3
 
 
-def test_another_plan_keeps_what_it_can_use_and_destroys_the_rest(null: rhi.Device) -> None:
+def test_another_plan_reuses_matching_textures_and_destroys_the_rest(null: rhi.Device) -> None:
     targets = Targets(null, (64, 36))
     targets.provide((IMAGE, DEPTH, HALF))
     image, light = targets.image, targets["light"]
@@ -51,7 +51,7 @@ def test_another_plan_keeps_what_it_can_use_and_destroys_the_rest(null: rhi.Devi
     assert created(null) == 3
 
 
-def test_what_is_kept_has_two_textures_in_turn(null: rhi.Device) -> None:
+def test_a_target_with_history_alternates_between_two_textures(null: rhi.Device) -> None:
     targets = Targets(null, (64, 36))
     seen = []
     for _ in range(4):

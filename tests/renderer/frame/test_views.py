@@ -193,7 +193,7 @@ def test_a_view_uploads_its_constants_when_its_camera_moves(null: rhi.Device, ci
     view.destroy()
 
 
-def test_resources_keep_what_a_technique_keeps_between_frames(null: rhi.Device, city: Scene) -> None:
+def test_scene_resources_keep_a_technique_s_workspace_between_frames(null: rhi.Device, city: Scene) -> None:
     resources = SceneResources(null, city)
 
     class Kept:

@@ -34,7 +34,7 @@ def test_each_frame_has_the_times_of_its_own_passes(null: rhi.Device) -> None:
     assert not null.timing  # as it was
 
 
-def test_a_row_is_a_frame_and_what_it_lacks_is_empty(tmp_path: Path) -> None:
+def test_a_row_is_a_frame_and_times_that_it_lacks_are_empty(tmp_path: Path) -> None:
     frames = [
         CapturedFrame(3, 2.5, {"base": PassTime(1.25, 0.5)}),
         CapturedFrame(4, 3.0, {"base": PassTime(None, 0.25), "resolve": PassTime(0.125, 1.0)}),

@@ -50,7 +50,7 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return pass_by
 
 
-def test_what_is_done_before_a_run_and_between_rounds_is_not_timed(ticks: Callable[[float], None]) -> None:
+def test_work_before_a_run_and_between_rounds_is_not_timed(ticks: Callable[[float], None]) -> None:
     def rounds() -> Iterator[int]:
         for number in range(3):
             ticks(100.0)

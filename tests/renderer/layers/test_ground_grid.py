@@ -14,7 +14,9 @@ SIZE = (180, 120)
 
 
 @pytest.mark.parametrize("x", [0.0, 3.25, 1e6 - 0.5, -7.0])
-def test_lines_are_a_metre_apart_and_what_is_nearer_hides_them(drawing_device: rhi.Device, x: float) -> None:
+def test_grid_lines_are_a_metre_apart_and_hidden_by_nearer_objects(
+    drawing_device: rhi.Device, x: float
+) -> None:
     scene = make_boxes(translation((x, 0.5, 3.0)), name="box").build()
     camera = Camera.look_at((x, 10.0, 0.0), (x, 0.0, 0.0), up=(0, 0, -1)).with_aspect(1.5)
     with open_renderer(drawing_device, scene, size=SIZE) as renderer:

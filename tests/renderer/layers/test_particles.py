@@ -112,7 +112,7 @@ def test_a_scene_without_simulations_has_no_particles(null: Device) -> None:
     particles.destroy()
 
 
-def test_particles_show_in_front_of_what_is_behind_them_and_only_there() -> None:
+def test_particles_show_in_front_of_farther_surfaces_only() -> None:
     hall = load_scene("hall:columns=6,rows=2,flags=0,fountains=4")
     differences = []
     for name in ("gl", "cl"):

@@ -139,7 +139,7 @@ def list_mentions(name: str) -> set[str]:
     return paths
 
 
-def test_a_kind_of_lights_is_named_by_its_leaf_the_table_and_what_makes_scenes() -> None:
+def test_only_its_leaf_the_table_and_scene_builders_name_a_kind_of_lights() -> None:
     """Code that adds lights of the kind to a scene (content, the lab's scenes) names it, and none that draws
     them."""
     drawing = {path for path in list_mentions("spot") if not path.startswith(("content/", "lab/"))}

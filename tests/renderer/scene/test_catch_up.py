@@ -101,7 +101,7 @@ def frame(simulator: Simulator, seconds: float, rows: object) -> None:
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=12), st.integers(0, 300))
-def test_steps_are_spread_one_by_one_to_whoever_has_the_fewest(missed: list[int], budget: int) -> None:
+def test_each_step_of_the_budget_goes_to_the_member_with_the_fewest(missed: list[int], budget: int) -> None:
     share = distribute_steps(np.array(missed), budget)
     dealt = np.zeros(len(missed), int)
     for _ in range(min(budget, sum(missed))):
@@ -200,7 +200,7 @@ def test_a_leap_alone_comes_near_its_error() -> None:
     assert 0.5 * Sliders.ERROR < max(errors) <= Sliders.ERROR
 
 
-def test_what_a_leap_need_not_take_is_not_leapt() -> None:
+def test_an_absence_within_the_budget_is_stepped_instead_of_leapt() -> None:
     simulator, sliders, _ = start(Sliders(Leap(BUDGET, Sliders.ERROR), 1))
     frame(simulator, 1.0, [0])
     assert sliders.position[0] == run_always(60)
@@ -245,7 +245,7 @@ def test_a_policy_without_a_bound_is_refused(make: Callable[[], object]) -> None
         make()
 
 
-def test_what_is_remembered_returns_exactly_if_a_frame_has_the_steps_for_it() -> None:
+def test_a_member_with_memory_returns_exactly_if_the_budget_covers_its_steps() -> None:
     for count, budget in ((2, 10), (3, 14)):
         policy = Stepwise(budget, memory=5)
         assert policy.returns_exactly(count) == (count == 2)

@@ -53,7 +53,7 @@ def test_a_clip_that_does_not_loop_stays_at_its_end(clip):
     assert [clip.time_at(now) for now in (0.0, 1.0, 2.0, 3.0, 9.0)] == [0.0, 0.0, 1.0, 2.0, 2.0]
 
 
-def test_a_clip_runs_at_its_speed_backwards_too_or_is_held(clip):
+def test_a_clip_runs_at_its_speed_forwards_backwards_or_stands_still(clip):
     clip.play(0.0, speed=3.0)
     assert clip.time_at(0.5) == 1.5
     clip.play(0.0, at=2.0, speed=-1.0, loops=False)
@@ -117,13 +117,13 @@ def test_clips_have_the_names_of_their_file_and_know_their_nodes(tmp_path):
     }
 
 
-def test_what_an_earlier_clip_moves_waits_as_a_whole(tmp_path):
+def test_a_clip_that_shares_a_node_with_an_earlier_clip_waits_as_a_whole(tmp_path):
     scene = load(tmp_path, [moves(0, 2)], [moves(0, 8), moves(1, 4)], [moves(1, 6)])
     assert [clip.weight_at(0.0) for clip in scene.clips.values()] == [1.0, 0.0, 1.0]
     assert [x_at(scene, 0.5, name) for name in ("body", "hat")] == [1.0, 3.0]
 
 
-def test_playing_alone_stops_only_what_moves_the_same(tmp_path):
+def test_playing_alone_stops_only_clips_that_move_the_same_nodes(tmp_path):
     scene = load(tmp_path, [moves(0, 2)], [moves(0, 8)], [moves(1, 6)])
     scene.clips["animation 1"].play(0.0, alone=True)
     assert [clip.weight_at(0.0) for clip in scene.clips.values()] == [0.0, 1.0, 1.0]

@@ -66,7 +66,7 @@ CHANGES = st.tuples(
 
 
 @given(st.lists(st.lists(CHANGES, max_size=5), max_size=4))
-def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(
+def test_feature_counts_after_changes_equal_counts_from_scratch(
     steps: list[list[tuple[int, Any]]],
 ) -> None:
     materials = np.array([make_material()] * COUNT)

@@ -47,7 +47,7 @@ def silent_warnings() -> Any:
 
 @pytest.mark.parametrize("kind", HOSTILE)
 @pytest.mark.parametrize("name", CALLS)
-def test_a_scene_refuses_by_a_rule_what_are_no_numbers(name: str, kind: str) -> None:
+def test_a_scene_refuses_values_that_are_not_numbers(name: str, kind: str) -> None:
     good, call = CALLS[name]
     with pytest.raises(RhiError):
         call(HOSTILE[kind](good))

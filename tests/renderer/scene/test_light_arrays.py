@@ -92,7 +92,7 @@ def test_lights_are_white_and_of_intensity_1_by_default() -> None:
 
 
 @pytest.mark.parametrize("kind", ["directional", "point", "spot"])
-def test_the_snapshot_of_lights_is_another_object_where_one_was_written_to(kind: str) -> None:
+def test_a_written_light_array_gives_a_new_snapshot(kind: str) -> None:
     lights = Lights()
     lights.add_directional((0, -1, 0))
     lights.add_point((0, 1, 0), 5.0)

@@ -76,7 +76,7 @@ def test_an_instance_has_its_parents_values_where_it_sets_none() -> None:
     assert scene.get_material_values(child) == {"width": 2.0, "shininess": 64.0}
 
 
-def test_what_a_parent_is_set_to_reaches_the_instances_that_set_nothing() -> None:
+def test_a_changed_parent_material_changes_the_instances_that_inherit_the_parameter() -> None:
     builder = start()
     parent = builder.add_material(shader=Stripes, width=0.5)
     child, own = builder.add_material(parent=parent), builder.add_material(parent=parent, width=3.0)
@@ -170,7 +170,7 @@ def test_a_wrong_name_suggests_the_right_one() -> None:
         start().add_material(shader=Stripes, widht=1.0)
 
 
-def test_a_parent_can_t_be_set_to_what_an_instance_can_t_have() -> None:
+def test_a_parent_refuses_parameters_that_conflict_with_those_of_an_instance() -> None:
     """Parameters of both models can't be mixed."""
     builder = start()
     parent = builder.add_material()
@@ -203,7 +203,7 @@ class Hiding(MaterialShader):
 
 
 @pytest.mark.parametrize("shader", [Alien, Misnamed, Hiding, "Stripes", MaterialShader.describe])
-def test_what_isn_t_a_shader_of_materials_is_refused(shader: Any) -> None:
+def test_a_class_that_is_not_a_material_shader_is_refused(shader: Any) -> None:
     assert refused_rule(lambda: start().add_material(shader=shader)) == "scene-bad-material"
     start().add_material(shader=Plain)
 

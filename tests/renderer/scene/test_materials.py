@@ -50,7 +50,7 @@ def build(geometry: Any = None, images: int = 2, **material: Any) -> Scene:
         ({"metallic_roughness_texture": 1}, ShadingModel.METALLIC_ROUGHNESS),
     ],
 )
-def test_a_material_is_of_the_model_whose_parameters_are_given(
+def test_the_parameters_of_a_material_select_its_shading_model(
     parameters: dict[str, Any], model: ShadingModel
 ) -> None:
     assert make_material(**parameters)["model"] == model
@@ -144,7 +144,7 @@ def test_texture_coordinates_are_scaled_then_rotated_then_moved() -> None:
     assert texture.transform @ (0.0, 1.0, 1.0) == pytest.approx([0.25 + 4.0, 0.5])
 
 
-def test_vertices_have_only_what_the_scene_reads() -> None:
+def test_vertices_have_only_the_attributes_that_the_scene_reads() -> None:
     more = {"uv2": np.ones((4, 2)), "tangent": np.tile([1.0, 0, 0, 1], (4, 1)), "color": np.ones((4, 4))}
     geometry = make_geometry(**SQUARE, **more)
     assert geometry.vertices.dtype == vertex_format(more)
@@ -174,7 +174,7 @@ def test_a_normal_texture_makes_tangents_along_its_texture_coordinates() -> None
     assert along_uv2.tolist() == [[0.0, 1.0, 0.0, 1.0]] * 4
 
 
-def test_given_tangents_are_kept() -> None:
+def test_explicit_tangents_are_unchanged() -> None:
     tangents = np.tile([0.6, 0.8, 0.0, -1.0], (4, 1))
     built = build(make_geometry(**SQUARE, tangent=tangents), normal_texture=0).meshes.vertices["tangent"]
     np.testing.assert_allclose(built, tangents, atol=1e-7)
@@ -191,5 +191,5 @@ def test_unknown_attributes_are_refused() -> None:
 
 
 @given(st.lists(st.sampled_from(["uv2", "tangent", "color"]), unique=True))
-def test_attributes_have_one_order(names: list[str]) -> None:
+def test_the_order_of_attributes_does_not_change_a_vertex_format(names: list[str]) -> None:
     assert vertex_format(names) == vertex_format(sorted(names))

@@ -82,7 +82,7 @@ def test_an_update_that_is_refused_changes_nothing_until_the_node_is_mended():
     assert np.array_equal(nodes.world, np.tile(np.diag([2.0, 2, 2, 1]), (2, 1, 1)))
 
 
-def test_what_hangs_on_a_dynamic_node_is_dynamic():
+def test_descendants_of_a_dynamic_node_are_dynamic():
     nodes = Nodes([-1, 0, 1, -1], np.tile(np.eye(4), (4, 1, 1)), dynamic=[False, True, False, False])
     assert nodes.dynamic[nodes.index_of_id].tolist() == [False, True, True, False]
 
@@ -127,7 +127,7 @@ def test_transforms_cannot_be_written_past_the_checks():
 
 
 @given(st.integers(0, 10_000))
-def test_nodes_with_other_parents_are_those_that_are_made_so(seed: int) -> None:
+def test_reparented_nodes_equal_nodes_built_with_those_parents(seed: int) -> None:
     random, count = np.random.default_rng(seed), 12
     parents = np.array([random.integers(-1, row) if row else -1 for row in range(count)])
     local = translation(random.normal(size=(count, 3)))

@@ -19,7 +19,7 @@ def test_equal_omissions_are_counted_and_have_the_location_of_the_first() -> Non
     assert list(map(str, omissions)) == ["a camera (nodes[3], 2 times)", "a texture (images[0], 6 times)"]
 
 
-def test_what_occurs_once_is_not_counted_in_its_text() -> None:
+def test_an_omission_that_occurs_once_is_printed_without_a_count() -> None:
     omissions = Omissions()
     omissions.add("a camera", "nodes[3]")
     assert list(map(str, omissions)) == ["a camera (nodes[3])"]

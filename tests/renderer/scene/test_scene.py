@@ -47,7 +47,7 @@ def test_triangles_are_counted_by_mesh_and_by_object():
     assert scene.count_triangles(np.array([0, 2])) == 2 + 12
 
 
-def test_moving_a_node_moves_the_bounds_of_what_hangs_on_it_only():
+def test_moving_a_node_moves_only_the_bounds_of_its_descendants():
     builder, _ = build_two(dynamic=True)
     scene = builder.build()
     assert scene.objects.dynamic.tolist() == [True, False]

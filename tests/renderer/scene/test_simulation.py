@@ -71,14 +71,14 @@ def states(simulator: scenes.Simulator, rows: np.ndarray) -> list[tuple[int, int
     ]
 
 
-def test_what_is_drawn_is_stepped_and_what_is_not_is_not() -> None:
+def test_drawn_members_are_stepped_and_others_are_not() -> None:
     simulator, clock = make_simulator(make_scene())
     assert show(simulator, 1.0, [0, 1, 3]) == [(1, 2), (3, 2)]
     assert clock.taken == [[1, 2], [], [1, 2]]
     assert (simulator.steps, simulator.drawn_count, len(simulator)) == (4, 2, 3)
 
 
-def test_what_was_drawn_is_listed_with_its_members() -> None:
+def test_drawn_members_are_listed_by_simulation() -> None:
     simulator, clock = make_simulator(make_scene())
     show(simulator, 1.0, [0, 1, 3])
     ((simulation, rows, members),) = simulator.list_drawn_members()
@@ -88,7 +88,7 @@ def test_what_was_drawn_is_listed_with_its_members() -> None:
     assert simulator.list_drawn_members() == []
 
 
-def test_what_returns_catches_up() -> None:
+def test_a_returning_member_catches_up() -> None:
     simulator, clock = make_simulator(make_scene())
     show(simulator, 0.5, [1, 2])
     show(simulator, 1.5, [1])
@@ -174,7 +174,7 @@ def count_moves(
 @pytest.mark.parametrize(
     ("pixels", "moves"), [(0.499, 0), (0.501, 64), (0.999, 64), (1.001, 128), (3.99, 256), (4.01, 512)]
 )
-def test_what_is_small_moves_on_less_often_and_what_is_smaller_than_the_lag_is_suspended(
+def test_small_members_are_stepped_less_often_and_members_smaller_than_the_lag_are_suspended(
     pixels: float, moves: int
 ) -> None:
     each = count_moves(look_from(pixels))
@@ -213,7 +213,7 @@ def test_small_things_move_on_in_different_frames() -> None:
     assert steps[16:] == [0, 16] * 56  # two of eight in every second frame, and not all eight in every eighth
 
 
-def test_what_comes_nearer_is_brought_to_the_frame_s_time_and_what_goes_away_stays() -> None:
+def test_an_approaching_member_catches_up_and_a_receding_member_waits() -> None:
     simulator, clock = make_simulator(make_scene(2, apart=1e6))  # the other one is small throughout
     clock.interval, steps = 1e-3, []
     for seconds, pixels in ((1.007, 0.4), (1.007, 5.0), (2.007, 0.4), (2.011, 500.0)):
@@ -246,9 +246,7 @@ def test_flags_that_are_late_are_off_by_less_than_the_lag() -> None:
 
 @settings(max_examples=25)
 @given(st.lists(st.booleans(), min_size=1, max_size=40), st.floats(0.3, 6.0))
-def test_what_is_late_is_as_late_as_if_it_had_been_drawn_all_the_time(
-    drawn: list[bool], pixels: float
-) -> None:
+def test_the_lag_of_a_member_does_not_depend_on_when_it_was_drawn(drawn: list[bool], pixels: float) -> None:
     (always, all_steps), (now_and_then, steps) = (make_simulator(make_scene(9)) for _ in range(2))
     for frame, is_drawn in enumerate([*drawn, True], 1):
         for simulator in (always, now_and_then):
@@ -293,7 +291,7 @@ def test_a_fountain_s_memory_is_no_longer_than_it_must_be() -> None:
     assert (always.position != late.position).any(axis=2).sum() == 1
 
 
-def test_fewer_drops_are_some_of_those_that_there_would_be() -> None:
+def test_a_fountain_with_fewer_drops_has_a_subset_of_all_drops() -> None:
     all_, fewer = FountainSimulation(2, 7), FountainSimulation(2, 7, 45)
     assert fewer.interval == 2.0 * all_.interval
     for number in range(1, 301):
@@ -365,7 +363,7 @@ def refusal(change: object) -> str:
         ),
     ],
 )
-def test_what_can_not_be_simulated_is_refused(change: object, rule: str) -> None:
+def test_invalid_simulations_are_refused(change: object, rule: str) -> None:
     assert refusal(change) == rule
 
 

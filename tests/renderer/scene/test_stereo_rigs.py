@@ -102,7 +102,7 @@ def test_eyes_that_are_toed_in_see_corners_at_different_heights() -> None:
 @pytest.mark.parametrize("is_toed_in", [False, True])
 @pytest.mark.parametrize("convergence", [0.4, 3.0, np.inf])
 @pytest.mark.parametrize("name", PROJECTIONS)
-def test_the_camera_around_both_eyes_sees_what_either_sees(
+def test_the_camera_that_encloses_both_eyes_sees_everything_that_either_eye_sees(
     name: str, convergence: float, is_toed_in: bool
 ) -> None:
     projection = PROJECTIONS[name]

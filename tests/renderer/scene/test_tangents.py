@@ -41,7 +41,7 @@ def test_tangents_are_unit_and_perpendicular_to_normals(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", list(BUILT_IN))
-def test_triangles_stay_what_they_were(name: str) -> None:
+def test_adding_tangents_leaves_the_triangles_unchanged(name: str) -> None:
     geometry = BUILT_IN[name]()
     with_tangents = add_tangents(geometry)
     for field in ("position", "normal", "uv"):

@@ -41,13 +41,13 @@ def test_a_recorded_walk_comes_back_from_its_file(tmp_path: Path, projection: ob
     assert_equal(CameraPath.load(tmp_path / "walk.json"), cameras)
 
 
-def test_a_path_of_a_scene_can_be_kept(tmp_path: Path) -> None:
+def test_a_path_of_a_scene_can_be_saved(tmp_path: Path) -> None:
     path = load_scene("grid:count=4").paths["sky"]
     path.save(tmp_path / "walk.json")
     assert_equal(CameraPath.load(tmp_path / "walk.json"), [path.camera(frame) for frame in range(len(path))])
 
 
-def test_a_walk_is_found_by_its_file_and_a_path_by_its_name(tmp_path: Path) -> None:
+def test_a_walk_is_parsed_from_its_file_and_a_path_from_its_name(tmp_path: Path) -> None:
     scene = load_scene("grid:count=4")
     file = tmp_path / "walk.json"
     CameraPath.record(walk()).save(file)

@@ -1,4 +1,4 @@
-"""How much light passes fog, compared with the density added up along the ray in float64."""
+"""The part of light that passes fog, compared with the density added up along the ray in float64."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_any_ray_passes_a_part_of_its_light(
 
 
 @pytest.mark.parametrize(("eye", "falloff"), [(1.7, 0.05), (80.0, 0.05), (-30.0, 0.05), (1.7, 3.0)])
-def test_the_sky_is_what_is_seen_at_the_end_of_a_long_ray(eye: float, falloff: float) -> None:
+def test_fog_before_the_sky_equals_fog_along_a_long_ray(eye: float, falloff: float) -> None:
     fog = Fog(0.02, (0.5, 0.5, 0.5), falloff)
     for direction in (0.0, 1.0, 0.0), (1.0, 0.02, 0.0), (1.0, 1e-4, 1.0):
         light = evaluate(

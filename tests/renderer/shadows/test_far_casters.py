@@ -65,7 +65,7 @@ def ground(width: float) -> Box:
 
 
 def distances_along(origins: Floats, directions: Floats, box: Box) -> Floats:
-    """Return how far along rays (n, 3) a box begins; infinite where they miss it."""
+    """Return the distance along rays (n, 3) to a box; infinite where they miss it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([(corner - origins) / directions for corner in box])
     enters, leaves = np.fmin(*ends).max(-1), np.fmax(*ends).min(-1)
@@ -104,7 +104,7 @@ def lit_by_rays(
 def count_wrong(
     device: rhi.Device, width: float, boxes: list[Box], degrees: float, settings: ShadowSettings = SETTINGS
 ) -> tuple[int, int, int]:
-    """Return how many sure pixels of the ground are wrong, how many should be lit, and how many dark."""
+    """Return the numbers of sure pixels of the ground that are wrong, that should be lit, and that should be dark."""
     down = sun_direction(degrees)
     builder = make_boxes(ground(width), *boxes)
     builder.lights.add_directional(tuple(down), casts_shadow=True, intensity=1.0 / -down[1])
@@ -138,7 +138,7 @@ def cast_at(height: float, degrees: float, target: tuple[float, float] = (-2.0, 
 @pytest.mark.nightly_cases("cl-*", "gl-*-100000.0", reason=FEWER_CASES)
 @pytest.mark.parametrize("width", GROUNDS)
 @pytest.mark.parametrize("degrees", SUNS)
-def test_a_caster_at_any_height_shades_what_is_below_it_and_nothing_else(
+def test_a_caster_at_any_height_shades_only_the_ground_below_it(
     drawing_device: rhi.Device, degrees: float, width: float
 ) -> None:
     for height in HEIGHTS:

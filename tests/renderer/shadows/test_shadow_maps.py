@@ -1,4 +1,4 @@
-"""Which shadow maps a frame draws, keeps and skips, in the commands that the null device records."""
+"""The shadow maps that a frame draws, keeps and skips, in the commands that the null device records."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_scene_without_a_casting_light_or_a_caster_issues_no_command_of_shadow
         )
 
 
-def test_maps_are_drawn_before_what_they_shade_and_the_plan_says_why(null: rhi.Device) -> None:
+def test_shadow_maps_are_drawn_before_the_objects_and_the_plan_states_the_reason(null: rhi.Device) -> None:
     with make_renderer(null, stage().build()) as renderer:
         _, plan = renderer.plan(EYE)
         assert [planned.name for planned in plan.passes] == ["shadow maps", "forward"]
@@ -100,7 +100,7 @@ def test_a_moved_eye_draws_the_maps_again(null: rhi.Device) -> None:
         assert draw(renderer, moved) == {"drawn": 2}
 
 
-def test_a_caster_that_moves_is_drawn_over_a_copy_of_what_cant_move(null: rhi.Device) -> None:
+def test_a_dynamic_caster_is_drawn_over_a_copy_of_the_static_casters(null: rhi.Device) -> None:
     builder = stage(moves=True)
     builder.add_objects(builder.add_node(translation((3, 1, 0))), 0, 0)
     with make_renderer(null, builder.build()) as renderer:
@@ -182,7 +182,7 @@ def test_a_car_that_passes_draws_only_the_maps_that_it_touches(null: rhi.Device)
             assert all(abs(int(name.split()[-1]) - light_index) <= 1 or seconds != 6.3 for name in touched)
 
 
-def test_what_moves_without_shading_anything_visible_draws_no_map_again(null: rhi.Device) -> None:
+def test_a_moving_caster_that_shades_nothing_visible_redraws_no_map(null: rhi.Device) -> None:
     along = (0.0, 40.0)  # the second one isn't in view
     builder = make_boxes(*(translation((x, -0.5, 0)) @ scaling((30, 1, 30)) for x in along), name="shelf")
     moves = builder.add_node(translation((26, 1, 0)), dynamic=True)
@@ -387,7 +387,7 @@ def test_maps_are_drawn_again_if_materials_cover_something_else(null: rhi.Device
 
 
 @pytest.mark.parametrize("name", ["base_color", "roughness"])
-def test_maps_are_kept_if_materials_look_otherwise(null: rhi.Device, name: str) -> None:
+def test_changed_colors_of_materials_redraw_no_map(null: rhi.Device, name: str) -> None:
     scene = masked_stage()
     with make_renderer(null, scene) as renderer:
         draw(renderer)

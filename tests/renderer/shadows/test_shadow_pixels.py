@@ -236,7 +236,7 @@ CUT = {"alpha_mode": AlphaMode.MASK, "alpha_cutoff": 0.5, "texture": RIGHT_HALF}
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_a_mask_casts_the_shadow_of_what_it_leaves(drawing_device: rhi.Device) -> None:
+def test_a_masked_object_casts_the_shadow_of_its_opaque_texels(drawing_device: rhi.Device) -> None:
     assert measure_shadow(drawing_device, leaf_scene(**CUT)) == (False, True)
 
 
@@ -246,7 +246,7 @@ def test_an_opaque_material_casts_the_shadow_of_its_whole_surface(drawing_device
 
 
 @pytest.mark.parametrize("two_sides", [False, True])
-def test_what_shows_its_back_to_the_sun_casts_a_shadow_if_it_has_two_sides(
+def test_a_surface_turned_away_from_the_sun_casts_a_shadow_if_it_is_double_sided(
     gl: rhi.Device, two_sides: bool
 ) -> None:
     scene = leaf_scene(turned=True, double_sided=two_sides)

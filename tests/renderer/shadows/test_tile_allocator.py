@@ -32,7 +32,7 @@ def test_a_square_of_one_texel_has_one_tile() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from([1, 2, 4, 8]), st.booleans()), max_size=40))
-def test_tiles_dont_overlap_and_what_is_given_back_is_there_again(steps: list[tuple[int, bool]]) -> None:
+def test_tiles_do_not_overlap_and_freed_tiles_are_allocated_again(steps: list[tuple[int, bool]]) -> None:
     tree, taken = TileAllocator(16), list[Tile]()
     for size, gives_back in steps:
         if gives_back and taken:

@@ -95,7 +95,7 @@ def test_each_image_with_each_algorithm_is_that_of_its_eye(
 
 
 @pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
-def test_what_both_eyes_see_is_known_where_the_device_lists_it(
+def test_the_visible_objects_of_both_eyes_are_reported_by_algorithms_with_device_lists(
     gl: rhi.Device, hall: Scene, name: str
 ) -> None:
     """The right eye's lists replace the left one's, which were read before."""

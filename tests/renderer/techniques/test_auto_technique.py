@@ -243,7 +243,7 @@ FORWARD, CLUSTERS, TILES = (technique.name for technique in (Forward, ClusteredD
         (Device("cl", "a CPU"), MIN_TRIAL_LIGHTS - 1, [FORWARD]),
     ],
 )
-def test_the_kind_of_device_and_the_lights_in_view_say_what_is_tried(
+def test_the_device_and_the_lights_in_view_select_the_candidates(
     device: rhi.Device, lights: int, expected: list[str]
 ) -> None:
     assert list_candidates(device, needs_of(lights), CANDIDATES)[0] == expected
@@ -262,7 +262,7 @@ def test_candidates_that_were_tried_once_stay_when_there_are_fewer_lights(
     assert names == [("forward",), *[("forward", "clustered_deferred")] * 3]
 
 
-def test_images_of_a_trial_are_alike_and_so_are_smoothed_ones(gl: rhi.Device) -> None:
+def test_images_of_a_trial_are_alike_with_and_without_fxaa(gl: rhi.Device) -> None:
     scene = load_scene("hall:columns=6,rows=2,flags=0,detail=3,lights=40")
     camera = next(iter(scene.views.values()))
     factories = {name: (lambda make=make: FxaaTechnique(make())) for name, make in CANDIDATES.items()}

@@ -89,7 +89,7 @@ def test_bloom_is_within_a_level_of_float64(
     assert np.abs(image - expected).max() <= 1.0
 
 
-def test_what_is_no_light_is_black_and_spreads_nowhere(drawing_device: rhi.Device) -> None:
+def test_pixels_that_are_not_finite_are_black_and_do_not_spread(drawing_device: rhi.Device) -> None:
     light = make_lights(21, 34)
     clean, _ = show(drawing_device, light)
     for number, wrong in enumerate((np.nan, np.inf, -np.inf)):

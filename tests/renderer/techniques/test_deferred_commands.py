@@ -121,7 +121,7 @@ def test_a_local_light_out_of_view_costs_nothing(null: rhi.Device, technique: Te
         ]
 
 
-def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_keeps_its_depth(
+def test_the_second_pass_of_a_light_pre_pass_repeats_the_draws_of_the_first_and_keeps_its_depth(
     null: rhi.Device,
 ) -> None:
     first, _, second = record(null, boxes(1), LightPrePass()).draws()
@@ -194,7 +194,7 @@ def test_a_parameter_out_of_its_range_is_refused(make: Callable[[], Technique]) 
 
 
 @pytest.mark.parametrize("technique", ALL)
-def test_everything_is_given_back(null: rhi.Device, technique: Technique) -> None:
+def test_a_closed_renderer_destroys_all_that_it_created(null: rhi.Device, technique: Technique) -> None:
     scene = boxes(3, spots=2, wide=1)
     with open_renderer(null, scene, technique) as renderer:
         renderer.render(scene.views["eye"])

@@ -214,7 +214,7 @@ def test_lists_of_pixels_take_a_dispatch_for_each_shader(null: rhi.Device) -> No
             assert len(null.stream.filter(Op.DISPATCH_INDIRECT)) == shaders
 
 
-def test_pixels_are_shaded_in_one_way() -> None:
+def test_multi_pass_and_binned_shading_exclude_each_other() -> None:
     with pytest.raises(rhi.ValidationError, match="one of them"):
         DeferredPlus(multi_pass=True, binned=True)
     with pytest.raises(rhi.ValidationError, match="one of them"):

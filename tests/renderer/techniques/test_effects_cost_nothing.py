@@ -109,7 +109,7 @@ def list_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 @pytest.mark.parametrize("effect", TRACES, ids=lambda effect: effect.value)
-def test_what_a_scene_lacks_leaves_no_trace(effect: Effect, name: str) -> None:
+def test_an_effect_that_a_scene_lacks_leaves_no_trace_in_the_commands(effect: Effect, name: str) -> None:
     trace, every = TRACES[effect], set(TRACES)
     without = every - {effect, Effect.BLOOM} if effect is Effect.EMISSION else every - {effect}
     assert not list_traces(make(without), name, trace)
@@ -167,7 +167,7 @@ def write_programs(effects: frozenset[Effect], name: str) -> str:
 
 @pytest.mark.parametrize("name", ["forward", "deferred_plus"])
 @pytest.mark.parametrize("effect", MATERIAL_TRACES, ids=lambda effect: effect.value)
-def test_what_no_material_has_is_in_no_program(effect: Effect, name: str) -> None:
+def test_a_feature_that_no_material_has_is_in_no_program(effect: Effect, name: str) -> None:
     every = frozenset(MATERIAL_TRACES)
     lacking = every - {effect, Effect.ROUGHNESS_MAPS} if effect is Effect.METALS else every - {effect}
     assert not re.findall(MATERIAL_TRACES[effect], write_programs(lacking, name))
@@ -180,7 +180,7 @@ LIGHTS = "light rows|light grid|light volume|light spheres|light cones|whole tar
 @pytest.mark.parametrize(
     "name", ["forward", "forward_multipass", "light_indexed", "forward_plus", "clustered"]
 )
-def test_without_local_lights_nothing_of_theirs_is_made(name: str) -> None:
+def test_without_local_lights_no_light_lists_are_created(name: str) -> None:
     lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
     trace = Trace(LIGHTS, r"\blight_list\b|\bin_range\b|\bClusterGrid\b", "light|grid")
     assert not list_traces(make(set()), name, trace)
@@ -235,7 +235,7 @@ def test_one_local_light_adds_exactly_its_passes(effect: Effect, name: str) -> N
     [Effect.DIRECTIONAL_LIGHTS, Effect.IMAGES, Effect.EMISSION, Effect.HAZE],
     ids=lambda effect: effect.value,
 )
-def test_what_is_no_local_light_adds_no_pass(effect: Effect, name: str) -> None:
+def test_effects_other_than_local_lights_add_no_pass(effect: Effect, name: str) -> None:
     lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
     assert list_passes(make({effect}), name) == list_passes(make(set()), name)
     assert list_passes(make({effect} | lights), name) == list_passes(make(lights), name)

@@ -171,7 +171,7 @@ def test_bloom_of_a_scene_is_that_of_its_light_in_float64(gl: rhi.Device) -> Non
     assert np.abs(image - encode(tone_map(add_bloom(light, 0.3, 6)))).max() <= 1.0
 
 
-def test_light_with_fewer_bits_is_off_by_what_they_round(gl: rhi.Device) -> None:
+def test_bloom_with_fewer_bits_is_off_by_their_rounding(gl: rhi.Device) -> None:
     builder = stage(emission=12.0)
     builder.bloom = scenes.Bloom(0.3)
     with open_renderer(gl, builder.build()) as renderer:
@@ -293,7 +293,7 @@ ORDERS: dict[str, tuple[Callable[[], Technique], Blending, list[str]]] = {
 
 
 @pytest.mark.parametrize("name", ORDERS)
-def test_sky_is_before_transparency_and_bloom_before_what_smooths_the_image(
+def test_the_sky_is_drawn_before_transparency_and_bloom_before_antialiasing(
     null: rhi.Device, name: str
 ) -> None:
     make, blending, expected = ORDERS[name]
@@ -369,7 +369,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_fog_of_what_is_no_number_is_refused(name: str) -> None:
+def test_fog_with_values_that_are_not_numbers_is_refused(name: str) -> None:
     for value in BAD[name]:
         with pytest.raises(rhi.ValidationError) as error:
             scenes.Fog(**({"density": 0.1} | {name: value}))  # type: ignore[arg-type]

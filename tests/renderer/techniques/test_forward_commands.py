@@ -135,7 +135,7 @@ def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
     assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in rows] == [4, 0, -4]
 
 
-def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> None:
+def test_an_object_on_a_wide_ground_is_drawn_before_the_ground(null: rhi.Device) -> None:
     # The ground's middle is the nearer; its far edge is the farther.
     builder = boxes((0, 0, -4))
     ground = builder.add_node(translation((0, -2, 0)) @ scaling((20, 1, 20)))
@@ -158,7 +158,7 @@ def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> No
         ("everything", 7, 3, 1),
     ],
 )
-def test_what_a_scene_lacks_is_not_bound(
+def test_resources_that_a_scene_does_not_need_are_not_bound(
     null: rhi.Device, kind: str, storages: int, uniforms: int, textures: int
 ) -> None:
     builder = boxes((0, 0, 0))

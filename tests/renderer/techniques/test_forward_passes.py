@@ -232,7 +232,7 @@ def test_edges_are_nearer_to_those_of_many_samples(
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_fxaa_leaves_what_has_no_edges_as_it_is(drawing_device: rhi.Device) -> None:
+def test_fxaa_changes_only_pixels_at_edges(drawing_device: rhi.Device) -> None:
     scene = edge()
     plain, smooth = (
         draw(drawing_device, scene, technique) for technique in (Forward(), FxaaTechnique(Forward()))

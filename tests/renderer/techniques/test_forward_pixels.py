@@ -167,7 +167,7 @@ def test_an_object_is_not_seen_from_behind(gl: rhi.Device) -> None:
 
 @pytest.mark.parametrize("depth", list(Depth))
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_what_is_near_hides_what_is_far(gl: rhi.Device, depth: Depth, order: tuple[int, int]) -> None:
+def test_a_near_surface_hides_a_far_surface(gl: rhi.Device, depth: Depth, order: tuple[int, int]) -> None:
     builder = slope(base_color=(1, 0, 0), specular_color=(0, 0, 0))
     green = builder.add_material(base_color=(0, 1, 0), specular_color=(0, 0, 0))
     raised = builder.add_node(translation(MIDDLE + np.array([0, 0.01, 0])) @ scaling(STRETCH))

@@ -188,7 +188,9 @@ def test_the_image_shows_through_cells_and_is_as_it_was_without_lights(
 
 
 @pytest.mark.parametrize("lights", [1, 2, 512])
-def test_the_mean_of_volumes_is_laid_over_what_they_reach(drawing_device: rhi.Device, lights: int) -> None:
+def test_the_overlay_of_light_volumes_covers_the_pixels_that_they_reach(
+    drawing_device: rhi.Device, lights: int
+) -> None:
     scene = darken(tower(lights))
     scene.background = (0.9, 0.9, 0.9)
     scene.lights.sky = scene.lights.ground = (0.6, 0.6, 0.6)

@@ -66,7 +66,7 @@ def look(device: rhi.Device, builder: SceneBuilder) -> NDArray[Any]:
 
 
 @pytest.mark.parametrize(("alpha", "drawn"), [(0.25, True), (0.2499, False), (0.2501, True)])
-def test_a_mask_keeps_what_is_exactly_at_the_cut(gl: rhi.Device, alpha: float, drawn: bool) -> None:
+def test_a_mask_keeps_an_alpha_equal_to_the_cutoff(gl: rhi.Device, alpha: float, drawn: bool) -> None:
     mask = square(base_color=(1, 1, 1, alpha), alpha_mode=AlphaMode.MASK, alpha_cutoff=0.25)
     assert (look(gl, mask) > 60).all() == drawn
 

@@ -124,7 +124,7 @@ def test_objects_are_drawn_by_shader(null: rhi.Device) -> None:
     assert count_calls(null, stand(None, EmissiveMaterial, Halves, repeats=6)) == (3, 3)
 
 
-def test_a_scene_without_such_shaders_has_none_of_their_cost(null: rhi.Device) -> None:
+def test_a_scene_without_material_shaders_has_none_of_their_cost(null: rhi.Device) -> None:
     plain, own = stand(None), stand(None, EmissiveMaterial)
     assert (
         Effect.MATERIAL_SHADERS not in collect_frame_effects(plain, frames.first_view_camera(plain)).enabled

@@ -44,7 +44,7 @@ def stretch(texels: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("scale", "drawn"), [(0.5, (31, 21)), (0.7, (44, 30)), (2.0, (124, 84))])
-def test_a_scaled_image_is_what_was_drawn_interpolated_in_light(
+def test_a_scaled_image_is_the_drawn_image_interpolated_in_linear_light(
     drawing_device: rhi.Device, scene: Scene, scale: float, drawn: tuple[int, int]
 ) -> None:
     with open_scaled(drawing_device, scene, scale) as renderer:

@@ -52,7 +52,9 @@ def test_the_lists_of_cells_lack_no_light_of_any_sample(drawing_device: rhi.Devi
 
 
 @pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
-def test_what_covers_no_centre_is_lit_by_what_reaches_nothing_else(drawing_device: rhi.Device) -> None:
+def test_a_wire_between_pixel_centres_is_lit_by_a_light_that_reaches_nothing_else(
+    drawing_device: rhi.Device,
+) -> None:
     """A wire between two columns of centres, of which depth of one sample knows nothing, and a light beside
     it."""
     wall = translation((0, 0, -20)) @ scaling((60, 40, 1))

@@ -83,7 +83,7 @@ def test_the_highlight_of_a_mirror_is_as_wide_as_the_sphere(drawing_device: rhi.
         assert 1.0 <= drawn / exact < 1.2, radius
 
 
-def test_a_point_beside_a_sphere_is_lit_as_one_without(drawing_device: rhi.Device) -> None:
+def test_a_point_light_is_the_same_beside_a_sphere_light(drawing_device: rhi.Device) -> None:
     point, both = stage(0.0), stage(0.0, 0.5)
     both.lights.point["intensity"][1] = 0.0
     assert max_difference(*(draw(drawing_device, scene, size=SIZE) for scene in (point, both))) <= 1

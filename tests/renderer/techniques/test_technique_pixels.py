@@ -129,7 +129,9 @@ def test_spheres_give_the_image_of_forward_shading(drawing_device: rhi.Device) -
 
 
 @pytest.mark.nightly
-def test_what_every_webgpu_has_suffices_for_all_but_packed_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_core_profile_of_webgpu_suffices_for_all_techniques_but_light_indexed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Light is added up in half floats there; the lists of `light_indexed` are numbers that need 32 bits."""
     monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
     builder = stage()
@@ -229,7 +231,7 @@ LIGHTS: dict[str, Callable[[SceneBuilder], object]] = {
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("where", LIGHTS)
-def test_a_light_reaches_what_it_reaches_in_forward_shading(drawing_device: rhi.Device, where: str) -> None:
+def test_a_light_lights_the_same_pixels_as_in_forward_shading(drawing_device: rhi.Device, where: str) -> None:
     light = stage()
     LIGHTS[where](light)
     image = check_all(drawing_device, light.build())
@@ -356,7 +358,7 @@ def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(
 
 
 def find_signal_to_noise(image: NDArray[np.int64], expected: NDArray[np.int64]) -> float:
-    """Return how near an image is to the expected one, in dB."""
+    """Return the signal-to-noise ratio of an image against the expected one, in dB."""
     return float(10.0 * np.log10(255.0**2 / ((image - expected)[:, :, :3] ** 2).mean()))
 
 

@@ -132,7 +132,7 @@ def test_panes_are_within_two_levels_of_compositing_in_float64(
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_a_pane_of_opacity_1_hides_what_is_behind_it(drawing_device: rhi.Device) -> None:
+def test_a_pane_of_opacity_1_hides_surfaces_behind_it(drawing_device: rhi.Device) -> None:
     scene = panes(*LAYERS).build()
     expected = composite(scene, LAYERS, Blending.SORTED)
     assert np.abs(draw(drawing_device, scene) - expected).max() <= 2.0
@@ -241,7 +241,7 @@ def test_stippled_light_is_near_that_of_forward_shading(drawing_device: rhi.Devi
 
 
 @pytest.mark.parametrize("name", sorted({*ALGORITHMS} - {"auto"}))
-def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cover(
+def test_every_visibility_algorithm_draws_transparent_objects_and_objects_behind_them(
     gl: rhi.Device, name: str
 ) -> None:
     if name not in list_algorithms(gl):

@@ -185,7 +185,7 @@ def test_a_device_draws_a_map_of_one_height(device: rhi.Device) -> None:
 
 
 def count_commands(null: rhi.Device, scene: Scene, *cameras: Camera) -> list[tuple[int, int]]:
-    """Return how many dispatches each frame issues, and how many indirect draws."""
+    """Return the number of dispatches of each frame, and the number of its indirect draws."""
     frames = []
     with open_renderer(null, scene, size=(2 * HEIGHT, HEIGHT), visibility="frustum") as renderer:
         for camera in cameras:

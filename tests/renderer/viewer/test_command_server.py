@@ -145,7 +145,7 @@ def test_a_line_without_an_end_is_cut_off(server: CommandServer, client: socket.
     assert RAN == []
 
 
-def test_of_nine_clients_the_one_that_was_silent_for_longest_makes_room(server: CommandServer) -> None:
+def test_the_ninth_client_replaces_the_client_that_was_silent_for_longest(server: CommandServer) -> None:
     clients = [connect(server) for _ in range(8)]
     clients[0].sendall(b"ping\n")
     server.poll()
@@ -162,7 +162,7 @@ def test_of_nine_clients_the_one_that_was_silent_for_longest_makes_room(server: 
         connection.close()
 
 
-def test_one_that_makes_room_may_be_about_to_speak(server: CommandServer) -> None:
+def test_a_client_may_be_replaced_while_its_message_arrives(server: CommandServer) -> None:
     idle = [connect(server, "") for _ in range(8)]
     idle[0].sendall(server.greeting.encode() + b"\n")
     with socket.create_connection((ADDRESS, server.port)):

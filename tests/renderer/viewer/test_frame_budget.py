@@ -53,7 +53,7 @@ def test_more_accurate_settings_need_room_in_the_budget() -> None:
         assert run(budget, tuple(step.milliseconds * factor for step in STEPS))[-1] == step_index
 
 
-def test_what_settings_take_here_counts_more_than_the_pareto_front() -> None:
+def test_times_measured_here_count_more_than_those_of_the_pareto_front() -> None:
     budget = FrameBudget(STEPS, 25.0)
     step_indices = run(
         budget, (5.0, 26.0, 30.0), 300
@@ -70,7 +70,7 @@ def test_single_slow_frames_change_nothing_but_are_counted() -> None:
     assert budget.describe() == "budget 25 ms: 2 of 3, 2 levels off, 33% over"
 
 
-def test_a_pareto_front_is_what_was_saved(tmp_path: Path) -> None:
+def test_a_pareto_front_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
     save_steps(tmp_path / "pareto_front.json", STEPS)
     assert load_steps(tmp_path / "pareto_front.json") == STEPS
 

@@ -145,7 +145,7 @@ def test_while_it_listens_commands_write_below_one_folder_only(
     viewer.session.folder = None
 
 
-def test_a_file_is_read_up_to_what_is_allowed(tmp_path: Path) -> None:
+def test_a_file_is_read_up_to_the_allowed_size(tmp_path: Path) -> None:
     large = tmp_path / "large"
     with large.open("wb") as file:
         file.truncate((1 << 40) + 1)  # takes no room; as much memory there isn't

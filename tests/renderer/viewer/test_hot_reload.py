@@ -154,7 +154,7 @@ def test_a_faulty_shader_is_named_in_the_frame_for_as_long_as_it_is(viewer: View
     assert fault_lines(viewer) == []
 
 
-def test_carets_are_below_what_they_mark(viewer: Viewer, shaders: Any) -> None:
+def test_carets_are_below_the_code_that_they_mark(viewer: Viewer, shaders: Any) -> None:
     viewer.session.renderer.layers.append(CornerLayer(viewer.session.renderer.device, shaders))
     viewer.draw()
     save(Path(shaders.__file__), TEXT.replace("vec4(RED", "vec4(RAD"))
@@ -246,7 +246,7 @@ def test_a_viewer_that_begins_with_a_faulty_shader_shows_the_last_good_one_and_t
     assert np.array_equal(viewer.session.screenshot(), good)
 
 
-def test_without_watchfiles_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_watchfiles_the_console_names_the_package_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "watchfiles", None)
     viewer_screen = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE)
     line, is_error = viewer_screen.viewer.console.lines[-1]
@@ -478,7 +478,7 @@ def test_settings_are_read_written_and_read_again_when_they_are_saved(viewer: Vi
         ("save settings x.png", "ends with .json"),
     ],
 )
-def test_what_settings_refuses_changes_nothing(
+def test_a_refused_settings_command_changes_nothing(
     viewer: Viewer, line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -102,7 +102,7 @@ def test_the_nearest_of_two_is_met_whatever_their_boxes() -> None:
     assert (hit.object_index, hit.corners[:, 2].tolist()) == (1, [0, 0, 0])
 
 
-def test_what_is_beyond_the_near_and_far_planes_is_not_met() -> None:
+def test_a_ray_does_not_hit_objects_beyond_the_near_and_far_planes() -> None:
     near = FRONT_CAMERA.with_projection(Perspective(aspect=1.0, near=6.0))
     far = FRONT_CAMERA.with_projection(Perspective(aspect=1.0, far=4.0))
     assert pick(square(), near, 32, 32) is None
@@ -200,14 +200,16 @@ def test_the_algorithm_says_why_an_object_is_drawn(
     assert explain_visible(algorithm, city, camera, small) == says
 
 
-def test_an_object_at_the_edge_of_the_view_is_said_to_cross_it(null: rhi.Device, city: Scene) -> None:
+def test_the_explanation_of_an_object_at_the_edge_of_the_view_says_that_it_crosses_it(
+    null: rhi.Device, city: Scene
+) -> None:
     plain = int(np.argmax(np.prod((city.objects.upper - city.objects.lower)[:, ::2], axis=1)))
     camera = parse_camera("above", city).with_aspect(1.0)
     explanation = explain_visible(make_visibility("frustum", city, null), city, camera, plain)
     assert explanation == "its box is across the edge of the view"
 
 
-def test_a_walk_of_nodes_says_what_became_of_the_object_s_node(
+def test_the_explanation_of_an_object_names_the_state_of_its_node(
     drawing_device: rhi.Device, city: Scene
 ) -> None:
     camera = parse_camera("street", city).with_aspect(SIZE[0] / SIZE[1])

@@ -250,7 +250,7 @@ def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) ->
         ("record walk.csv", "ends with .json"),
     ],
 )
-def test_a_fault_is_said_in_a_line_and_changes_nothing(
+def test_a_refused_command_is_one_line_and_changes_nothing(
     viewer: Viewer, draw: Draw, line: str, says: str
 ) -> None:
     display, camera = viewer.session.display, viewer.session.camera
@@ -329,7 +329,7 @@ def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Draw, tmp_
         ("set textures.mip nearest", "textures.mip nearest"),
     ],
 )
-def test_any_setting_is_said_and_set(viewer: Viewer, line: str, message: str) -> None:
+def test_any_setting_can_be_printed_and_set(viewer: Viewer, line: str, message: str) -> None:
     assert viewer.run(line) == (message, False)
     viewer.draw()
     assert viewer.run(line.rpartition(" ")[0]) == (message, False)
@@ -403,7 +403,7 @@ def test_a_chord_is_not_typed(viewer: Viewer) -> None:
 # -- picking, images, recordings -----------------------------------------------------------------------------
 
 
-def test_a_click_picks_what_is_there_and_a_drag_does_not(viewer: Viewer, draw: Draw) -> None:
+def test_a_click_picks_the_object_under_it_and_a_drag_does_not(viewer: Viewer, draw: Draw) -> None:
     viewer.session.camera = parse_camera("0,9,0.1,0,0,0", viewer.session.scene)
     viewer.run("visibility none")
     draw()
@@ -423,7 +423,7 @@ def test_a_click_picks_what_is_there_and_a_drag_does_not(viewer: Viewer, draw: D
     assert viewer.session.hit is None
 
 
-def test_an_orbit_is_around_what_was_picked(viewer: Viewer, draw: Draw) -> None:
+def test_an_orbit_is_around_the_picked_point(viewer: Viewer, draw: Draw) -> None:
     draw()
     viewer.run("pick 32,24")
     assert viewer.session.hit is not None
@@ -517,7 +517,7 @@ def test_the_speed_suits_the_scene_and_not_the_plain_around_it() -> None:
     assert 0.5 < hall < 10.0
 
 
-def test_a_clip_is_played_instead_of_what_moves_the_same(
+def test_a_clip_is_played_instead_of_clips_that_move_the_same_nodes(
     null: rhi.Device, tmp_path: Path, clock: Clock
 ) -> None:
     document = GltfDocument(nodes=[{"mesh": 0}])

@@ -146,7 +146,9 @@ def test_the_first_two_frames_of_a_trial_are_not_counted(auto: visibility.AutoCu
     assert auto.current_name == "fast"
 
 
-def test_what_is_hopelessly_slow_is_given_up(auto: visibility.AutoCulling, log: list[str]) -> None:
+def test_a_much_slower_algorithm_is_not_tried_any_further(
+    auto: visibility.AutoCulling, log: list[str]
+) -> None:
     auto.candidates["middling"].seconds = 0.05
     render(auto, look(), 20)
     assert log == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 3 + ["fast"] * 9
@@ -221,7 +223,7 @@ def test_a_number_of_objects_that_changes_by_half_is_another_trial(
     assert auto.is_trying is tries
 
 
-def test_the_choice_follows_what_is_fastest_now(auto: visibility.AutoCulling) -> None:
+def test_the_choice_follows_the_algorithm_that_is_fastest_now(auto: visibility.AutoCulling) -> None:
     render(auto, look(), 12)
     auto.candidates["fast"].seconds, auto.candidates["slow"].seconds = 0.03, 0.0
     render(auto, look(1000.0), 12)

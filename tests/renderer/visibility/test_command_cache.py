@@ -56,13 +56,13 @@ def count_commands(device: rhi.Device, repeated: CommandCache, *keys: str) -> li
     return counts
 
 
-def test_what_comes_again_is_recorded_and_what_stays_is_only_submitted(null: rhi.Device) -> None:
+def test_repeated_commands_are_recorded_and_unchanged_commands_are_only_submitted(null: rhi.Device) -> None:
     repeated = CommandCache(null, "test")
     # A label is two commands of the recording.
     assert count_commands(null, repeated, *"aaaa") == [(1, 0, 1), (1, 3, 1), (0, 0, 1), (0, 0, 1)]
 
 
-def test_what_changes_in_each_frame_is_not_recorded(null: rhi.Device) -> None:
+def test_commands_that_change_in_each_frame_are_not_recorded(null: rhi.Device) -> None:
     repeated = CommandCache(null, "")
     assert count_commands(null, repeated, *"abab") == [(1, 0, 1)] * 4
     assert count_commands(null, repeated, *"bbc") == [(1, 0, 1), (1, 1, 1), (1, 0, 1)]
@@ -212,7 +212,7 @@ def test_drawing_everything_is_recorded_once_however_camera_and_objects_move(nul
     assert counts[:1] + counts[2:] == [0] * 7
 
 
-def test_what_the_frustum_leaves_is_recorded_when_its_number_comes_again(null: rhi.Device) -> None:
+def test_the_objects_in_the_frustum_are_recorded_when_their_number_repeats(null: rhi.Device) -> None:
     scene = make_cloud(400)
     near = [make_camera((0.0, 0.0, 1.0 + distance), ORIGIN, near=0.1) for distance in range(5)]
     with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:

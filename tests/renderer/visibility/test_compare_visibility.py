@@ -48,7 +48,7 @@ COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36",
 
 
 @pytest.mark.usefixtures("gl")
-def test_rows_say_what_each_algorithm_costs(
+def test_rows_have_the_costs_of_each_algorithm(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     delay_query_results(monkeypatch, 1)  # so that who waits for answers has something to wait for
@@ -106,7 +106,9 @@ def test_the_whole_path_is_its_frames_at_a_stride(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("algorithm", HISTORY_FREE)
-def test_what_forgets_draws_a_frame_the_same_after_any_other(gl: rhi.Device, algorithm: str) -> None:
+def test_algorithms_without_history_draw_a_frame_the_same_after_any_other(
+    gl: rhi.Device, algorithm: str
+) -> None:
     if algorithm == "software_depth" and not can_rasterise():
         pytest.skip("no OpenCL")
     scene = load_scene(COMMAND[2])
@@ -240,7 +242,7 @@ def test_a_table_and_a_chart(capsys: pytest.CaptureFixture[str], tmp_path: Path)
     assert np.asarray(Image.open(chart)).std() > 10
 
 
-def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_null_device_compares_algorithms_without_queries(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*COMMAND, "--backend", "null", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     beside = ["software_depth"] if can_rasterise() else []
@@ -249,7 +251,7 @@ def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixtur
     assert rows[0]["triangles"] >= rows[1]["triangles"] > 0
 
 
-def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
+def test_pixels_differ_by_color_and_depth_or_by_the_order_of_draws() -> None:
     image, depth = np.zeros((4, 5, 4), np.uint8), np.full((4, 5), 0.5, np.float32)
     expected = FrameImage(image, depth)
     other, nearer = image.copy(), depth.copy()

@@ -100,7 +100,7 @@ def test_with_nothing_drawn_nothing_is_called_and_nothing_written(null: rhi.Devi
         assert count_writes(null) == 0
 
 
-def test_what_leaves_the_view_is_left_alone_at_once(null: rhi.Device) -> None:
+def test_an_object_that_leaves_the_view_is_not_animated_from_that_frame_on(null: rhi.Device) -> None:
     scene = make_bobbing()
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
         renderer.animation_lag = 0.0
@@ -113,7 +113,7 @@ def test_what_leaves_the_view_is_left_alone_at_once(null: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize(("count", "bounded"), [(20, True), (40, True), (20, False)])
-def test_what_is_drawn_is_animated_in_one_go_and_its_rows_are_written(
+def test_drawn_objects_are_animated_in_one_call_and_their_transforms_are_written(
     null: rhi.Device, count: int, bounded: bool
 ) -> None:
     scene = make_bobbing(bounded=bounded)
@@ -133,7 +133,7 @@ def test_what_is_drawn_is_animated_in_one_go_and_its_rows_are_written(
 
 
 @pytest.mark.parametrize("name", WAITING)
-def test_what_is_hidden_is_not_animated(null: rhi.Device, name: str) -> None:
+def test_hidden_objects_are_not_animated(null: rhi.Device, name: str) -> None:
     scene = make_bobbing()
     oracle = Oracle(null, scene, name)
     algorithm = make_visibility(name, scene, null)
@@ -173,7 +173,7 @@ def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", ["frustum", "chc_plus_plus", "stop_and_wait", *DEVICE, "software_depth"])
-def test_what_shows_again_is_drawn_as_of_its_frame(
+def test_objects_that_show_again_are_drawn_as_of_their_frame(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     require_algorithm(drawing_device, name)
@@ -202,7 +202,7 @@ def test_what_shows_again_is_drawn_as_of_its_frame(
     assert skipped > 0
 
 
-def test_only_what_is_drawn_is_swayed_in_the_hall(null: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_drawn_flags_of_the_hall_sway(null: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
     hall = load_scene("hall:flags=32")
     requested_members: list[int] = []
     transforms = _Sway.transforms
@@ -257,7 +257,7 @@ def test_two_renderers_of_one_scene_show_a_time_each(gl: rhi.Device) -> None:
         assert (images[0] != images[1]).any()
 
 
-def test_what_carries_a_culled_object_takes_its_bounds_along(gl: rhi.Device) -> None:
+def test_a_moving_parent_moves_the_bounds_of_a_culled_object(gl: rhi.Device) -> None:
     builder = SceneBuilder("cart")
     cart = builder.add_node(dynamic=True, name="cart")
     wheel = builder.add_node(parent=cart, dynamic=True)
@@ -297,7 +297,7 @@ def test_bounds_below_an_animated_node_are_those_of_the_nearest_animated_one() -
     assert objects.simulated.tolist() == [True, True, False]
 
 
-def test_what_hangs_on_something_without_bounds_is_animated_in_every_frame(null: rhi.Device) -> None:
+def test_children_of_a_node_without_bounds_are_animated_in_every_frame(null: rhi.Device) -> None:
     builder = SceneBuilder("rocket")
     rocket = builder.add_node(dynamic=True)
     fin = builder.add_node(parent=rocket, dynamic=True)
@@ -368,7 +368,7 @@ def test_bounds_that_do_not_hold_are_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("validation", [True, False])
-def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(
+def test_a_renderer_with_validation_checks_the_bounds_of_drawn_objects(
     null: rhi.Device, validation: bool
 ) -> None:
     scene = make_bobbing(6)
@@ -412,7 +412,7 @@ class NoPolicy:
         (lambda b, n: b.animate(n, lambda seconds: np.eye(4), ((0, 0, 0), (1, 1, 1))), None),
     ],
 )
-def test_what_can_not_be_animated_is_refused(change: object, rule: str | None) -> None:
+def test_invalid_animations_are_refused(change: object, rule: str | None) -> None:
     builder = SceneBuilder("bad")
     nodes = builder.add_nodes(np.eye(4)[None], dynamic=True)
     builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())

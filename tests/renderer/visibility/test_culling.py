@@ -64,7 +64,7 @@ def culling_cases(draw):
 @given(culling_case=culling_cases())
 @settings(max_examples=150)
 @pytest.mark.parametrize("build", [build_by_area, build_by_middle])
-def test_the_hierarchy_finds_exactly_what_brute_force_finds(build, culling_case):
+def test_the_hierarchy_selects_exactly_the_boxes_that_brute_force_selects(build, culling_case):
     lower, upper, camera = culling_case
     planes = camera.frustum.planes
     expected = np.flatnonzero(select_visible(planes, lower, upper))
@@ -93,7 +93,7 @@ def test_it_stays_exact_along_a_path_over_many_levels_with_jumps(monkeypatch, wi
         assert 0 < len(visible) < 6000
 
 
-def test_brute_force_keeps_what_a_corner_by_corner_test_keeps():
+def test_brute_force_selects_the_same_boxes_as_a_corner_by_corner_test():
     lower, upper = make_boxes(500)
     planes = Camera.look_at((0, 0, 0), (1, 0.2, 0.3), projection=Perspective(far=80.0)).frustum.planes
     choice = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T.astype(bool)
@@ -139,7 +139,7 @@ def test_the_plane_that_culled_last_time_saves_tests():
     assert again.planes < first.planes
 
 
-def test_what_a_far_plane_culled_is_found_by_a_camera_without_one():
+def test_objects_culled_by_a_far_plane_are_drawn_for_a_camera_without_far_plane():
     lower = np.arange(400)[:, None] * (0.0, 0.0, -1.0)  # a row of cubes ahead
     upper = lower + 0.5
     culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)

@@ -57,13 +57,13 @@ def test_a_pixel_of_sky_is_sky_on_every_level(device: Device) -> None:
     pyramid.destroy()
 
 
-def test_a_level_alone_is_made_where_one_is_wanted(null: Device) -> None:
+def test_a_depth_pyramid_has_at_least_one_level_and_as_many_as_requested(null: Device) -> None:
     assert DepthPyramid(null, (960, 540), levels=1).sizes == [(960, 540), (240, 135)]
     assert DepthPyramid(null, (3, 3)).sizes == [(3, 3), (1, 1)]
     assert DepthPyramid(null, (1, 1)).sizes == [(1, 1), (1, 1)]
 
 
-def test_no_level_follows_one_of_16_texels_a_side(null: Device) -> None:
+def test_the_last_level_of_a_depth_pyramid_has_at_most_16_texels_a_side(null: Device) -> None:
     assert DepthPyramid(null, (64, 40)).sizes[1:] == [(16, 10)]
     assert DepthPyramid(null, (65, 40)).sizes[1:] == [(17, 10), (5, 3)]
     assert DepthPyramid(null, (40, 65)).sizes[1:] == [(10, 17), (3, 5)]
@@ -122,7 +122,7 @@ def test_a_box_shows_if_it_shows_at_full_resolution(
         resource.destroy()
 
 
-def test_what_is_seen_again_and_again_is_on_the_first_list(device: Device) -> None:
+def test_an_object_visible_in_the_last_frame_is_on_the_first_list(device: Device) -> None:
     scene = make_boxes([(0.0, 0.0, -5.0), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0), (6.0, 6.0, 1.0)])
     algorithm, camera = DepthPyramidCulling(scene, device), make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -5.0))
     lists = []

@@ -66,7 +66,7 @@ def test_the_range_is_that_of_the_samples_in_view(projection: Perspective | Orth
     assert greatest <= far <= 40.0 * (1.0 + 1e-9)
 
 
-def test_what_is_hidden_has_no_range() -> None:
+def test_a_scene_of_hidden_objects_has_no_depth_range() -> None:
     scene, camera = (
         make_boxes([(0, 0, -30)], [(2, 2, 2)]),
         make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.1),

@@ -89,7 +89,7 @@ def test_random_walks_among_random_boxes_look_as_without_culling(
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_what_a_wall_hides_is_not_drawn(device: rhi.Device, name: str) -> None:
+def test_objects_behind_a_wall_are_not_drawn(device: rhi.Device, name: str) -> None:
     object_positions = [
         occlusion_scenes.WALL_POSITION,
         *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)),
@@ -110,7 +110,7 @@ def test_what_a_wall_hides_is_not_drawn(device: rhi.Device, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_what_the_first_list_misses_is_on_the_second(device: rhi.Device, name: str) -> None:
+def test_a_visible_object_that_the_first_list_misses_is_on_the_second(device: rhi.Device, name: str) -> None:
     near, far = (0.0, 0.0, -5.0), (0.0, 0.0, -9.0)
     scene = make_boxes([near, far], [(30.0, 30.0, 0.1), (0.5, 0.5, 0.5)])
     algorithm = make(name, scene, device)
@@ -126,7 +126,9 @@ def test_what_the_first_list_misses_is_on_the_second(device: rhi.Device, name: s
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Device, name: str) -> None:
+def test_the_commands_and_uploads_of_the_cpu_do_not_depend_on_the_number_of_objects(
+    null: rhi.Device, name: str
+) -> None:
     def commands(count: int) -> list[Op]:
         rng = np.random.default_rng(count)
         scene = make_boxes(rng.uniform(-8.0, 8.0, (count, 3)), rng.uniform(0.1, 2.0, (count, 3)))
@@ -148,7 +150,7 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
 
 @settings(max_examples=8)
 @given(st.lists(st.tuples(st.sets(st.integers(0, 59)), st.sets(st.integers(0, 59))), min_size=2, max_size=5))
-def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
+def test_the_lists_follow_from_the_visible_and_the_guessed_objects(
     null: rhi.Device, frames: list[tuple[set[int], set[int]]]
 ) -> None:
     scene, camera = occlusion_scenes.make_cloud(), make_camera((0.0, 0.0, 30.0), ORIGIN, near=0.1)
@@ -170,7 +172,7 @@ def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_the_gpu_draws_what_is_listed_and_the_cpu_never_waits(name: str) -> None:
+def test_the_gpu_draws_the_listed_objects_and_the_cpu_never_waits(name: str) -> None:
     simulation = Simulation(submission_latency=10**8)
     scene, camera = occlusion_scenes.make_cloud(), make_camera((0.0, 0.0, 30.0), ORIGIN, near=0.1)
     with rhi.create_device("null", simulation=simulation) as device, Renderer(device, scene) as renderer:
@@ -205,7 +207,9 @@ def test_a_pass_without_a_device_is_refused(null: rhi.Device, city: Scene, name:
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_what_was_drawn_is_known_until_the_next_frame(device: rhi.Device, city: Scene, name: str) -> None:
+def test_the_list_of_drawn_objects_is_readable_until_the_next_frame(
+    device: rhi.Device, city: Scene, name: str
+) -> None:
     algorithm, camera = make(name, city, device), city.paths["ground"].camera(700)
     with Renderer(device, city, size=SIZE) as renderer:
         first = draw_with(renderer, algorithm, camera)

@@ -11,7 +11,7 @@ POSITIONS = [WALL_POSITION, (0.0, 0.0, -9.0), (3.0, 0.0, -9.0), (0.0, 0.0, 9.0),
 SIZES = [(3.0, 3.0, 0.1), (1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.001, 0.001, 0.001)]
 
 
-def test_what_covers_a_pixel_is_seen(device: rhi.Device) -> None:
+def test_an_object_that_covers_a_pixel_is_visible(device: rhi.Device) -> None:
     scene = make_boxes(POSITIONS, SIZES)
     scene.objects.mesh[:] = 0
     exact = ExactVisibility(device, scene, (64, 36))

@@ -28,7 +28,7 @@ def city():
 
 
 @pytest.mark.parametrize("path", ["ground", "sky"])
-def test_what_brute_force_keeps_is_drawn_along_a_path_and_moving_objects_where_they_are_now(hall, path):
+def test_frustum_culling_draws_along_a_path_exactly_the_objects_that_brute_force_selects(hall, path):
     algorithm = FrustumCulling(hall)
     assert len(hall.objects.dynamic_indices)
     assert len(hall.objects.static_indices)

@@ -110,7 +110,7 @@ def interleave(*lists: Iterable[object]) -> list[object]:
 
 @pytest.mark.nightly_cases("*-1", "*-20", reason=FEWER_CASES)
 @pytest.mark.parametrize(("title", "latency"), interleave(CULLING_SCENARIOS))
-def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str, latency: int) -> None:
+def test_on_a_late_gpu_a_hard_case_draws_all_visible_objects(title: str, latency: int) -> None:
     case = CULLING_SCENARIOS[title]
     scene = case.scene()
     shots = case.shots(scene)
@@ -137,7 +137,9 @@ WALKS = {
 
 
 @pytest.mark.parametrize(("name", "title", "latency"), interleave([*OCCLUSION, *DEVICE], WALKS))
-def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, latency: int) -> None:
+def test_visible_objects_are_drawn_however_late_query_results_arrive(
+    name: str, title: str, latency: int
+) -> None:
     scene = _cloud()
     with make_late(latency) as device:
         oracle = Oracle(device, scene, name, guessed=set(range(0, 40, 3)))
@@ -151,7 +153,7 @@ def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, la
 
 
 @pytest.mark.parametrize(("name", "ulps", "latency"), interleave([*OCCLUSION, *DEVICE], [-1, 0, 1]))
-def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(
+def test_an_object_that_the_near_plane_may_cut_is_drawn_whatever_its_query_counts(
     name: str, ulps: int, latency: int
 ) -> None:
     radius = near_radius(

@@ -52,7 +52,7 @@ def make_scene(*, shadow: bool = False) -> Scene:
 @pytest.mark.parametrize(
     ("what", "shadow"), [("simulation", False), ("tessellation", False), ("tessellation", True)]
 )
-def test_what_is_hidden_dispatches_nothing_and_takes_no_step(
+def test_hidden_simulations_dispatch_nothing_and_take_no_step(
     null: Device, name: str, what: str, shadow: bool
 ) -> None:
     """Cloth and terrain; it is seen again from frame 30 on, as of frame 31 if the device decides, or 32 where
@@ -75,7 +75,7 @@ def test_what_is_hidden_dispatches_nothing_and_takes_no_step(
 
 @pytest.mark.parametrize("simulates_hidden", [False, True])
 @pytest.mark.parametrize("name", LATE)
-def test_what_comes_out_from_behind_a_wall_is_as_of_its_frame(
+def test_terrain_that_appears_from_behind_a_wall_is_as_of_its_frame(
     drawing_device: Device, name: str, simulates_hidden: bool
 ) -> None:
     """Terrain fills its box, and shows with it: so it may be late in a walk. All is where the wall

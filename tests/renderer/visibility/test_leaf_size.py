@@ -54,7 +54,7 @@ def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, c
 
 
 @pytest.mark.parametrize("name", occlusion_scenes.OCCLUSION)
-def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
+def test_of_a_leaf_across_the_edge_of_the_view_only_objects_in_view_are_drawn(
     null: rhi.Device, cloud: Scene, name: str
 ) -> None:
     camera = occlusion_scenes.make_camera((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)

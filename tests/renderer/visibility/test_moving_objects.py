@@ -130,7 +130,7 @@ def test_all_trees_are_walked_front_to_back_together(
     assert (np.diff(distances) >= 0.0).all()
 
 
-def test_of_equally_near_nodes_the_one_with_the_nearer_centre_comes_first() -> None:
+def test_equally_near_nodes_are_ordered_by_the_distance_of_their_centres() -> None:
     object_positions, sizes = (
         [(0.0, 0.0, -0.1), (0.0, 0.0, -1.0)],
         [(1.0, 1.0, 1.0), (4.0, 4.0, 4.0)],

@@ -125,7 +125,7 @@ def test_a_parallel_projection_is_near_at_its_near_plane(device: rhi.Device, gap
     assert compute_occludees(device, scene, camera)[1].tolist() == [mark]
 
 
-def test_what_is_too_far_for_floats_is_drawn_without_being_asked_for(device: rhi.Device) -> None:
+def test_objects_too_far_for_float32_are_marked_visible_without_a_query(device: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, -1e16), (0.0, 0.0, -1e13)], [(1.0, 1.0, 1.0)] * 2)
     _, marks = compute_occludees(device, scene, make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
     assert marks.tolist() == [VISIBLE, HIDDEN]

@@ -53,13 +53,13 @@ def test_a_box_around_the_eye_is_near() -> None:
 
 
 @pytest.mark.parametrize("depth", Depth)
-def test_in_a_parallel_projection_what_the_near_plane_cuts_is_near(depth: Depth) -> None:
+def test_in_a_parallel_projection_boxes_cut_by_the_near_plane_are_near(depth: Depth) -> None:
     camera = look(Orthographic(10.0, near=2.0, depth=depth))
     assert is_near(camera, (3.0, 3.0, -5.0), (4.0, 4.0, -1.9))
     assert not is_near(camera, (3.0, 3.0, -5.0), (4.0, 4.0, -2.1))
 
 
-def test_what_is_too_far_for_float32_is_drawn_without_a_query() -> None:
+def test_boxes_too_far_for_float32_are_drawn_without_a_query() -> None:
     camera = look(Perspective())
     lower, upper = (
         np.array([[-1.0, -1.0, -1.1 * z] for z in (1e16, 1e14)]),
@@ -131,7 +131,7 @@ def test_a_mirrored_object_s_box_is_right_handed() -> None:
     assert np.linalg.det(compute_rotated_boxes(scene, np.arange(1)).axes) == pytest.approx([1.0])
 
 
-def test_boxes_of_what_moves_turn_with_it() -> None:
+def test_boxes_of_a_turning_node_turn_with_it() -> None:
     builder = SceneBuilder("turning")
     node = builder.add_node(dynamic=True)
     builder.add_objects(node, builder.add_mesh(box()), builder.add_material())
@@ -177,7 +177,7 @@ def test_an_eye_in_the_aligned_box_and_not_in_the_turned_one_asks_for_that() -> 
     assert beside.x[0] != pytest.approx((1.0, 0.0, 0.0))
 
 
-def test_where_only_the_turned_box_is_near_the_aligned_one_is_asked_for() -> None:
+def test_the_aligned_box_is_queried_where_only_the_turned_box_is_near() -> None:
     # The box of a turned ball has corners that the ball's aligned bounds lack, if its mesh's are the tighter
     # ones.
     scene = make_boxes([(0.0, 0.0, 0.0)], [(2.0, 2.0, 2.0)], rotations=TURN[None])

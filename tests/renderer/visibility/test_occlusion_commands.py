@@ -70,7 +70,7 @@ def make(renderer: Renderer, name: str) -> tuple[object, Oracle]:
 
 @pytest.mark.parametrize("looks", LOOKS)
 @pytest.mark.parametrize("name", OCCLUSION)
-def test_what_shows_is_drawn_in_the_frame_in_which_it_shows(
+def test_visible_objects_are_drawn_in_the_frame_in_which_they_become_visible(
     renderer: Renderer, name: str, looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     delay_query_results(monkeypatch, looks)
@@ -102,7 +102,7 @@ def test_stop_and_wait_asks_for_every_object_in_the_frustum(renderer: Renderer) 
 
 
 @pytest.mark.parametrize("name", OCCLUSION)
-def test_what_is_outside_the_frustum_is_neither_asked_for_nor_drawn(renderer: Renderer, name: str) -> None:
+def test_objects_outside_the_frustum_are_neither_queried_nor_drawn(renderer: Renderer, name: str) -> None:
     algorithm, oracle = make(renderer, name)
     oracle.visible_objects = set(range(60))
     away = Camera.look_at((0.0, 0.0, 30.0), (0.0, 0.0, 60.0))
@@ -142,7 +142,7 @@ def test_chc_pulls_up_visibility_so_hidden_trees_cost_one_query(renderer: Render
         assert draw_with(renderer, algorithm, EYE).statistics.queries == 1
 
 
-def test_what_came_into_view_is_asked_for_at_its_leaves_in_the_next_frame(null: rhi.Device) -> None:
+def test_objects_that_came_into_view_are_queried_as_leaves_in_the_next_frame(null: rhi.Device) -> None:
     """Once it has been found, nodes above it are visible too, though what made them so before is out of
     view."""
     scene = make_boxes(np.array([(x, y, 0.0) for x in (-40.0, 40.0) for y in range(4)]), np.full((8, 3), 0.4))
@@ -217,7 +217,7 @@ def test_a_multiquery_that_shows_something_is_asked_again_one_by_one(renderer: R
     assert changed.statistics.queries > settled
 
 
-def test_conditional_culling_never_waits_and_the_gpu_drops_what_is_hidden(renderer: Renderer) -> None:
+def test_conditional_culling_never_waits_and_the_gpu_drops_hidden_objects(renderer: Renderer) -> None:
     oracle = Oracle(renderer.device, renderer.scene)
     algorithm = ConditionalCulling(renderer.scene, renderer.device, VisibilitySettings(persistence=2))
     for visible_objects in ({3, 4, 50}, set(range(20)), {3}):
@@ -249,7 +249,7 @@ def test_conditional_culling_asks_once_a_frame_in_one_pass(renderer: Renderer) -
         assert result.visibility.batches <= 2
 
 
-def test_conditional_culling_gives_up_what_is_never_answered(
+def test_conditional_culling_gives_up_queries_without_a_result(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     delay_query_results(monkeypatch, 10**9)
@@ -398,7 +398,7 @@ def test_conditional_culling_is_listed_where_queries_are_native(native: bool, li
 
 @pytest.mark.parametrize("threshold", [99, 100])
 @pytest.mark.parametrize("name", [StopAndWait, Chc, ChcPlusPlus])
-def test_visible_is_what_passes_more_samples_than_the_threshold(
+def test_objects_with_more_samples_than_the_threshold_are_visible(
     renderer: Renderer, name: type[ChcPlusPlus], threshold: int
 ) -> None:
     Oracle(renderer.device, renderer.scene, NAMES[name], visible_objects=set(range(60)), samples=100)

@@ -120,7 +120,7 @@ def test_the_history_of_objects_carries_over_to_their_new_nodes() -> None:
             assert (memory.hidden_since[node], memory.next_query[node]) == (min(below), 100 + min(below))
 
 
-def test_what_is_below_a_hidden_node_is_known_to_be_hidden_as_long_as_that_node() -> None:
+def test_after_a_rebuild_nodes_below_a_hidden_node_are_hidden_since_the_same_frame() -> None:
     scene = make_moving(shuffle)
     forest = Forest(scene)
     memory, last = NodeHistory(forest), 7
@@ -159,7 +159,7 @@ def test_after_a_shuffle_there_are_no_more_queries_than_with_a_new_tree(
     assert np.mean(worn[-20:]) > 1.2 * np.mean(fresh[-20:])
 
 
-def test_in_the_frame_of_a_rebuild_visible_objects_are_still_known(
+def test_a_rebuild_keeps_the_visible_objects_of_its_frame(
     gl: rhi.Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What is known to be visible is drawn inside its query, without a box.

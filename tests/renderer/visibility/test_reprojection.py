@@ -116,7 +116,7 @@ def test_a_wall_that_one_passes_is_no_nearer_than_it_is(device: rhi.Device) -> N
 
 @pytest.mark.parametrize("direction", Depth)
 @pytest.mark.parametrize("way", [-20.3, -30.0])
-def test_what_is_behind_the_eye_or_before_the_near_plane_stays_as_it_was(
+def test_reprojected_depth_behind_the_eye_or_before_the_near_plane_is_unchanged(
     device: rhi.Device, direction: Depth, way: float
 ) -> None:
     last, now = look(depth=direction), look(z=way, depth=direction)
@@ -144,7 +144,9 @@ def test_a_parallel_projection_is_reprojected_too(device: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (41, 23), (64, 36), (63, 34), (5, 8)])
-def test_what_is_drawn_lies_on_the_texels_of_its_pixels(null: rhi.Device, size: tuple[int, int]) -> None:
+def test_reprojected_points_land_on_the_texels_of_their_pixels(
+    null: rhi.Device, size: tuple[int, int]
+) -> None:
     camera = look().with_aspect(size[0] / size[1])
     points = np.random.default_rng(3).uniform((-4, -3, -20), (4, 3, -2), (50, 3))
     points = np.append(points, np.ones((50, 1)), axis=1)

@@ -52,7 +52,9 @@ def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
 
 
 @pytest.mark.parametrize("name", [*WAITING, "conditional"])
-def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: Scene, name: str) -> None:
+def test_simulations_that_an_algorithm_does_not_draw_take_no_step(
+    null: rhi.Device, hall: Scene, name: str
+) -> None:
     oracle = Oracle(null, hall, name)
     algorithm = make_visibility(name, hall, null)
     camera = hall.views["overview"]
@@ -75,7 +77,7 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
 
 
 @pytest.mark.parametrize(("count", "steps"), [(22, 0), (23, 23)])
-def test_only_what_an_absence_would_change_is_simulated_while_hidden(
+def test_only_simulations_that_an_absence_would_change_run_while_hidden(
     null: rhi.Device, count: int, steps: int
 ) -> None:
     """Of 22 fountains each can take the 90 steps that it remembers in the frame in which all return."""
@@ -114,7 +116,7 @@ def test_a_suspended_flag_comes_back_otherwise_than_one_that_took_its_steps(
     assert differs == [*[False] * 27, *[True] * 3]
 
 
-def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> None:
+def test_only_visible_simulations_are_uploaded(null: rhi.Device, hall: Scene) -> None:
     away = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
     with Renderer(null, hall, visibility=FrustumCulling(hall), size=(64, 36)) as renderer:
         renderer.render(away, 0.0)

@@ -75,7 +75,7 @@ def test_moving_objects_hide_where_they_are(device: rhi.Device) -> None:
     algorithm.destroy()
 
 
-def test_what_a_wall_hides_is_not_drawn_in_the_first_frame(device: rhi.Device) -> None:
+def test_objects_behind_a_wall_are_not_drawn_in_the_first_frame(device: rhi.Device) -> None:
     scene = walled(*((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, -3.0))
     algorithm = visibility.SoftwareDepth(scene)
     with Renderer(device, scene, size=SIZE) as renderer:
@@ -110,7 +110,7 @@ def test_whatever_occludes_no_pixel_is_lost(
 
 
 @pytest.mark.parametrize(("pixels", "shows"), [(0.9, True), (2.1, False)])
-def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(
+def test_a_box_is_hidden_only_if_its_occluder_reaches_a_pixel_further(
     cl: rhi.Device, pixels: float, shows: bool
 ) -> None:
     # The wall ends at x = 0, between pixels; the box ends so many pixels before that, as the camera sees it.
@@ -125,7 +125,7 @@ def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(
 
 
 @pytest.mark.parametrize(("texels", "shows"), [(8, False), (1, True)])
-def test_a_box_compared_with_fewer_texels_shows_beside_the_end_of_what_hides_it(
+def test_a_box_compared_with_fewer_texels_shows_beside_the_edge_of_its_occluder(
     cl: rhi.Device, texels: int, shows: bool
 ) -> None:
     # Six pixels beyond a coarse texel's edge, the wall ends, and the box five pixels before that.
@@ -181,7 +181,7 @@ def test_the_largest_occlude_near_first() -> None:
         algorithm.destroy()
 
 
-def test_what_is_simulated_occludes_nothing() -> None:
+def test_simulated_objects_are_never_occluders() -> None:
     hall = load_scene("hall:columns=4,rows=2,flags=3,fountains=3")
     algorithm = visibility.SoftwareDepth(hall)
     sprays = np.concatenate([simulation.objects for simulation in hall.simulated])
@@ -194,7 +194,7 @@ def test_what_is_simulated_occludes_nothing() -> None:
     algorithm.destroy()
 
 
-def test_a_device_that_draws_nothing_is_given_the_same(
+def test_software_depth_gives_the_same_draws_to_a_device_that_draws_nothing(
     device: rhi.Device, null: rhi.Device, city: Scene
 ) -> None:
     algorithm, drawn = visibility.SoftwareDepth(city), []
@@ -214,7 +214,7 @@ def test_without_a_renderers_pass_it_refuses(null: rhi.Device) -> None:
     algorithm.destroy()
 
 
-def test_on_a_walk_most_of_what_is_hidden_is_not_drawn(cl: rhi.Device, city: Scene) -> None:
+def test_on_a_walk_most_hidden_objects_are_not_drawn(cl: rhi.Device, city: Scene) -> None:
     algorithm, frustum, none = (
         visibility.SoftwareDepth(city),
         visibility.FrustumCulling(city),

@@ -50,14 +50,14 @@ def object_indices_of(scene: Scene, traversal: CullingTraversal, outcome: Traver
 def count_inside(
     traversal: CullingTraversal, outcomes: tuple[TraversalOutcome, ...], row: int, scene: Scene
 ) -> int:
-    """Return how many nodes of these outcomes hold an object."""
+    """Return the number of nodes of these outcomes that hold an object."""
     inside = (traversal.lower <= scene.objects.lower[row]).all(axis=1)
     inside &= (traversal.upper >= scene.objects.upper[row]).all(axis=1)
     return int((inside & np.isin(traversal.outcome, outcomes)).sum())
 
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
-def test_each_object_is_in_a_node_that_tells_what_became_of_it(
+def test_the_node_of_each_object_reports_whether_it_was_drawn(
     null: rhi.Device, scene: Scene, name: str
 ) -> None:
     oracle = Oracle(null, scene, name)
@@ -120,7 +120,7 @@ def test_nodes_that_were_not_reached_are_not_part_of_the_traversal(null: rhi.Dev
     assert traversal.outcome.tolist() == [TraversalOutcome.HIDDEN]  # the root
 
 
-def test_what_is_outside_of_an_opened_node_shows_even_if_nothing_in_the_node_is_visible(
+def test_boxes_outside_of_an_opened_node_are_reported_even_if_nothing_in_the_node_is_visible(
     null: rhi.Device, scene: Scene
 ) -> None:
     oracle = Oracle(null, scene, "chc")

@@ -94,7 +94,7 @@ def test_emulated_queries_are_counters_in_place_of_queries(
     assert (begun, written) == ((0, 2) if emulated else (1, 0))
 
 
-def test_what_is_drawn_on_condition_needs_native_queries(null: rhi.Device) -> None:
+def test_the_algorithm_conditional_needs_native_queries(null: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
     with pytest.raises(ValidationError, match=r"^\[visibility-no-conditional-rendering\]"):
         make_visibility("conditional", scene, null, VisibilitySettings(emulated=True))

@@ -49,7 +49,7 @@ def turned_scenes(draw: st.DrawFn) -> Scene:
 
 
 @given(scene=turned_scenes(), camera=cameras())
-def test_what_is_said_to_be_outside_or_inside_is(scene: Scene, camera: Camera) -> None:
+def test_boxes_classified_as_outside_or_inside_are_outside_or_inside(scene: Scene, camera: Camera) -> None:
     planes, objects = camera.frustum.planes, scene.objects
     distance = before(planes, corners(scene))
     side = classify(planes, objects.lower, objects.upper)

@@ -118,13 +118,13 @@ def test_repeating_leaves_no_objects_behind(
     assert grown < times, f"{grown} objects in {times} repetitions"
 
 
-def test_the_count_sees_what_is_kept(harness: DeviceHarness) -> None:
+def test_the_count_of_reachable_objects_includes_live_buffers(harness: DeviceHarness) -> None:
     before = count_reachable(harness)
     buffers = [harness.device.buffer(16) for _ in range(10)]
     assert count_reachable(harness) - before >= len(buffers)
 
 
-def test_the_tables_of_a_backend_shrink_with_what_is_destroyed(harness: DeviceHarness) -> None:
+def test_the_tables_of_a_backend_shrink_when_resources_are_destroyed(harness: DeviceHarness) -> None:
     backend: Any = harness.device.backend_as(
         GlBackend if harness.device.backend_name == "gl" else ClBackend  # type: ignore[arg-type]
     )
@@ -164,7 +164,7 @@ def test_ten_thousand_dropped_resources_of_a_kind_keep_less_than_20_mib(backend:
 
 
 @pytest.mark.nightly
-def test_textures_that_are_held_are_seen_in_the_same_measure() -> None:
+def test_the_same_measure_detects_textures_that_are_kept() -> None:
     """A tenth as many take 62 MiB."""
     program = """
 import memory

@@ -219,7 +219,9 @@ def cut_off(block: Any, kind: type) -> None:
     assert kind.__enter__ is enter
 
 
-def test_the_scope_around_repairs_one_whose_end_was_cut_off(null_device: Device) -> None:
+def test_an_outer_scope_restores_the_states_of_an_inner_scope_whose_exit_was_interrupted(
+    null_device: Device,
+) -> None:
     states = null_device._core.states
     default = states.requested
     with pytest.raises(KeyboardInterrupt), null_device.states(CullMode.NONE):
@@ -235,7 +237,7 @@ def test_the_scope_around_repairs_one_whose_end_was_cut_off(null_device: Device)
     assert states.depth == 0
 
 
-def test_a_scope_around_one_whose_interrupt_was_caught_ends_both(null_device: Device) -> None:
+def test_an_outer_scope_also_ends_an_inner_scope_whose_interrupt_was_caught(null_device: Device) -> None:
     states = null_device._core.states
     with null_device.states(CullMode.NONE):
         cut_off(null_device.states(CullMode.FRONT), type(null_device.states()))

@@ -12,7 +12,7 @@ from rhi.contract.texels import decode
 
 
 @pytest.mark.parametrize(("backend", "most"), [("gl", 0.8), ("cl", 0.501)])
-def test_levels_are_means_of_the_ones_before(backend: str, most: float) -> None:
+def test_each_mip_level_is_the_mean_of_the_level_before(backend: str, most: float) -> None:
     """Averages in linear light are rounded to nearest. On gl llvmpipe's curve adds up to 0.3."""
     texels = np.random.default_rng(3).integers(0, 256, (64, 64, 4), np.uint8)
     with (

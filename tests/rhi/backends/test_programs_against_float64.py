@@ -57,7 +57,7 @@ def rules_of(device: rhi.Device) -> Tolerances:
 
 
 @pytest.mark.parametrize(("backend", "themes"), THEMES)
-def test_random_programs_leave_what_float64_allows(backend: str, themes: range) -> None:
+def test_results_of_random_programs_are_within_the_bounds_of_float64(backend: str, themes: range) -> None:
     for number in themes:
         with rhi.create_device(backend) as device:
             rules = rules_of(device)
@@ -243,7 +243,7 @@ def test_a_program_is_printed_as_python_that_makes_it() -> None:
     assert eval(to_python(program), names) == program
 
 
-def test_a_failing_program_is_reduced_to_what_fails() -> None:
+def test_a_failing_program_is_reduced_to_its_failing_part() -> None:
     """Of a program that fails because of one state, one step with one draw of one primitive with that state
     is left."""
     guilty = replace(

@@ -59,7 +59,7 @@ def test_a_backend_takes_all_queries_at_once(device: Device, monkeypatch: pytest
         assert queries.wait().tolist() == [3, 3]
 
 
-def test_a_running_counter_counts_what_a_set_counts(device: Device, bars: Mesh) -> None:
+def test_a_running_counter_includes_the_draws_of_a_query_set(device: Device, bars: Mesh) -> None:
     """Queries before, in and after it, in whichever order they are read."""
     backend, core = device._core.backend, device._core
     queries, program = device.query_set(16), device.program(Colored)

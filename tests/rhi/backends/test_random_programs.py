@@ -34,7 +34,9 @@ def cl() -> Iterator[Device]:
 
 
 @pytest.mark.parametrize("seeds", SEEDS)
-def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatch, seeds: range) -> None:
+def test_cl_draws_the_same_bits_without_its_culling_and_caches(
+    cl: Device, monkeypatch: pytest.MonkeyPatch, seeds: range
+) -> None:
     """Without bounds of depth, pieces, deferred clears and cached tables, results are the same bits."""
     hidden = 0
     with rhi.create_device("cl") as plain:

@@ -184,7 +184,7 @@ print(came)
 
 
 def interrupt_frames(backend: str, seed: int, times: int) -> int:
-    """Return how many frames of a program were interrupted by timeouts at random times; all others are
+    """Return the number of a program's frames that were interrupted by timeouts at random times; all others are
     right."""
     command = [sys.executable, "-W", "ignore", "-c", _TIMED, backend, str(seed), str(times)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)

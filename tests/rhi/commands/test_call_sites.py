@@ -98,7 +98,7 @@ def test_calls_of_another_library_name_its_line(device: Device) -> None:
     assert lines(device, Op.CLEAR_BUFFER) == [here(-1)]
 
 
-def test_what_the_renderer_draws_is_at_the_line_that_renders(device: Device) -> None:
+def test_commands_of_the_renderer_are_recorded_at_the_line_that_calls_render(device: Device) -> None:
     scene = load_scene("grid:count=2")
     with Renderer(device, scene, size=(8, 8)) as renderer:
         device.stream.clear()

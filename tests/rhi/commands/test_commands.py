@@ -33,7 +33,7 @@ def draw(recorder, count=3, instances=1):
 # -- ops -------------------------------------------------------------------------------------------------
 
 
-def test_every_method_of_the_contract_is_a_command_or_known_not_to_be():
+def test_every_method_of_the_contract_is_a_command_or_listed_as_none():
     methods = {name for name in vars(Backend) if not name.startswith("_")}
     assert {op.method for op in Op} == methods - NOT_COMMANDS
     assert methods >= NOT_COMMANDS
@@ -127,7 +127,7 @@ def labelled(recorder):
         ({"op": Op.DRAW, "where": lambda command: "sun" not in command.labels, "label": "shadows"}, [20]),
     ],
 )
-def test_a_filter_keeps_what_meets_all_its_conditions(labelled, conditions, counts):
+def test_a_filter_selects_the_commands_that_meet_all_its_conditions(labelled, conditions, counts):
     if counts is None:  # draw_indirect has no `instances`
         with pytest.raises(ValidationError):
             labelled.filter(**conditions)
@@ -182,14 +182,14 @@ def test_a_command_knows_its_states_program_and_pass(recorder):
     assert (second.program, second.render_pass) == (9, descriptors.PassDescriptor((4, 4)))
 
 
-def test_states_given_out_are_a_copy(recorder):
+def test_the_states_of_a_command_are_a_copy(recorder):
     draw(recorder)
     draw(recorder)
     recorder.stream[0].states[CullMode] = CullMode.FRONT
     assert recorder.stream[1].states[CullMode] is CullMode.BACK
 
 
-def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived(recorder):
+def test_a_command_of_a_cleared_stream_keeps_its_arguments_and_refuses_derived_values(recorder):
     draw(recorder, 12)
     command = recorder.stream[0]
     assert command.labels == ()
@@ -209,7 +209,7 @@ STEPS = st.lists(
 
 @given(STEPS, st.randoms(use_true_random=False))
 @settings(max_examples=100)
-def test_what_holds_is_what_a_model_says_whatever_was_cleared_or_left_out(steps, random):
+def test_labels_and_states_of_commands_equal_those_of_a_model_after_clears_and_pauses(steps, random):
     recorder = Recorder(create_backend())
     labels, cull, pauses, expected = [], CullMode.BACK, [], []
     for number, step in enumerate(steps):
@@ -268,7 +268,7 @@ def test_a_printed_stream_is_indented_by_its_labels(labelled):
     assert all(f"{os.path.basename(__file__)}:" in line for line in lines)
 
 
-def test_a_limit_says_what_it_left_out(labelled):
+def test_a_limited_listing_ends_with_the_number_of_omitted_commands(labelled):
     lines = labelled.format(3).splitlines()
     assert len(lines) == 4
     assert lines[-1] == "… and 5 more"
@@ -302,7 +302,7 @@ def test_a_limit_says_what_it_left_out(labelled):
         ),
     ],
 )
-def test_values_are_shown_as_one_would_write_them(value, text):
+def test_arguments_of_commands_are_printed_as_python_expressions(value, text):
     assert describe(value) == text
 
 

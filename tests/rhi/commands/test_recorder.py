@@ -86,7 +86,7 @@ def test_every_command_is_written_down_passed_on_and_answered(op):
     assert (command.site.file, command.site.line) == (__file__, line)
 
 
-def test_what_never_waits_is_passed_on_without_a_trace():
+def test_calls_that_never_wait_are_passed_on_unrecorded():
     recorder = Recorder(Listener())
     assert recorder.completed() == 5
     assert recorder.read_query(3) == 4
@@ -96,7 +96,7 @@ def test_what_never_waits_is_passed_on_without_a_trace():
     assert len(recorder.stream) == 0
 
 
-def test_arguments_can_be_given_by_name():
+def test_arguments_passed_by_name_are_recorded():
     recorder = Recorder(Listener())
     recorder.copy_buffer(source=1, source_offset=2, target=3, target_offset=4, size=5)
     assert recorder.stream[0].values == (1, 2, 3, 4, 5)
@@ -135,7 +135,7 @@ def test_the_site_is_the_users_innermost_line_outside_the_package():
     assert recorder.stream[0].site.function == sys._getframe().f_code.co_qualname
 
 
-def test_two_calls_on_one_line_of_a_loop_and_several_lines_of_one_call_are_told_apart():
+def test_call_sites_distinguish_calls_in_a_loop_and_calls_of_several_lines():
     recorder = Recorder(Listener())
     first = sys._getframe().f_lineno + 1
     recorder.signal(1)
@@ -183,7 +183,7 @@ def test_a_call_that_fails_stays_in_the_stream_with_its_error():
     assert str(command).endswith("FAILED [device-out-of-memory]")
 
 
-def test_an_error_without_a_rule_is_known_by_its_type():
+def test_an_error_without_a_rule_is_recorded_with_its_type():
     recorder = Recorder(Broken(KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
         recorder.signal(1)

@@ -35,7 +35,7 @@ def test_a_square_of_two_triangles_covers_its_texels() -> None:
 
 
 @given(a=POINT, b=POINT, c=POINT)
-def test_winding_does_not_change_what_a_triangle_covers(a: tuple, b: tuple, c: tuple) -> None:
+def test_winding_does_not_change_the_coverage_of_a_triangle(a: tuple, b: tuple, c: tuple) -> None:
     assert np.array_equal(reference.rasterise([a, b, c], 16, 16), reference.rasterise([c, b, a], 16, 16))
 
 
@@ -75,7 +75,7 @@ def test_srgb_goes_there_and_back(value: float) -> None:
     assert abs(float(reference.srgb_to_linear(reference.linear_to_srgb(value))) - value) < 1e-6
 
 
-def test_known_points_of_the_srgb_curve() -> None:
+def test_the_srgb_curve_passes_through_published_points() -> None:
     assert_near(
         reference.linear_to_srgb([0, 0.0031308, 0.5, 1]),
         [0, 0.04045, 0.735357, 1],
@@ -84,7 +84,7 @@ def test_known_points_of_the_srgb_curve() -> None:
     )
 
 
-def test_blending_over_is_what_it_is_on_paper() -> None:
+def test_the_reference_s_alpha_blending_equals_a_result_computed_by_hand() -> None:
     over = reference.blend(BlendFunction.ALPHA, (1, 0, 0, 0.25), (0, 1, 0, 1), (0, 0, 0, 0))
     assert_near(over, (0.25, 0.75, 0, 1.0), 1e-12, "float64")
     assert BlendColor().alpha == 0
@@ -112,7 +112,7 @@ def test_half_of_the_light_is_188_in_srgb() -> None:
     assert_near(reference.halve(Format.RGBA8_SRGB, board), (187.5, 187.5, 187.5, 127.5), 0.1, "187.516")
 
 
-def test_a_difference_is_told_with_its_place() -> None:
+def test_a_difference_is_reported_with_its_index_and_values() -> None:
     with pytest.raises(
         AssertionError,
         match=r"1 of 4 values differ .* worst 3\n.*at \(1, 0\): got np.int64\(5\), expected np.float64\(2.0\)",
@@ -120,7 +120,7 @@ def test_a_difference_is_told_with_its_place() -> None:
         assert_same(np.array([[1, 2], [5, 2]]), np.array([[1, 2], [2, 2]]))
 
 
-def test_what_is_no_number_differs_from_all_numbers() -> None:
+def test_nan_differs_from_all_numbers() -> None:
     with pytest.raises(AssertionError, match="1 of 2"):
         assert_near([np.nan, 1.0], 1.0, 10.0, "never enough")
 

@@ -59,7 +59,7 @@ def test_the_guide_goes_through_the_steps_with_their_methods_and_groups() -> Non
 # -- the template ------------------------------------------------------------------------------------------
 
 
-def test_a_new_backend_fails_every_test_by_the_name_of_what_it_misses(tmp_path: Path) -> None:
+def test_every_failure_of_a_new_backend_names_the_missing_method(tmp_path: Path) -> None:
     root = write_package("half_done", tmp_path)
     _, output = take_the_kit("rhi_half_done:create_backend", root, "rhi.conformance.operation.test_buffers")
     assert re.search(r"^ 1 operation · buffers +0 passed +91 failed$", output, re.MULTILINE), output

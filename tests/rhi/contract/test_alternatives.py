@@ -59,7 +59,7 @@ def cases() -> dict[str, Iterable[Fault]]:
 
 
 @pytest.mark.parametrize("capability", cases())
-def test_a_fault_of_a_missing_capability_says_what_to_use_instead(capability: str) -> None:
+def test_the_refusal_of_a_missing_capability_names_an_alternative(capability: str) -> None:
     fault = next(
         fault for fault in cases()[capability] if fault.rule in (DEVICE_CAPABILITY, STATE_CAPABILITY)
     )

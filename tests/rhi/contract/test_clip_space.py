@@ -51,7 +51,7 @@ def test_reversed_depth_of_a_parallel_projection_is_linear() -> None:
 @pytest.mark.parametrize(
     "wrong", [np.eye(3), np.ones(16), np.full((4, 4), np.nan), np.diag((1, 1, 1, np.inf))]
 )
-def test_what_is_no_projection_is_refused(wrong: NDArray[np.float64]) -> None:
+def test_a_matrix_that_is_not_a_projection_is_refused(wrong: NDArray[np.float64]) -> None:
     with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         convert_projection(wrong)
     assert rhi.convert_projection(np.eye(4)).shape == (4, 4)

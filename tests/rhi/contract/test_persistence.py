@@ -26,13 +26,15 @@ def save_entries(entries: dict[str, int], max_entries: int = 3) -> list[tuple[st
     return list(PersistentDict("numbers", max_entries).items())
 
 
-def test_what_was_set_last_comes_back(folder: Path) -> None:
+def test_the_entries_that_were_set_last_are_loaded(folder: Path) -> None:
     assert save_entries({"a": 1, "b": 2}) == [("a", 1), ("b", 2)]
     assert save_entries({"a": 3, "c": 4}) == [("b", 2), ("a", 3), ("c", 4)]
     assert save_entries({"d": 5}) == [("a", 3), ("c", 4), ("d", 5)]
 
 
-def test_what_others_could_have_written_does_not(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entries_without_a_valid_signature_are_not_loaded(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     save_entries({"a": 1})
     whole = (folder / "numbers.json").read_bytes()
     for name, content in (("numbers", whole.replace(b"1}", b"2}")), ("numbers", b""), ("others", whole)):
@@ -51,7 +53,7 @@ def test_a_folder_that_others_may_write_to_is_not_used(folder: Path, mode: int, 
     assert save_entries({"b": 2}) == ([("a", 1), ("b", 2)] if is_used else [])
 
 
-def test_what_cannot_be_written_stays_as_it_was(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_save_leaves_the_file_as_it_was(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_entries({"a": 1})
     monkeypatch.setattr(trust, "write_atomically", lambda *_: os.stat("not there"))
     assert save_entries({"b": 2}) == [("a", 1)]

@@ -31,7 +31,7 @@ def test_every_stored_value_of_a_normalized_format_survives_a_round_trip(format)
 
 
 @pytest.mark.parametrize("format", NORMALIZED, **BY_NAME)
-def test_the_ends_of_a_normalized_format_are_exact_and_what_lies_beyond_saturates(format):
+def test_the_ends_of_a_normalized_format_are_exact_and_values_beyond_saturate(format):
     limits = np.iinfo(format.dtype)
     low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
     assert encode_one(format, 1.0) == encode_one(format, 7.0) == encode_one(format, np.inf) == limits.max
@@ -186,7 +186,7 @@ def test_every_packed_number_survives_a_round_trip(format):
 
 
 @pytest.mark.parametrize(("channel", "start", "fraction"), [(0, 0, 6), (1, 11, 6), (2, 22, 5)])
-def test_small_floats_mean_what_the_specification_says(channel, start, fraction):
+def test_small_floats_decode_as_the_specification_says(channel, start, fraction):
     numbers = np.arange(1 << (5 + fraction), dtype=np.uint32)
     values = decode(Format.R11G11B10F, (numbers << np.uint32(start))[:, None])[:, channel]
     for number, value in zip(numbers.tolist(), values.tolist(), strict=True):

@@ -54,7 +54,7 @@ def check(device: rhi.Device, texels: list[np.ndarray]) -> None:
         assert [int(each[4, 4, 0]) for each in texels] == [round(255 * level(i)) for i in range(len(texels))]
 
 
-def test_a_frame_loop_awaits_what_it_has_drawn(device: rhi.Device) -> None:
+def test_a_frame_loop_under_asyncio_awaits_its_frames(device: rhi.Device) -> None:
     check(device, asyncio.run(draw_frames(device, 8)))
 
 
@@ -66,7 +66,7 @@ def test_loops_of_several_tasks_take_turns(device: rhi.Device) -> None:
         check(device, texels)
 
 
-def test_what_asyncio_makes_of_awaitables_works(device: rhi.Device) -> None:
+def test_asynchronous_reads_work_with_gather_wait_for_and_ensure_future(device: rhi.Device) -> None:
     buffer = device.buffer(np.arange(16, dtype=np.uint32))
 
     async def run() -> None:
@@ -126,7 +126,7 @@ def test_a_wait_that_ends_early_leaves_the_read(
     asyncio.run(run())
 
 
-def test_what_only_wraps_futures_of_threads_says_what_to_do_instead(device: rhi.Device) -> None:
+def test_wrap_future_on_an_asynchronous_read_says_to_await_it(device: rhi.Device) -> None:
     buffer = device.buffer(np.arange(4, dtype=np.uint32))
 
     async def run() -> None:

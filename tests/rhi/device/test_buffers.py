@@ -66,7 +66,7 @@ def test_other_widths_are_refused_with_the_shape_that_is_allowed(kit: Kit) -> No
         assert error.value.allowed == "(n, 4) of float32"
 
 
-def test_typed_buffers_say_what_they_hold(kit: Kit) -> None:
+def test_reprs_of_typed_buffers_name_their_element_and_count(kit: Kit) -> None:
     assert repr(kit.device.storage(vec3, 5, label="paths")) == "StorageBuffer('paths', 5 × vec3)"
     assert repr(kit.device.uniform(vec4(1.0), label="tint")) == "UniformBuffer('tint', vec4)"
     assert repr(kit.device.uniform_array(Light, 3)) == "UniformArray('Light[]', 3 × Light)"

@@ -32,7 +32,7 @@ def test_an_empty_container_has_no_first_element(container, name):
 @example(9, range(10))
 @given(CAPACITIES, STEPS)
 @settings(max_examples=200)
-def test_a_container_does_what_a_list_does(container, peek, end, capacity, steps):
+def test_a_fixed_container_behaves_as_a_list(container, peek, end, capacity, steps):
     room, model = container(capacity), []
     for step in steps:
         if step == "clear":

@@ -89,7 +89,7 @@ def device() -> Iterator[rhi.Device]:
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_what_belongs_to_a_device_is_not_copied(name: str, device: rhi.Device) -> None:
+def test_objects_of_a_device_are_not_copied(name: str, device: rhi.Device) -> None:
     thing = OBJECTS[name](device)
     rules = {}
     for way, duplicate in COPIES.items():

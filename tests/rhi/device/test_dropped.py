@@ -46,11 +46,11 @@ def test_other_devices_do_not_warn(kind: str) -> None:
     assert not collect_warnings(CREATIONS[kind])
 
 
-def test_what_was_destroyed_is_no_warning() -> None:
+def test_a_destroyed_resource_causes_no_warning() -> None:
     assert not collect_warnings(lambda device: device.texture((4, 4), Format.R8).destroy(), validation=True)
 
 
-def test_what_outlives_its_device_is_no_warning() -> None:
+def test_a_resource_that_outlives_its_device_causes_no_warning() -> None:
     with warnings.catch_warnings(record=True) as collected:
         warnings.simplefilter("always")
         with rhi.create_device("null", validation=True) as device:

@@ -132,13 +132,13 @@ def test_a_fault_is_reported_until_the_file_is_right(begin: Any, tmp_path: Path,
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_without_a_kept_text_a_start_fails(begin: Any, tmp_path: Path, fault: str) -> None:
+def test_without_a_saved_text_a_start_fails(begin: Any, tmp_path: Path, fault: str) -> None:
     begin(keeps=False)
     with pytest.raises((SyntaxError, rhi.RhiError)):
         begin(FAULTS[fault])
 
 
-def test_if_the_kept_texts_fail_too_the_first_error_counts(
+def test_if_the_saved_texts_fail_too_the_first_error_is_raised(
     begin: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begin()
@@ -151,7 +151,7 @@ def test_if_the_kept_texts_fail_too_the_first_error_counts(
 @pytest.mark.parametrize(
     ("text", "colors"), [(TEXT, COLORS), (TEXT_OF_STRUCT, STRUCT)], ids=["function", "struct"]
 )
-def test_only_what_a_program_is_made_of_is_kept(begin: Any, text: str, colors: str) -> None:
+def test_only_modules_that_a_program_uses_are_saved(begin: Any, text: str, colors: str) -> None:
     begin(text, colors, keeps=False)
     with rhi.create_device("null") as device, Reloader(device) as reloader:
         reloader.watch(*(sys.modules[name] for name in NAMES))
@@ -161,7 +161,7 @@ def test_only_what_a_program_is_made_of_is_kept(begin: Any, text: str, colors: s
             assert len(PersistentDict("texts", 9)) == count
 
 
-def test_what_another_module_misses_comes_back(begin: Any, tmp_path: Path) -> None:
+def test_the_last_good_text_returns_if_another_module_misses_a_name(begin: Any, tmp_path: Path) -> None:
     begin()
     begin(colors=COLORS.replace("paint", "tint"))
     assert text_of(sys.modules["kept_colors"]) == COLORS

@@ -86,7 +86,7 @@ def test_nothing_keeps_a_destroyed_program_or_its_shader(harness: GrowthHarness)
     assert [each() for each in seen] == [None, None]
 
 
-def test_a_program_that_lives_is_kept_with_its_shader(harness: GrowthHarness) -> None:
+def test_a_live_program_keeps_its_shader_alive(harness: GrowthHarness) -> None:
     shader = make_shader()
     program_id = harness.device.program(shader).id
     gc.collect()

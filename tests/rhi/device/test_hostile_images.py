@@ -68,7 +68,7 @@ def test_listed_formats_are_read(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(list_writable()) - set(LISTED) - {"DIB", "MPO"}))
-def test_formats_that_are_not_listed_are_refused_with_what_they_begin_with(name: str) -> None:
+def test_image_formats_that_are_not_listed_are_refused_with_their_first_bytes(name: str) -> None:
     content = save(name, TEXELS)
     error = refusal(content)
     assert "it begins with" in error.given or name == "ICO"
@@ -230,7 +230,7 @@ def _closed() -> io.BytesIO:
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_no_file_is_refused_by_the_same_rule(name: str, tmp_path: Path) -> None:
+def test_unreadable_image_files_are_refused_by_the_same_rule(name: str, tmp_path: Path) -> None:
     error = refusal(WRONG[name](tmp_path))
     assert error.site is not None
     assert error.site.file == __file__

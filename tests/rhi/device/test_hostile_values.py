@@ -216,9 +216,7 @@ def refusal(device: rhi.Device, name: str, value: Any) -> str:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_call_refuses_by_a_rule_what_has_no_numbers_an_order_or_values(
-    device: rhi.Device, name: str
-) -> None:
+def test_a_call_refuses_arguments_without_numbers_an_order_or_values(device: rhi.Device, name: str) -> None:
     shape = CALLS[name][0]
     taken = [kind for kind, make in HOSTILE.items() if not refusal(device, name, make(shape))]
     if shape == ():

@@ -90,7 +90,7 @@ def test_integers_are_refused_and_show_nothing(null_device: rhi.Device, tmp_path
     assert texture._repr_png_() is None
 
 
-def test_an_ending_says_the_format_and_one_that_is_unknown_is_refused(
+def test_a_file_s_suffix_selects_the_format_and_an_unknown_suffix_is_refused(
     gl_device: rhi.Device, tmp_path: Path
 ) -> None:
     texture = gl_device.texture(COLORS)
@@ -101,7 +101,7 @@ def test_an_ending_says_the_format_and_one_that_is_unknown_is_refused(
 
 
 @pytest.mark.parametrize("source", [b"GIF89a", b"", "missing.png", __file__])
-def test_what_is_no_image_is_refused(source: Any) -> None:
+def test_a_file_that_is_not_an_image_is_refused(source: Any) -> None:
     with pytest.raises(ValidationError, match="image-file") as error:
         rhi.load_image(source)
     assert error.value.site is not None

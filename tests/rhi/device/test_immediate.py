@@ -12,7 +12,7 @@ from rhi.backends.null import NullBackend
 from rhi.errors.rules import DEVICE_MEMORY
 
 
-def test_vertices_one_by_one_become_one_upload_and_one_draw(kit: Kit) -> None:
+def test_immediate_vertices_become_one_upload_and_one_draw(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
         before = len(kit.device.stream)
         with kit.device.immediate(kit.program, Primitive.TRIANGLES, **kit.bindings) as triangles:
@@ -35,7 +35,7 @@ def test_arrays_and_single_vertices_keep_their_order(kit: Kit) -> None:
     assert np.frombuffer(written, "<f4").reshape(-1, 2)[:, 0].tolist() == [0, 1, 2, 3]
 
 
-def test_an_array_is_drawn_as_it_was_when_it_was_given(kit: Kit) -> None:
+def test_an_array_is_drawn_as_it_was_at_the_call(kit: Kit) -> None:
     rows = np.array([((1, 1),)], [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image):
         with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
@@ -165,7 +165,7 @@ def test_draw_many_again_sends_its_arguments_alone(kit: Kit) -> None:
 
 
 @pytest.mark.parametrize("name", ["objects", "camera", "mesh", "program"])
-def test_draw_many_again_refuses_what_was_destroyed_since(kit: Kit, name: str) -> None:
+def test_a_repeated_draw_many_refuses_resources_destroyed_since(kit: Kit, name: str) -> None:
     draws, arguments = kit.mesh.draws([0], 3), kit.bindings
     with kit.device.render_pass(kit.image):
         kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)

@@ -163,7 +163,7 @@ def test_an_edit_keeps_the_precision(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ],
     ids=["exact", "not slow", "another language", "a fast device", "a fast shader", "nothing to gain"],
 )
-def test_slow_frames_name_what_is_computed_exactly_once(
+def test_slow_frames_name_the_exact_shader_once(
     caplog: pytest.LogCaptureFixture,
     shader: Any,
     precision: Precision,
@@ -185,7 +185,7 @@ def test_slow_frames_name_what_is_computed_exactly_once(
         assert shader_names == ["Own (divide, sin)"] * is_logged
 
 
-def test_waiting_for_the_device_is_what_counts() -> None:
+def test_only_time_spent_waiting_for_the_device_counts() -> None:
     with rhi.create_device("null") as device:
         timeline, slow = device._core.timeline, device.signal()
         timeline._backend = SlowFence(timeline._backend)  # type: ignore[assignment]

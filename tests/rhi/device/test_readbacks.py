@@ -180,7 +180,7 @@ def test_rows_are_as_far_apart_as_the_device_needs() -> None:
             texture.copy_to_buffer(buffer, row_bytes=28)
 
 
-def test_copies_in_a_command_buffer_read_what_is_there_when_it_runs() -> None:
+def test_copies_in_a_command_buffer_read_the_data_of_its_submission() -> None:
     with rhi.create_device("null") as device:
         source, target = (device.texture((2, 2), Format.RGBA8) for _ in range(2))
         buffer = device.buffer(64)

@@ -69,7 +69,7 @@ CALLS: dict[str, tuple[Callable[[Kit], object], str]] = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_refused_call_is_kept_once(name: str, kit: Kit) -> None:
+def test_a_refused_call_is_recorded_once(name: str, kit: Kit) -> None:
     refused, rule = CALLS[name]
     with pytest.raises(rhi.RhiError, match=rf"^\[{rule}\]"):
         refused(kit)

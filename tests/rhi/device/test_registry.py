@@ -26,7 +26,7 @@ def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
 
 
 @pytest.mark.parametrize("name", ["os:system", "os:path", "math:pi", "rhi:load_backend_factory"])
-def test_what_creates_no_backend_is_refused_without_being_called(name: str) -> None:
+def test_a_name_that_is_not_a_backend_factory_is_refused_without_being_called(name: str) -> None:
     with pytest.raises(rhi.DeviceError, match="device-unknown") as caught:
         rhi.create_device(name)
     assert repr(name) in caught.value.given
@@ -44,7 +44,7 @@ def test_an_argument_wins_over_the_environment(monkeypatch: pytest.MonkeyPatch) 
         assert device.backend_name == "null"
 
 
-def test_the_null_device_records_unless_told_not_to() -> None:
+def test_the_null_device_records_by_default() -> None:
     with rhi.create_device("null") as device:
         assert len(device.stream) == 0
     with rhi.create_device("null", record=False) as device, pytest.raises(rhi.ValidationError) as caught:
@@ -104,7 +104,7 @@ def report_of(name: str, device: str | None = None) -> BackendReport:
         ),
     ],
 )
-def test_the_report_says_what_would_be_chosen(
+def test_the_report_names_the_backend_that_would_be_chosen(
     named: str,
     reports: list[BackendReport],
     says: str,
@@ -148,7 +148,7 @@ def imported(code: str) -> set[str]:
 @pytest.mark.parametrize(
     "code", ["import rhi", "import rhi.shading", "import rhi\nrhi.create_device('null').close()"]
 )
-def test_importing_the_package_leaves_out_what_a_first_frame_does_not_need(code: str) -> None:
+def test_importing_the_package_omits_modules_that_a_first_frame_does_not_need(code: str) -> None:
     """Each of these takes part of the first second: languages that no device has asked for, tools, and
     modules of the standard library and NumPy that only errors or rare features need."""
     modules = imported(code)

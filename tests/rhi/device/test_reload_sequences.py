@@ -146,7 +146,7 @@ def test_after_each_damage_the_next_good_text_is_shown(import_text: Callable[[st
         assert device.program(module.Mine) is canvas.program
 
 
-def test_a_text_that_lacks_what_is_used_is_refused_at_its_end(import_text: Callable[[str], Any]) -> None:
+def test_a_text_that_lacks_a_used_name_is_refused_at_its_end(import_text: Callable[[str], Any]) -> None:
     text = make_text((1.0, 0.4, 0.2))
     module = import_text(text)
     with rhi.create_device("null") as device, Reloader(device) as reloader:
@@ -161,7 +161,7 @@ def test_a_text_that_lacks_what_is_used_is_refused_at_its_end(import_text: Calla
         assert reloader.reload(module, text[: text.index("class Unused")]) == 0  # which nothing uses
 
 
-def test_what_other_modules_use_is_not_removed(import_text: Callable[[str], Any]) -> None:
+def test_names_that_other_modules_use_are_not_removed(import_text: Callable[[str], Any]) -> None:
     """A function or a struct that was imported, and a class that another is derived from."""
     text = make_text((1.0, 0.4, 0.2))
     module = import_text(text)
@@ -176,7 +176,7 @@ def test_what_other_modules_use_is_not_removed(import_text: Callable[[str], Any]
 
 
 @pytest.mark.parametrize("name", ["Unused", "Light", "shine"])
-def test_what_comes_back_is_the_same_object(import_text: Callable[[str], Any], name: str) -> None:
+def test_a_definition_that_returns_is_the_same_object(import_text: Callable[[str], Any], name: str) -> None:
     text = make_text((1.0, 0.4, 0.2))
     module = import_text(text)
     before = getattr(module, name)

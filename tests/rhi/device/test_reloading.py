@@ -141,7 +141,9 @@ def glsl(program: Any) -> str:
     ],
     ids=["constant", "function", "attribute", "base", "method", "varying"],
 )
-def test_what_an_edit_may_change(device: rhi.Device, shaders: Any, old: str, new: str, seen: str) -> None:
+def test_an_edited_shader_replaces_its_program(
+    device: rhi.Device, shaders: Any, old: str, new: str, seen: str
+) -> None:
     program: Any = device.program(shaders.Flat)
     text = TEXT.replace(old, new).replace("xyz)\n", "xyz, more=2.0)\n" if seen == "more" else "xyz)\n")
     text = text.replace("v.color) *", "v.color) * v.more *" if seen == "more" else "v.color) *")
@@ -194,7 +196,7 @@ class Named(Shader):
     assert "0.625" in glsl(programs[1])
 
 
-def test_what_didnt_change_is_not_exchanged(device: rhi.Device, shaders: Any) -> None:
+def test_programs_whose_shaders_did_not_change_are_not_replaced(device: rhi.Device, shaders: Any) -> None:
     programs: list[Any] = [device.program(shaders.Flat), device.program(shaders.Other)]
     numbers = [program.id for program in programs]
     reloader = Reloader(device)
@@ -252,7 +254,7 @@ def test_functions_are_evaluated_as_edited(device: rhi.Device, shaders: Any) -> 
     assert np.array_equal(evaluate(shaders.weaken, color), 0.5 * color)
 
 
-def test_what_ran_on_the_cpu_runs_as_edited(device: rhi.Device, shaders: Any) -> None:
+def test_shaders_that_ran_on_the_cpu_run_as_edited(device: rhi.Device, shaders: Any) -> None:
     """Kernels, stages, and functions and stages that call what was edited."""
     text = TEXT.replace("return color * 1.0", "return halve(color)").replace(
         "@function\ndef weaken",
@@ -399,7 +401,7 @@ def test_command_buffers_of_an_exchanged_program_are_stale(device: rhi.Device, s
     )
 
 
-def test_what_was_exchanged_is_destroyed(device: rhi.Device, shaders: Any) -> None:
+def test_replaced_programs_are_destroyed(device: rhi.Device, shaders: Any) -> None:
     drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
     for number in range(5):
         drawer.draw()
@@ -532,7 +534,7 @@ def test_an_error_of_a_saved_module_lasts_until_it_is_mended(
     assert len(errors) == 1
 
 
-def test_other_files_are_given_to_a_function(
+def test_changes_of_other_files_call_the_reload_function(
     device: rhi.Device, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
@@ -550,7 +552,7 @@ def test_other_files_are_given_to_a_function(
         assert "invalid literal" in caplog.text
 
 
-def test_a_file_that_may_be_missing_is_given_to_the_function_when_it_appears(
+def test_the_reload_function_is_called_when_an_optional_file_appears(
     device: rhi.Device, tmp_path: Path
 ) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
@@ -566,7 +568,7 @@ def test_a_file_that_may_be_missing_is_given_to_the_function_when_it_appears(
     assert seen == [path]
 
 
-def test_what_cannot_be_watched_is_refused(
+def test_files_that_cannot_be_watched_are_refused(
     device: rhi.Device, shaders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reloader = Reloader(device)
@@ -621,7 +623,7 @@ def test_all_shaders_are_watched_also_those_that_are_imported_later(
         assert woken
 
 
-def test_what_does_not_draw_is_put_back(device: rhi.Device, shaders: Any) -> None:
+def test_a_shader_that_fails_to_draw_is_rolled_back(device: rhi.Device, shaders: Any) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
     drawer, path, errors = FlatDrawer(device, shaders), Path(shaders.__file__), []
     drawer.draw()

@@ -141,7 +141,7 @@ def test_a_request_over_the_limit_is_refused() -> None:
 @example(
     [("write", 200, 1), ("frame", 0, 0), ("write", 40, 1), ("write", 100, 1)], False
 )  # not across the end
-def test_no_write_ever_touches_what_the_gpu_may_still_read(
+def test_no_write_of_a_ring_touches_memory_that_the_gpu_may_still_read(
     steps: list[tuple[str, int, int]], capped: bool
 ) -> None:
     ring, timeline, gpu = make_ring(256, limit=2048 if capped else 1 << 28)

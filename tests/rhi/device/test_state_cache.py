@@ -74,7 +74,7 @@ DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.ite
 
 @given(PROGRAMS, st.sampled_from([16_384, 8, 1]))
 @settings(max_examples=150)
-def test_the_hardware_always_ends_up_with_what_the_scopes_ask_for(program, pool_entries):
+def test_the_hardware_states_equal_the_requested_states_at_each_draw(program, pool_entries):
     cache = StateCache(pool_entries=pool_entries)
     models, open_scopes, hardware = [DEFAULT_MODEL], [], dict(DEFAULT_MODEL)
     software = sent = 0

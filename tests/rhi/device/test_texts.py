@@ -29,7 +29,7 @@ def device() -> Device:
     return rhi.create_device("null")
 
 
-def test_what_users_hold_says_what_it_is(device: Device) -> None:
+def test_reprs_of_users_objects_name_their_class_and_contents(device: Device) -> None:
     tint = Tint(color=(1, 0, 0, 1))
     image, program = device.texture((8, 4), Format.RGBA8, label="image"), device.program(Fill)
     array, queries = device.uniform_array(Tint, 3), device.query_set(5)

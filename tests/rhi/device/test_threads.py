@@ -77,7 +77,7 @@ def test_devices_on_several_threads_are_independent() -> None:
     on_threads(4, work)
 
 
-def test_a_thread_that_has_ended_is_named_as_such() -> None:
+def test_an_ended_thread_is_called_ended() -> None:
     devices: list[Device] = []
     on_threads(1, lambda number: devices.append(rhi.create_device("null")))
     with pytest.raises(rhi.ValidationError, match="device-thread") as caught:

@@ -1,4 +1,4 @@
-"""Which arguments are numbers, flags and choices, and the texts of refusals."""
+"""Arguments that are numbers, flags and choices, and the texts of refusals."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_color_keeps_ints_for_targets_of_integers() -> None:
             CHECK.color("c", wrong)
 
 
-def test_a_refusal_names_the_argument_and_what_is_allowed() -> None:
+def test_a_refusal_names_the_argument_and_the_allowed_values() -> None:
     with pytest.raises(ValidationError) as caught:
         CHECK.choice("access", "read", Access)
     error = caught.value

@@ -61,7 +61,7 @@ def test_a_refusal_names_everything(rule):
     assert (error.rule, error.call, error.given, error.allowed) == (rule, "thing.call(x)", "3", "1 or 2")
 
 
-def test_what_is_not_known_is_not_shown(rule):
+def test_an_error_omits_the_parts_that_it_lacks(rule):
     with pytest.raises(ValidationError) as caught:
         refuse(rule, "thing.call(x)", tip="another tip")
     assert "given" not in str(caught.value)
@@ -111,7 +111,7 @@ def test_an_error_is_also_the_python_error_that_one_would_catch(error, base, rul
         raise error(rule, "call")
 
 
-def test_an_error_comes_back_from_another_process_as_what_it_is(rule):
+def test_a_pickled_error_keeps_its_type_and_fields(rule):
     with pytest.raises(ValidationError) as caught:
         refuse(rule, "f(x)", 3, "4", "count again")
     error = caught.value

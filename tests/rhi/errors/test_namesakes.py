@@ -39,14 +39,14 @@ def test_a_file_that_runs_in_place_of_the_renderer_is_named(file: str, tmp_path:
 @pytest.mark.parametrize(
     "arguments", [["renderer.py"], ["-m", "other"], ["-c", "import rhi"], ["-P", "-m", "rhi", "-h"]]
 )
-def test_nothing_is_said_of_other_programs(arguments: list[str], tmp_path: Path) -> None:
+def test_other_programs_print_no_warning_about_namesakes(arguments: list[str], tmp_path: Path) -> None:
     write(tmp_path / "renderer.py", "import rhi")
     write(tmp_path / "other.py", "import rhi")
     done = run(tmp_path, *arguments)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_nothing_is_said_of_the_renderer_itself(tmp_path: Path) -> None:
+def test_the_renderer_itself_prints_no_warning_about_namesakes(tmp_path: Path) -> None:
     done = run(tmp_path, "-m", "renderer", "render", "--help")
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -62,7 +62,9 @@ def test_a_file_that_hides_the_interface_from_the_renderer_is_named(tmp_path: Pa
 @pytest.mark.parametrize(
     ("name", "says"), [("rhi", "usage: python -m rhi"), ("rhi-renderer", "usage: python -m renderer")]
 )
-def test_a_command_runs_ours_beside_files_of_these_names(name: str, says: str, tmp_path: Path) -> None:
+def test_commands_run_this_project_s_packages_beside_files_of_the_same_names(
+    name: str, says: str, tmp_path: Path
+) -> None:
     for file in ("rhi.py", "renderer.py"):
         write(tmp_path / "folder" / file, "raise SystemExit('mine')")
     module, _, function = SCRIPTS[name].partition(":")

@@ -191,7 +191,7 @@ def test_pixels_of_a_plane_image_begin_in_its_top_left_corner():
     assert np.allclose(orthographic(-2, 4, 1, 3, 0.5, 7, Depth.STANDARD) @ (4.0, 3.0, -7.0, 1.0), 1.0)
 
 
-def test_a_projection_and_its_function_are_one():
+def test_a_projection_s_matrix_equals_that_of_its_function():
     assert np.array_equal(perspective(0.7, 1.5, 0.2, 90.0), Perspective(0.7, 1.5, 0.2, 90.0).matrix)
     assert np.array_equal(orthographic(-3, 3, -2, 2, 1.0, 9.0), Orthographic(4.0, 1.5, 1.0, 9.0).matrix)
 
@@ -239,7 +239,7 @@ def test_the_module_is_there_without_an_import_of_its_own():
 @pytest.mark.parametrize(
     "name", ["right", "forward", "view", "view_projection", "relative_view_projection", "frustum"]
 )
-def test_what_follows_from_a_camera_is_computed_once_and_cannot_be_written_to(name):
+def test_matrices_and_vectors_of_a_camera_are_computed_once_and_read_only(name):
     camera = Camera.look_at((1.0, 2.0, 3.0), (4.0, 5.0, 7.0))
     value = getattr(camera, name)
     assert getattr(camera, name) is value

@@ -53,7 +53,7 @@ def test_each_pixel_is_drawn_once(backend: str, size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("first", [True, False])
-def test_it_is_behind_what_is_drawn_before_and_after_it(backend: str, first: bool) -> None:
+def test_a_full_screen_triangle_is_behind_all_other_draws(backend: str, first: bool) -> None:
     """The surface is as far as 10 km with a near plane at 1 mm: a depth of 1e-7."""
     with rhi.create_device(backend) as device:
         image, depth = device.texture((8, 8), Format.RGBA8), device.texture((8, 8), Format.D32F)

@@ -100,6 +100,6 @@ def probe_with(error):
     return replace(probe, error=replace(error, defined="a >= 0"))
 
 
-def test_a_name_there_is_no_builtin_of_is_said_so(capsys):
+def test_an_unknown_built_in_is_refused_by_name(capsys):
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sine"]) == 2
     assert "no such built-in" in capsys.readouterr().err

@@ -94,11 +94,11 @@ def test_names_that_are_parts_of_others_are_others(sample_frame: SampleFrame, ki
     sample_frame.render()
     assert_free(NONE[kind], sample_frame.device)
     message = failure(lambda: assert_free(NONE[kind], sample_frame.device, control=sample_frame.device))
-    assert "declares what its control hasn't" in message
+    assert "the control lacks parts of the pattern" in message
     assert len(message.splitlines()) == 1 + len(NONE[kind].parts)
 
 
-def test_what_makes_and_writes_and_destroys_a_resource_belongs_to_it(null_device: rhi.Device) -> None:
+def test_creation_writes_and_destruction_of_a_resource_belong_to_its_effect(null_device: rhi.Device) -> None:
     effect = EffectPattern("it", resources=("bloom",))
     bloom, other = (
         null_device.uniform(Light(offset=(0, 0, 0, 0)), label=label) for label in ("bloom", "other")
@@ -125,7 +125,7 @@ def test_a_frame_without_an_effect_is_free_of_it(sample_frame: SampleFrame) -> N
         assert_free(SHADOWS, with_shadows)
 
 
-def test_a_failure_says_what_the_effect_costs_and_where(sample_frame: SampleFrame) -> None:
+def test_a_failure_names_the_commands_of_an_effect_and_their_lines(sample_frame: SampleFrame) -> None:
     sample_frame.light.write(Light(offset=(1, 0, 0, 0)))
     sample_frame.render()
     effect = EffectPattern("shadows", programs=(Shadow,), resources=("light", "shadow map"), events=("sun",))
@@ -143,7 +143,7 @@ def test_a_failure_says_what_the_effect_costs_and_where(sample_frame: SampleFram
     assert "program Shadow" in message
 
 
-def test_programs_are_named_by_what_they_have(null_device: rhi.Device) -> None:
+def test_a_failure_names_the_matching_words_and_bindings_of_programs(null_device: rhi.Device) -> None:
     null_device.program(Lit)
     message = failure(
         lambda: assert_free(EffectPattern("tints", words=("Tint",), bindings=("tint",)), null_device)
@@ -155,10 +155,12 @@ def test_programs_are_named_by_what_they_have(null_device: rhi.Device) -> None:
 def test_an_assertion_that_could_not_fail_does(sample_frame: SampleFrame, effect: EffectPattern) -> None:
     if not effect.parts:
         sample_frame.render()
-        assert "declares nothing" in failure(lambda: assert_free(effect, sample_frame.device))
+        assert "is empty" in failure(lambda: assert_free(effect, sample_frame.device))
     else:
         assert "no commands" in failure(lambda: assert_free(effect, sample_frame.device))
-        assert "no commands" in failure(lambda: assert_same(sample_frame.device, sample_frame.device))
+        assert "both streams are empty" in failure(
+            lambda: assert_same(sample_frame.device, sample_frame.device)
+        )
 
 
 # -- the same streams ----------------------------------------------------------------------------------------
@@ -206,7 +208,7 @@ CHANGES: dict[str, Callable[[SampleFrame], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_differs_between_two_streams_is_named(sample_frame: SampleFrame, change: str) -> None:
+def test_the_difference_between_two_streams_is_named(sample_frame: SampleFrame, change: str) -> None:
     with rhi.create_device("null") as other:
         second = SampleFrame(other)
         other.stream.clear()

@@ -260,7 +260,7 @@ def test_nothing_is_before_itself(device: rhi.Device) -> None:
     expect(device).commands(Op.BEGIN_PASS).before(none(device))
 
 
-def test_a_misspelt_name_of_what_has_no_program_is_not_known() -> None:
+def test_without_a_program_a_misspelt_binding_is_not_refused() -> None:
     """Without a program there are no names, and no draws that could have them."""
     with rhi.create_device("null") as device:
         expect(device).draws().with_bindings(tint=3).exactly(0)

@@ -30,7 +30,7 @@ def deferred_frame(device):
         device.program(compute)
 
 
-def test_a_frame_is_told_everything_that_stops_it_with_lines():
+def test_a_portability_report_lists_every_obstacle_with_its_line():
     report = check_portability(deferred_frame)
     first = inspect.getsourcelines(deferred_frame)[1]
     features = {
@@ -142,7 +142,7 @@ def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
                 device.sampler(descriptor)
 
 
-def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():
+def test_the_report_prints_the_call_its_argument_and_the_allowed_value():
     text = str(
         check_portability(deferred_frame, {"small": get_profile("gl-3.3"), "all": get_profile("everything")})
     )
@@ -153,7 +153,7 @@ def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():
     assert text.splitlines()[-1] == "all: runs"
 
 
-def test_what_breaks_everywhere_is_raised():
+def test_a_call_that_every_device_refuses_is_raised():
     def broken(device):
         device.texture((0, 4), Format.R8)
 

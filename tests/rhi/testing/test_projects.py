@@ -20,7 +20,7 @@ from rhi.testing.projects.names import describe_fault
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_project_has_the_name_that_it_is_given(kind: str, tmp_path: Path) -> None:
+def test_a_project_has_the_requested_name(kind: str, tmp_path: Path) -> None:
     root = write_project(kind, "kite", tmp_path)
     assert sorted(path.name for path in root.iterdir()) == [
         "README.md",

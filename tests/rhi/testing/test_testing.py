@@ -52,7 +52,7 @@ def test_a_wrong_number_fails(frame, verdict: str, number: int) -> None:
     )
 
 
-def test_a_program_is_known_by_object_id_class_and_name(frame, sample_frame) -> None:
+def test_a_program_is_selected_by_object_id_class_or_name(frame, sample_frame) -> None:
     for program in (sample_frame.shadow, sample_frame.shadow.id, Shadow, "Shadow"):
         expect(frame).draws(program=program).exactly(2)
     for program in (sample_frame.lit, sample_frame.lit.id, "Lit"):
@@ -60,7 +60,7 @@ def test_a_program_is_known_by_object_id_class_and_name(frame, sample_frame) -> 
     expect(frame).draws(program="shadow").exactly(0)
 
 
-def test_programs_are_known_after_the_stream_was_cleared(sample_frame) -> None:
+def test_programs_are_selected_by_name_after_the_stream_was_cleared(sample_frame) -> None:
     sample_frame.device.stream.clear()
     sample_frame.render()
     expect(sample_frame.device).draws(program="Lit").with_bindings(tint="tint").exactly(1)
@@ -75,7 +75,7 @@ def test_labels_nest_in_their_order(frame) -> None:
     draws.within("view").exactly(1)
 
 
-def test_arguments_are_compared_with_a_tolerance_where_one_is_given(frame) -> None:
+def test_arguments_are_compared_with_the_requested_tolerance(frame) -> None:
     expect(frame).draws(instances=4).exactly(1)
     expect(frame).draws(instances=5).exactly(0)
     expect(frame).draws(instances=pytest.approx(5, abs=1)).exactly(1)
@@ -116,7 +116,7 @@ def test_bindings_are_those_at_the_command(frame, sample_frame) -> None:
     expect(frame).draws().with_bindings(tint=sample_frame.tint).exactly(1)  # the others have no tint
 
 
-def test_bindings_and_resources_are_known_at_the_command(sample_frame) -> None:
+def test_bindings_and_resources_are_those_at_the_command(sample_frame) -> None:
     device, stream = sample_frame.device, sample_frame.device.stream
     sample_frame.render()
     draw = stream.draws()[-1]
@@ -152,7 +152,7 @@ def test_draws_that_come_later_are_not_before(frame) -> None:
 # -- messages ------------------------------------------------------------------------------------------------
 
 
-def test_a_failure_shows_what_matches_and_what_came_nearest(frame) -> None:
+def test_a_failure_shows_the_matching_and_the_nearest_commands(frame) -> None:
     message = failure(lambda: expect(frame).draws(program="Shadow").within("view").exactly(1))
     nearest = message.partition("nearest:")[2].splitlines()
     assert "matching:" not in message
@@ -176,7 +176,7 @@ def test_a_failure_with_too_many_matches_shows_them(frame) -> None:
         (lambda e: e.draws(instances=9), "instances is 1"),
     ],
 )
-def test_a_miss_says_what_there_is_instead(frame, narrow, message: str) -> None:
+def test_a_failed_expectation_names_the_actual_value(frame, narrow, message: str) -> None:
     assert message in failure(lambda: narrow(expect(frame).draws(program="Shadow")).exactly(1))
 
 
@@ -226,7 +226,7 @@ def test_a_budget_may_be_a_labels(frame) -> None:
     failure(lambda: expect(frame).within("sun").costs(max_draws=1))
 
 
-def test_what_is_asked_for_is_told_apart_from_what_is_issued(sample_frame) -> None:
+def test_requested_and_issued_calls_are_counted_separately(sample_frame) -> None:
     device = sample_frame.device
     sample_frame.render()
     with count_work(device) as work:

@@ -56,7 +56,7 @@ def sample_frame(null_device: Device) -> SampleFrame:
     return SampleFrame(null_device)
 
 
-def test_a_draw_holds_what_was_written_last(sample_frame: SampleFrame) -> None:
+def test_the_binding_data_of_a_draw_are_the_last_written_bytes(sample_frame: SampleFrame) -> None:
     device = sample_frame.device
     with device.render_pass(depth=sample_frame.map):
         for x in (1.0, 2.0):
@@ -79,7 +79,7 @@ def test_numbers_match_within_a_tolerance(sample_frame: SampleFrame, tolerance: 
     draws.with_data("tint", {"color": (1, 0.51, 0, 1)}, tolerance=tolerance).exactly(matches)
 
 
-def test_a_failure_says_what_is_there_instead(sample_frame: SampleFrame) -> None:
+def test_a_failed_expectation_on_data_prints_the_actual_data(sample_frame: SampleFrame) -> None:
     sample_frame.render()
     with pytest.raises(AssertionError) as caught:
         expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0, 0, 1)}, tolerance=0.1).exactly(
@@ -136,7 +136,7 @@ def test_transient_constants_and_copies_are_followed(sample_frame: SampleFrame) 
     assert values == [5, 3, 2]
 
 
-def test_what_the_device_wrote_is_not_known(null_device: Device) -> None:
+def test_binding_data_written_by_the_device_are_unknown(null_device: Device) -> None:
     point_lights = null_device.storage(PointLight, 2)
     program = null_device.program(Writing)
     null_device.dispatch(program, 1, point_lights=point_lights)
@@ -149,7 +149,7 @@ def test_what_the_device_wrote_is_not_known(null_device: Device) -> None:
 
 
 @pytest.mark.parametrize("point_light", range(3))
-def test_texels_that_were_copied_to_a_buffer_are_not_known(null_device: Device, point_light: int) -> None:
+def test_texels_copied_to_a_buffer_are_unknown(null_device: Device, point_light: int) -> None:
     storage = null_device.storage(PointLight, np.ones(3, PointLight.dtype))
     program, texture = (
         null_device.program(Writing),
@@ -182,14 +182,16 @@ def test_all_rows_of_texels_that_were_copied_are_unknown_until_they_are_written(
             point_lights.write(np.zeros(1, PointLight.dtype), first=unknown)
 
 
-def test_what_was_written_before_the_stream_is_not_known(sample_frame: SampleFrame) -> None:
+def test_binding_data_written_before_the_stream_are_unknown(sample_frame: SampleFrame) -> None:
     sample_frame.device.stream.clear()
     sample_frame.render()
     with pytest.raises(AssertionError, match="byte 0 of 'tint' was last written before the stream"):
         expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0.5, 0, 1)}).exactly(1)
 
 
-def test_what_a_draw_was_passed_is_known_in_rings_older_than_the_stream(sample_frame: SampleFrame) -> None:
+def test_constants_passed_to_a_draw_are_tracked_in_rings_older_than_the_stream(
+    sample_frame: SampleFrame,
+) -> None:
     device = sample_frame.device
     for x in (1.0, 2.0):
         device.stream.clear()
@@ -211,7 +213,7 @@ def test_a_part_written_after_clear_is_not_the_whole(null_device: Device) -> Non
         binding_data(dispatch, "point_lights")
 
 
-def test_a_program_older_than_the_stream_makes_what_it_writes_unknown(null_device: Device) -> None:
+def test_buffers_written_by_a_program_older_than_the_stream_are_unknown(null_device: Device) -> None:
     storage = null_device.storage(PointLight, np.ones(2, PointLight.dtype))
     program = null_device.program(Writing)
     null_device.dispatch(program, 1, point_lights=storage)  # bound before the stream begins
@@ -370,7 +372,7 @@ KINDS = (
 
 @settings(max_examples=40)
 @given(st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 2), st.integers(0, 9)), max_size=30))
-def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
+def test_tracked_binding_data_equal_the_bytes_on_the_device(steps: list[tuple[str, int, int]]) -> None:
     """Also after the stream was cleared: bytes written since are known, and no others."""
     with rhi.create_device("null") as device:
         sample_frame = SampleFrame(device)

@@ -67,7 +67,7 @@ def test_the_page_notices_a_broken_renderer(
         ),
     ],
 )
-def test_the_page_shows_what_a_failure_says(
+def test_the_page_shows_the_message_of_a_failure(
     pytester: pytest.Pytester, tests: int, block: int, old: str, new: str
 ) -> None:
     message = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace(

@@ -87,7 +87,9 @@ def test_reduce_writes_a_trace_and_a_test(tmp_path: Path, capsys: pytest.Capture
         ["reduce", str(VERSION_1), "math:presents"],
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_trace_command_is_one_line(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["trace", *arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")

@@ -104,7 +104,7 @@ def test_memory_that_differs_is_counted() -> None:
     assert difference.changes == ("data: 2 of 16 bytes differ, the first at 10",)
 
 
-def test_memory_of_another_size_is_told_by_its_sizes() -> None:
+def test_data_of_different_sizes_are_reported_by_their_sizes() -> None:
     with rhi.create_device("null") as a, rhi.create_device("null") as b:
         for device, size in ((a, 8), (b, 12)):
             device.buffer(16, label="room").write(np.zeros(size, np.uint8))
@@ -112,7 +112,7 @@ def test_memory_of_another_size_is_told_by_its_sizes() -> None:
     assert difference.changes == ("data: 8 bytes → 12 bytes",)
 
 
-def test_what_one_label_has_more_does_not_shift_the_next() -> None:
+def test_additional_commands_in_a_label_do_not_shift_the_next_label() -> None:
     differences = compare(draw_more)
     assert any(d.b is not None and d.b.op is Op.PUSH_LABEL and d.a is None for d in differences)
     assert not [
@@ -120,7 +120,7 @@ def test_what_one_label_has_more_does_not_shift_the_next() -> None:
     ]
 
 
-def test_a_change_inside_a_label_is_told_under_its_path() -> None:
+def test_a_change_inside_a_label_is_reported_under_its_path() -> None:
     with rhi.create_device("null") as a, rhi.create_device("null") as b:
         for device, mode in ((a, CullMode.NONE), (b, CullMode.FRONT)):
             sample_frame = SampleFrame(device)
@@ -181,7 +181,7 @@ def test_an_alignment_pairs_equal_elements_in_rising_order(a: list[int], b: list
 
 
 @given(st.integers(0, 2**32), st.integers(1, 20))
-def test_long_sequences_are_aligned_around_what_was_inserted(seed: int, count: int) -> None:
+def test_long_sequences_are_aligned_around_inserted_commands(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)
     a = random.integers(0, 2000, 1200).tolist()
     b = list(a)

@@ -51,7 +51,7 @@ def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"text", b"PK\x05\x06" + bytes(3)])
-def test_what_is_no_zip_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_a_file_that_is_not_a_zip_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "t.zip"
     path.write_bytes(data)
     refused(path, rules.TRACE_FILE)
@@ -256,7 +256,7 @@ def argument(op: str, name: str, value: object) -> tuple[str, Callable[[dict[str
         argument("begin_pass", "descriptor", None),
     ],
 )
-def test_what_is_no_command_of_the_contract_is_refused(
+def test_commands_that_are_not_of_the_contract_are_refused(
     file: Path, op: str, change: Callable[[dict[str, Any]], None]
 ) -> None:
     assert "line " in refused(edit_line(file, op, change), rules.TRACE_COMMAND)

@@ -56,7 +56,7 @@ def count_results(backend: str, seed: int, count: int, folder: Path, seconds: fl
     return Counter(line[0].split()[0] for line in results)
 
 
-def test_mutations_reach_what_is_behind_the_first_checks(folder: Path) -> None:
+def test_mutations_reach_the_code_behind_the_first_checks(folder: Path) -> None:
     """A control: enough of them still replay, and those that don't are refused for several reasons."""
     results = trace_fuzz.run("null", 0, 150, folder)
     assert results["replayed"] >= 10

@@ -36,7 +36,7 @@ def ops(trace: Trace) -> list[str]:
     return [command.op.method for command in trace.stream]
 
 
-def test_only_what_the_fault_needs_is_left(trace: Trace) -> None:
+def test_a_reduced_trace_keeps_only_commands_that_the_fault_needs(trace: Trace) -> None:
     small = reduce(trace, has_scissored_draw)
     assert has_scissored_draw(small)
     assert len(small) <= 12
@@ -54,7 +54,7 @@ def test_nothing_more_can_be_left_out(trace: Trace) -> None:
         assert not has_scissored_draw(small.select(remaining))
 
 
-def test_what_is_left_replays_and_loads(trace: Trace, tmp_path: Path, null_device: rhi.Device) -> None:
+def test_a_reduced_trace_loads_and_replays(trace: Trace, tmp_path: Path, null_device: rhi.Device) -> None:
     small = reduce(trace, has_scissored_draw)
     save(small, tmp_path / "small.zip")
     again = load(tmp_path / "small.zip")
@@ -64,7 +64,9 @@ def test_what_is_left_replays_and_loads(trace: Trace, tmp_path: Path, null_devic
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_any_part_is_made_whole(trace: Trace, tmp_path: Path, data: st.DataObject) -> None:
+def test_any_selection_of_commands_is_completed_to_a_valid_trace(
+    trace: Trace, tmp_path: Path, data: st.DataObject
+) -> None:
     selected = [
         i
         for i, is_selected in enumerate(data.draw(st.lists(st.booleans(), min_size=87, max_size=87)))

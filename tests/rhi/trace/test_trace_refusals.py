@@ -126,7 +126,7 @@ def test_every_kind_of_object_leads_to_its_device(name: str, null_device: Device
         assert other.stream.refusals == ()
 
 
-def test_what_a_backend_raises_is_its_command_s_failure() -> None:
+def test_an_error_of_a_backend_is_the_failure_of_its_command() -> None:
     from rhi.backends.null import Faults
 
     with rhi.create_device("null", faults=Faults(memory=0)) as device:
@@ -136,7 +136,7 @@ def test_what_a_backend_raises_is_its_command_s_failure() -> None:
         assert device.stream[0].failure is not None
 
 
-def test_what_concerns_no_device_is_noted_nowhere(null_device: Device) -> None:
+def test_refusals_without_a_device_are_not_recorded(null_device: Device) -> None:
     for call in (lambda: Scissor(0, 0, -1, 0), lambda: rhi.create_device("nul"), lambda: rhi.FixedStack(0)):
         with pytest.raises(rhi.RhiError):
             call()
@@ -260,7 +260,7 @@ def test_there_are_as_many_refusals_as_the_header_says(file: Path) -> None:
 # -- what is done with them ----------------------------------------------------------------------------------
 
 
-def test_a_replay_reports_what_was_refused(file: Path, null_device: Device) -> None:
+def test_a_replay_reports_refused_calls(file: Path, null_device: Device) -> None:
     trace = load(file)
     result = replay(trace, on=null_device)
     assert result.refusals == trace.refusals

@@ -86,7 +86,7 @@ def test_a_frame_recorded_on_gl_replays_on_null_to_the_same_commands(tmp_path: P
         )
 
 
-def test_the_image_is_what_was_presented_last(null_device: rhi.Device) -> None:
+def test_the_image_is_the_last_presented_one(null_device: rhi.Device) -> None:
     with rhi.create_device("null") as source:
         image = source.texture((2, 2), Format.R8)
         for value in (0.2, 0.4):
@@ -153,7 +153,7 @@ def test_all_ids_of_a_command_are_translated(null_device: rhi.Device) -> None:
     assert indirect.resource(image).label == "image"
 
 
-def test_what_a_trace_leaves_open_is_closed(null_device: rhi.Device) -> None:
+def test_scopes_that_a_trace_leaves_open_are_closed_after_a_replay(null_device: rhi.Device) -> None:
     with rhi.create_device("null") as source:
         image = source.texture((2, 2), Format.R8)
         with source.event("outer"), source.render_pass(image), source.states(CullMode.NONE):

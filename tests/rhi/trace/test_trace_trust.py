@@ -53,7 +53,7 @@ def test_no_module_is_imported_because_a_file_names_it(
     assert "wicked" not in sys.modules
 
 
-def test_states_of_our_own_platforms_are_found(file: Path) -> None:
+def test_states_of_our_own_platforms_are_loaded(file: Path) -> None:
     trace = load(edit_line(file, "set_states", state("gl.DepthClamp.ON")))
     (change,) = trace.stream.filter(rhi.Op.SET_STATES)[0]["changes"]
     assert change.value == (DepthClamp.ON,)

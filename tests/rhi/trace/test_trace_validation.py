@@ -211,7 +211,7 @@ def saved(issue: Issue, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("what", IMPOSSIBLE)
-def test_what_no_device_would_have_issued_is_refused_as_it_is_loaded(what: str, tmp_path: Path) -> None:
+def test_a_trace_with_commands_that_no_device_issues_is_refused_on_load(what: str, tmp_path: Path) -> None:
     wrong, right = IMPOSSIBLE[what]
     with refuses(TRACE_REFERENCE):
         load(saved(wrong, tmp_path))
@@ -230,7 +230,7 @@ def test_a_texture_that_was_destroyed_is_not_bound_again(tmp_path: Path) -> None
         load(saved(lambda writer: bind_twice(writer, destroyed=3), tmp_path))
 
 
-def test_what_failed_to_be_destroyed_can_be_destroyed(tmp_path: Path) -> None:
+def test_a_resource_whose_destruction_failed_can_be_destroyed_again(tmp_path: Path) -> None:
     writer = write(lambda writer: (writer.destroy(1), writer.destroy(1)))
     with refuses(TRACE_REFERENCE):
         load(saved(lambda writer: (writer.destroy(1), writer.destroy(1)), tmp_path))
@@ -340,7 +340,9 @@ LACKING: dict[str, tuple[dict[str, object], Issue, Issue]] = {
 
 
 @pytest.mark.parametrize("what", LACKING)
-def test_what_a_device_lacks_is_refused_before_a_replay(what: str, tmp_path: Path) -> None:
+def test_a_trace_that_needs_more_than_the_device_has_is_refused_before_its_replay(
+    what: str, tmp_path: Path
+) -> None:
     lacking, wrong, right = LACKING[what]
     limits = replace(WHOLE, **lacking)  # type: ignore[arg-type]
     trace = load(saved(wrong, tmp_path))

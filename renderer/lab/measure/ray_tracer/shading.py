@@ -162,7 +162,7 @@ def reflect(surfaces: Surfaces, to_light: Floats) -> Floats:
 
 
 def _select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
-    """Which surfaces have the metallic-roughness model, the diffuse colour of all, and the specular colour at
+    """The mask of surfaces with the metallic-roughness model, the diffuse colour of all, and the specular colour at
     normal incidence and the roughness of those of that model."""
     is_metal = np.asarray(seen.material["model"] == ShadingModel.METALLIC_ROUGHNESS)
     mirror = 0.04 + seen.metallic[:, None] * (seen.base - 0.04)

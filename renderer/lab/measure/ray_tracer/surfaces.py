@@ -87,7 +87,7 @@ class Geometry:
         self._casts = objects.casts_shadow & ~self.is_glass
 
     def block_light(self, hits: Hits, to_light: Floats) -> NDArray[np.bool_]:
-        """Which hits of rays towards a light cast a shadow. Glass casts none, and masked materials only where
+        """The hits of rays towards a light that cast a shadow. Glass casts none, and masked materials only where
         they are opaque. One-sided surfaces block light on their front only, so objects may have a light
         inside."""
         rows = self.objects[hits.triangle]
@@ -96,7 +96,7 @@ class Geometry:
         return np.asarray(stops & ~self._are_masked_out(hits, stops))
 
     def are_visible(self, hits: Hits, directions: Floats) -> NDArray[np.bool_]:
-        """Which hits are visible: not the backs of one-sided materials, and not the holes of masks."""
+        """The hits that are visible: not the backs of one-sided materials, and not the holes of masks."""
         rows = self.objects[hits.triangle]
         front = np.einsum("ij,ij->i", self._geometric_normals[hits.triangle], directions[hits.ray]) < 0.0
         seen = front | self._two_sided[rows]

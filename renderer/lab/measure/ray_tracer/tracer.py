@@ -110,7 +110,7 @@ class RayTracer:
         return hits.take(~self._are_repeated(hits))
 
     def _are_repeated(self, hits: Hits) -> Any:
-        """Which hits repeat the one before them, on an edge that two triangles of an object share."""
+        """The hits that repeat the hit before them, on an edge that two triangles of an object share."""
         objects = self._geometry.objects[hits.triangle]
         again = (hits.ray[1:] == hits.ray[:-1]) & (objects[1:] == objects[:-1])
         again &= hits.distance[1:] - hits.distance[:-1] <= 1e-9 * np.abs(hits.distance[1:])

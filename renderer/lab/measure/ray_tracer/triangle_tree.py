@@ -98,7 +98,7 @@ class TriangleTree:
         first: Floats,
         last: Floats,
     ) -> Hits:
-        """Which pairs of a ray and a triangle meet (Möller and Trumbore 1997)."""
+        """The pairs of a ray and a triangle that meet (Möller and Trumbore 1997)."""
         side_a, side_b = self._copy_sides[triangle, 0], self._copy_sides[triangle, 1]
         across = np.cross(directions[ray], side_b)
         volume = _dot(side_a, across)
@@ -114,7 +114,7 @@ class TriangleTree:
     def are_occluded(
         self, origins: Floats, directions: Floats, last: Floats, blocks: Callable[[Hits], NDArray[np.bool_]]
     ) -> NDArray[np.bool_]:
-        """Whether rays (n, 3) meet a triangle before `last` (n,) that stops light, as `blocks` tells."""
+        """The mask of rays (n, 3) that meet a triangle before `last` (n,) that stops light, as `blocks` tells."""
         hits = self.intersect(origins, directions, np.zeros(len(origins)), last)
         blocked = np.zeros(len(origins), bool)
         blocked[hits.ray[blocks(hits)]] = True

@@ -199,7 +199,7 @@ class KernelCache:
 
     @property
     def works(self) -> bool:
-        """Whether compiled programs are found again."""
+        """True if compiled programs are found again."""
         return self._folder is not None
 
     def request(self, source: str, options: Sequence[str], kernels: Sequence[str] = ()) -> Request:
@@ -358,7 +358,7 @@ class KernelCache:
         return binaries.write(header, name, built)
 
     def has_code(self, key: str, kernel: str) -> bool:
-        """Whether the driver finds machine code of a kernel that it may look for; True if it needs none.
+        """True if the driver finds machine code of a kernel that it may look for; True if it needs none.
 
         A kernel of a bare binary (`make_binary`) needs it, and ends the process without. Somebody may have
         emptied the folder. Then the folder is made again, so that the driver can write there.
@@ -373,7 +373,7 @@ class KernelCache:
 
     @property
     def is_crowded(self) -> bool:
-        """Whether the driver may look for machine code at any launch: it remembers that of so many
+        """True if the driver may look for machine code at any launch: it remembers that of so many
         kernels."""
         return len(_linked) > _REMEMBERED
 

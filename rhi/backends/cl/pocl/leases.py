@@ -77,7 +77,7 @@ def hold(folder: Path, key: str) -> None:
 
 
 def is_held(folder: Path, key: str) -> bool:
-    """Whether this process has named the program of this key as used, and nobody has removed that since."""
+    """True if this process has named the program of this key as used, and nobody has removed that since."""
     lease = _leases.get(folder)
     if lease is None or lease[0] != os.getpid():
         return False

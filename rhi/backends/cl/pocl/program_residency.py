@@ -84,7 +84,7 @@ class EvictableProgram:
 
     @property
     def is_resident(self) -> bool:
-        """Whether the program is in memory."""
+        """True if the program is in memory."""
         return self._program is not None
 
     def list_names(self) -> list[str]:

@@ -99,7 +99,7 @@ class BatchState:
 
     @property
     def leaves_bounds(self) -> bool:
-        """Whether the raster kernel that ran last left bounds of depth in memory; general kernels don't."""
+        """True if the raster kernel that ran last left bounds of depth in memory; general kernels don't."""
         return self.bounds_depth and not self.raster.is_quick
 
     def identify_bounds(self) -> tuple[object, ...]:

@@ -108,7 +108,7 @@ class AttributeBoxes:
 
     @property
     def has_unmeasured(self) -> bool:
-        """Whether the batch has to measure boxes."""
+        """True if the batch has to measure boxes."""
         return len(self._unmeasured) > 0
 
     def mark_measured(self) -> None:

@@ -153,17 +153,17 @@ class MergerKey:
 
     @property
     def has_depth(self) -> bool:
-        """Whether the kernel takes the depth plane."""
+        """True if the kernel takes the depth plane."""
         return self.depth_bits > 0
 
     @property
     def caches_depth(self) -> bool:
-        """Whether the raster kernel stages a tile's depth: with one sample and no stencil."""
+        """True if the raster kernel stages a tile's depth: with one sample and no stencil."""
         return self.has_depth and not self.has_stencil and self.samples == 1
 
     @property
     def bounds_depth(self) -> bool:
-        """Whether the raster kernel also has bounds of depth, behind which the test fails.
+        """True if the raster kernel also has bounds of depth, behind which the test fails.
 
         The test has to come before any shading."""
         comes_first = self.order is not TestOrder.LATE or not self.shades

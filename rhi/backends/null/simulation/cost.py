@@ -47,8 +47,8 @@ class CostModel:
     primitive_pixels: float = 32.0
 
     def nanoseconds(self, work: CommandWork) -> int:
-        """Return how long the GPU takes. For commands without work of their own this is called once per
-        op."""
+        """Return the time that the GPU takes, in nanoseconds. For commands without work of their own this is
+        called once per op."""
         return round(
             self.command
             + self.vertex * work.vertices

@@ -266,7 +266,7 @@ class SimulatedBackend(NullBackend):
         self._hazards.note_completed(self._called)
 
     def _is_done(self, serial: int) -> bool:
-        """Whether the GPU has completed a command by now."""
+        """True if the GPU has completed a command by now."""
         self._advance(self._now)
         return serial <= self._executed - (self._gpu > self._now)
 

@@ -112,7 +112,7 @@ def measure_together(values: dict[str, str]) -> tuple[float, float]:
     return error, size * size * (1.0 + 0.5 * filters) + (0.2 if smooth else 0.0)
 
 
-def test_the_search_finds_what_a_brute_force_finds() -> None:
+def test_the_search_selects_the_same_settings_as_brute_force() -> None:
     values_by_setting = {"size": ("0.5", "1", "2", "4"), "filter": ("1", "2", "4"), "smooth": ("off", "on")}
     tried = list[tuple[str, ...]]()
 
@@ -138,7 +138,7 @@ def test_the_search_finds_what_a_brute_force_finds() -> None:
 
 
 @pytest.mark.parametrize(("low", "is_kept"), [(3.9, True), (4.0, False)])
-def test_the_search_keeps_what_may_be_faster_than_all_that_is_more_accurate(
+def test_the_search_keeps_settings_that_may_be_faster_than_all_more_accurate_settings(
     low: float, is_kept: bool
 ) -> None:
     times = {"2": (3.0, 4.0), "1": (low, 5.0)}
@@ -164,20 +164,20 @@ def test_only_settings_that_change_an_image_of_the_scene_are_combined() -> None:
     assert set(select_effective_reports(dark, inferred, reports)) == {"inferred_scale"}
 
 
-def test_the_common_reference_has_what_each_reference_requires() -> None:
+def test_the_common_reference_has_the_settings_that_each_reference_requires() -> None:
     reference, scale = choice.combine_references(RenderSettings(), ["precision", "samples", "shadow_filter"])
     assert (reference.shadows.cascade_size, reference.shadows.filter) == (2048, ShadowFilter.SMOOTH)
     assert (reference.precision.value, reference.technique.samples, scale) == ("exact", 1, 4)
 
 
-def test_combinations_are_compared_with_rays_and_not_with_what_the_device_draws(null: rhi.Device) -> None:
+def test_combinations_are_compared_with_the_ray_tracer_and_not_with_the_device(null: rhi.Device) -> None:
     scene = load_scene(SETUP.scene)
     with CombinationBench(null, scene, SETUP, ["fxaa"]) as bench:
         (error,) = bench.compare(RenderSettings(algorithm="none"), list_views(scene, SETUP)[:1])
     assert error > 50.0  # its image is black
 
 
-def test_held_out_views_are_others() -> None:
+def test_held_out_views_differ_from_the_views_of_the_front() -> None:
     scene = load_scene("city:blocks=2")
     front_views = list_views(scene, SETUP)
     checks = list_held_out(scene, SETUP, 10, front_views)
@@ -223,7 +223,7 @@ def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize(("slower", "expected"), [(0.0, 1), (0.1, 0)])
-def test_a_time_is_kept_by_the_median_frame_of_a_walk(
+def test_a_time_budget_is_met_if_the_median_frame_of_a_walk_meets_it(
     slower: float, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     points = [replace(make_point(error, ms), low=0.5) for error, ms in ((2.0, 8.0), (1.0, 18.0))]
@@ -242,7 +242,7 @@ def test_a_time_is_kept_by_the_median_frame_of_a_walk(
         choose(replace(SETUP, backend="null"), points, budget_ms=4.5)
 
 
-def test_what_was_left_to_trials_is_left_to_them_again() -> None:
+def test_settings_that_were_auto_become_auto_again() -> None:
     original = RenderSettings()
     plain = choice.make_plain(original).change("technique.samples", 4)
     left = choice.leave_to_trials(plain, original)
@@ -310,7 +310,7 @@ def test_the_longest_jobs_are_handed_out_first(tmp_path: Path) -> None:
     assert ran == order_jobs(jobs)
 
 
-def test_a_job_is_named_by_what_its_result_depends_on() -> None:
+def test_the_name_of_a_job_has_all_that_its_result_depends_on() -> None:
     job = SweepJob(SETUP, "fxaa")
     assert job.key == SweepJob(replace(SETUP), "fxaa").key
     others = [
@@ -402,7 +402,7 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
     assert (tmp_path / "out/accuracy.json").is_file()
 
 
-def test_settings_that_are_no_answer_are_kept_without_a_question(
+def test_existing_settings_files_are_not_overwritten_without_asking(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -413,14 +413,14 @@ def test_settings_that_are_no_answer_are_kept_without_a_question(
     assert Path("settings.json").exists()
     with pytest.raises(SystemExit):
         main([*sweep, "--budget-ms", "9", "--settings", "settings.json"])
-    assert "copy it, and begin with the copy" in capsys.readouterr().err
+    assert "copy the file and pass the copy" in capsys.readouterr().err
     assert Path("settings.json").exists()
     with pytest.raises(SystemExit):
         main([*sweep, "--budget-ms", "9"])
     assert not Path("settings.json").exists()
 
 
-def test_what_is_left_out_is_said_once_for_all_values() -> None:
+def test_the_reason_for_omitted_values_is_stated_once_for_all_of_them() -> None:
     none = SettingReport(
         "blending", "gl", "a device", (), dict.fromkeys(("weighted", "sorted"), "the scene lacks glass")
     )

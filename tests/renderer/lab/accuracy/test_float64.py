@@ -7,7 +7,7 @@ import pytest
 
 from renderer.content import load_scene, parse_camera
 from renderer.lab.accuracy.float64 import decode_levels, encode_levels, shade_in_float64
-from renderer.lab.accuracy.sweep import distances_from_depth
+from renderer.lab.accuracy.image_errors import distances_from_depth
 from renderer.lab.exam.scenes import make_views
 from renderer.scene import Depth
 from renderer.settings import RenderSettings

@@ -98,7 +98,7 @@ def test_encodings_are_those_that_are_compared() -> None:
     [setting for setting in QUALITY_SETTINGS.values() if setting.option],
     ids=lambda setting: setting.name,
 )
-def test_values_of_a_scene_s_option_are_allowed_and_what_the_hall_has_is_among_them(
+def test_values_of_a_scene_option_are_allowed_and_include_the_default_of_the_hall(
     setting: QualitySetting,
 ) -> None:
     (option,) = (candidate for candidate in GENERATORS["hall"].options if candidate.name == setting.option)
@@ -131,7 +131,7 @@ def watch_reads(settings: RenderSettings, path: str) -> Iterator[list[str]]:
 
 
 @pytest.mark.parametrize("setting", SETTABLE, ids=lambda setting: setting.name)
-def test_a_frame_reads_what_a_quality_setting_sets(setting: QualitySetting) -> None:
+def test_a_frame_reads_the_setting_that_a_quality_setting_changes(setting: QualitySetting) -> None:
     settings = setting.set(RenderSettings(), next(iter(setting.values)))
     null = settings.algorithm in ("none", "frustum")
     ground = (

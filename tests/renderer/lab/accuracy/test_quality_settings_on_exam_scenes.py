@@ -119,7 +119,7 @@ def test_no_error_rises_on_a_scene_of_the_exam(title: str) -> None:
     assert rises_by_setting == {}
 
 
-def test_a_rendered_second_eye_is_what_the_ray_tracer_renders() -> None:
+def test_a_rendered_second_eye_equals_that_of_the_ray_tracer() -> None:
     """But for rounding: the greatest error of three channels is .375 of a level in the mean."""
     with open_device("gl") as device:
         errors = measure(device, "slit of a pixel", QUALITY_SETTINGS["second_eye"])

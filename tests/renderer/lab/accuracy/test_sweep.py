@@ -11,7 +11,7 @@ import pytest
 from nightly_reasons import CHEAPER_TEST
 
 from renderer.content import load_scene
-from renderer.lab.accuracy import QUALITY_SETTINGS, SweepSetup, sweep, sweep_setting
+from renderer.lab.accuracy import QUALITY_SETTINGS, SweepSetup, image_errors, sweep, sweep_setting
 from renderer.lab.accuracy.bench import downsample_image
 from renderer.lab.measure.measurement import Interval, Measurement
 from renderer.scene import Camera
@@ -47,7 +47,7 @@ def test_textures_without_mip_levels_flicker_though_single_images_are_no_worse()
     assert all(row.mean_error < row.p99 < row.max_error for row in rows.values())
 
 
-def test_a_still_camera_and_what_is_not_an_image_have_no_flicker() -> None:
+def test_a_still_camera_and_measures_that_are_not_images_have_no_flicker() -> None:
     assert {row.flicker for row in sweep_setting(replace(TINY, camera="street"), "fxaa").rows} == {None}
     assert {(row.flicker, row.flip) for row in sweep_setting(TINY, "depth").rows} == {(None, None)}
 
@@ -57,15 +57,15 @@ def test_flip_falls_with_the_error_and_is_between_nothing_and_all(monkeypatch: p
     rows = sweep_setting(TINY, "scale").rows
     assert 1.0 > rows[0].flip > 1.5 * rows[-1].flip > 0.0  # type: ignore[operator]
     black, white = np.zeros((54, 96, 3)), np.full((54, 96, 3), 255.0)
-    assert sweep.compute_flip_error(black, black) == 0.0
-    assert sweep.compute_flip_error(black, white) == pytest.approx(0.967, abs=0.001)
-    assert 0.0 < (sweep.compute_flip_error(white, white - 30.0) or 0.0) < 0.3
+    assert image_errors.compute_flip_error(black, black) == 0.0
+    assert image_errors.compute_flip_error(black, white) == pytest.approx(0.967, abs=0.001)
+    assert 0.0 < (image_errors.compute_flip_error(white, white - 30.0) or 0.0) < 0.3
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert sweep.compute_flip_error(black, white) is None
+    assert image_errors.compute_flip_error(black, white) is None
 
 
 @pytest.mark.parametrize("change", [0.0, 6.0])
-def test_flicker_is_the_change_of_what_is_wrong_from_a_frame_to_the_next(
+def test_flicker_is_the_change_of_the_error_from_a_frame_to_the_next(
     change: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = iter((5.0, 5.0 + change))
@@ -141,7 +141,7 @@ def test_a_scene_setting_is_compared_with_the_scene_of_its_last_value(name: str)
     assert least > most == 0.0
 
 
-def test_a_scene_without_a_cloth_or_without_the_option_has_no_such_setting() -> None:
+def test_a_scene_without_a_cloth_or_without_the_option_lacks_the_quality_setting() -> None:
     assert set(sweep_setting(TINY, "cloth_rate").left_out.values()) == {"the scene lacks a cloth"}
     assert sweep.prepare_scene(load_scene("hall:cloths=1"), QUALITY_SETTINGS["cloth_rate"]) is None
     assert (
@@ -155,7 +155,7 @@ def test_a_scene_without_a_cloth_or_without_the_option_has_no_such_setting() -> 
     assert sweep.find_missing_option("city", QUALITY_SETTINGS["fxaa"]) is None
 
 
-def test_what_an_absence_changes_is_an_error_unless_hidden_objects_are_simulated() -> None:
+def test_pausing_hidden_simulations_costs_accuracy_and_simulating_them_costs_none() -> None:
     setup = replace(TINY, scene="hall:columns=23,flags=0,cloths=12", size=(96, 54), rounds=1)
     rest, simulated = sweep_setting(setup, "hidden_simulations").rows
     assert rest.mean_error > simulated.mean_error == 0.0
@@ -176,7 +176,7 @@ def test_frames_that_remember_nothing_are_not_compared() -> None:
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
-def test_shards_together_measure_what_one_sweep_measures() -> None:
+def test_joined_shards_equal_a_single_sweep() -> None:
     setup = replace(TINY, rounds=3)
     shards = sweep.list_shards(setup, "occluder_pixels")
     samples = [sweep.sweep_shard(setup, "occluder_pixels", shard) for shard in shards]
@@ -254,7 +254,7 @@ def test_views_are_spread_or_follow_each_other() -> None:
     assert [view.number for view in sweep.list_views(scene, replace(TINY, camera="street"))] == [0]
 
 
-def test_the_mean_of_samples_is_one_of_light() -> None:
+def test_downsampling_averages_in_linear_light() -> None:
     image = np.zeros((2, 2, 3))
     image[0] = 255.0
     assert np.allclose(downsample_image(image, 2), 187.5, atol=0.5)  # half the light, not 127.5
@@ -273,7 +273,8 @@ def test_lights_that_reach_a_point_are_counted_by_range_and_cone() -> None:
     only = type("Lights", (), {"point": scene.lights.point[:0], "spot": scene.lights.spot[:1]})
     stage: Any = type("Stage", (), {"lights": only})
     counts = [
-        sweep.count_reached(stage, camera, position[None]) for position in (before, behind, 3.0 * before)
+        image_errors.count_reached(stage, camera, position[None])
+        for position in (before, behind, 3.0 * before)
     ]
     assert counts == [1, 0, 0]
 
@@ -286,7 +287,9 @@ def test_an_image_of_the_worst_region_has_three_parts() -> None:
 
     true, image = np.zeros((200, 300, 3)), np.zeros((200, 300, 3))
     image[199, 299] = 60.0
-    pixels = np.asarray(Image.open(io.BytesIO(b64decode(sweep.crop_worst_region(true, image, 299, 199)))))
+    pixels = np.asarray(
+        Image.open(io.BytesIO(b64decode(image_errors.crop_worst_region(true, image, 299, 199))))
+    )
     height, width = pixels.shape[0], pixels.shape[1] // 3
     assert (pixels[-1, 2 * width - 1] == 60).all()
     assert (pixels[-1, 3 * width - 1] == 240).all()

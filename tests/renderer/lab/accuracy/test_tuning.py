@@ -49,7 +49,7 @@ ranges = st.tuples(st.integers(1, 200), st.integers(1, 200)).map(lambda ends: (m
 
 
 @given(ranges, ranges, st.integers(1, 6))
-def test_every_trial_is_within_the_ranges_and_made_once(
+def test_every_trial_is_within_the_ranges_and_runs_once(
     batches: ParameterPair, persistences: ParameterPair, rounds: int
 ) -> None:
     valley = Valley((30.0, 7.0))
@@ -83,7 +83,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.usefixtures("gl")
-def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_and_compare_read_the_settings_that_tune_writes(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*COMMAND, "--backend", "gl", "--rounds", "2", "--output", "new/tuned", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     with (here / "new/tuned/trials.csv").open() as file:
@@ -132,7 +134,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
 @pytest.mark.nightly_cases("native", reason=CHEAPER_TEST)
 @pytest.mark.usefixtures("gl")
 @pytest.mark.parametrize("kind", ["native", pytest.param("emulated", marks=pytest.mark.nightly)])
-def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
+def test_the_requested_kind_of_queries_is_tuned_rendered_and_saved(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     emulations: set[bool] = set()

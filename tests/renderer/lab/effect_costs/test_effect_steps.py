@@ -77,7 +77,7 @@ was drawn in frames before."""
     ("name", "other"),
     [(first, second) for first in SWITCHED for second in LATER if NAMES.index(first) < NAMES.index(second)],
 )
-def test_an_effect_that_is_removed_beside_a_later_one_leaves_nothing_behind(name: str, other: str) -> None:
+def test_removing_an_effect_beside_a_later_effect_leaves_nothing_behind(name: str, other: str) -> None:
     """A later effect may match the effect pattern, so only the two frames are compared; shadow maps that are
     left may lie elsewhere in their atlas."""
     number = NAMES.index(name)
@@ -146,7 +146,7 @@ def test_calls_are_counted_without_those_of_the_garbage_collector() -> None:
     assert phases, "the control: outside of the block, garbage is collected"
 
 
-def test_a_row_says_what_a_step_adds_to_the_one_before() -> None:
+def test_a_row_lists_the_work_that_a_step_adds_to_the_step_before() -> None:
     assert list_steps_named([]) == list(range(len(EFFECT_STEPS)))
     (glass,) = count_effect_costs(list_steps_named(["glass"]))
     assert glass.passes == ("transparency",)

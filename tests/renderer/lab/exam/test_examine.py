@@ -35,7 +35,7 @@ def test_an_error_that_is_no_number_fails(null: rhi.Device) -> None:
     assert json.loads(json.dumps(row.as_record(), allow_nan=False))["error"] == "nan"
 
 
-def test_what_must_hold_besides_the_error_is_named_where_it_does_not(null: rhi.Device) -> None:
+def test_a_condition_that_fails_is_named_in_the_remark(null: rhi.Device) -> None:
     holds = {"it rains": True, "it snows": False}
     (row,) = run(null, replace(CASE, measure=lambda _: CaseResult(0.0, holds=holds)))
     assert row.passed is False
@@ -66,7 +66,7 @@ def test_every_requirement_is_a_boolean_capability(null: rhi.Device) -> None:
         assert all(isinstance(getattr(null.capabilities, name), bool) for name in case.requires), case.number
 
 
-def test_every_case_says_what_it_is_about_and_why_its_tolerance_is_right() -> None:
+def test_every_case_states_its_subject_and_the_reason_of_its_tolerance() -> None:
     for case in CASES.values():
         assert all(
             text and not text.endswith(".")
@@ -83,7 +83,7 @@ def test_long_cases_are_left_out_unless_they_are_asked_for() -> None:
     assert len(select_cases([], are_long=True)) == len(CASES)
 
 
-def test_a_port_is_examined_in_what_it_declares(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_is_examined_in_the_capabilities_that_it_declares(monkeypatch: pytest.MonkeyPatch) -> None:
     """The port of the examples, which computes on NumPy and doesn't draw, is named by its function."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[4] / "examples" / "numpy_backend"))
     with rhi.create_device("rhi_numpy:create_backend") as port:

@@ -74,7 +74,7 @@ def test_the_depth_pass_draws_the_depth_that_the_lit_pass_draws() -> None:
         passes.destroy()
 
 
-def test_queries_find_some_boxes_and_not_others() -> None:
+def test_queries_count_samples_of_visible_boxes_only() -> None:
     scene = load_scene(SCENE)
     camera = parse_camera_path("ground", scene).camera(900)
     with rhi.create_device("gl") as device:

@@ -53,7 +53,7 @@ def compare(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[st
 
 
 @pytest.mark.usefixtures("gl")
-def test_a_row_says_what_a_test_keeps_and_costs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_row_has_the_pairs_that_a_test_passes_and_its_time(capsys: pytest.CaptureFixture[str]) -> None:
     rows = compare(capsys, "--lights", "2,3", "--tests", "none,planes,exact", "--pre-filter", "both")
     assert [(row["lights"], row["test"], row["pre_filter"]) for row in rows] == [
         (count, test, on) for count in (2, 3) for test in ("none", "planes", "exact") for on in (True, False)
@@ -126,7 +126,7 @@ def test_the_scene_has_its_own_lights_and_technique_afterwards(gl: rhi.Device) -
         assert renderer.technique is technique
 
 
-def test_what_lights_a_pixel_is_found_by_range_and_cone() -> None:
+def test_the_lights_of_a_pixel_are_those_whose_range_and_cone_contain_it() -> None:
     projection = Perspective(far=50.0)
     lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=projection)
     grid = make_grid(projection, (4, 4), 2)
@@ -189,7 +189,7 @@ def test_surfaces_of_tiles_are_those_of_their_pixels() -> None:
     assert np.allclose(far, [[-np.inf, 9, 10], [12, 14, 15]])
 
 
-def test_overlaps_are_found_in_every_slice() -> None:
+def test_lights_overlap_the_cells_of_every_slice_that_they_reach() -> None:
     projection = Perspective(far=50.0)
     lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=projection)
     lights.add_point((0, 0, -10), 1.0)

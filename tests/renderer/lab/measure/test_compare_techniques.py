@@ -126,7 +126,7 @@ def test_numbers_are_options_of_the_scene(
         ("a.glb", 1, None, "grid"),
     ],
 )
-def test_a_scene_that_has_no_such_number_is_refused_and_those_are_named_that_have(
+def test_a_scene_without_the_varied_number_is_refused_with_the_scenes_that_have_it(
     text: str, objects: int | None, lights: int | None, allowed: str
 ) -> None:
     with pytest.raises(ValidationError) as refused:

@@ -59,7 +59,9 @@ def test_each_object_has_its_fate() -> None:
     assert compute_outcomes(make_scene(), EYE, drawn).tolist() == list(CullingOutcome)
 
 
-def test_what_is_drawn_is_not_occluded_and_what_is_outside_is_green_though_it_be_drawn() -> None:
+def test_drawn_objects_are_never_occluded_and_objects_outside_of_the_frustum_stay_outside_even_if_drawn() -> (
+    None
+):
     outcomes = compute_outcomes(make_scene(), EYE, np.arange(5))
     assert outcomes.tolist() == [
         CullingOutcome.OUTSIDE,
@@ -102,7 +104,7 @@ def test_from_above_boxes_have_the_colors_of_their_fates(renderer: Renderer) -> 
     assert set(rows.tolist()) >= {CullingOutcome.OUTSIDE, CullingOutcome.OCCLUDED}
 
 
-def test_from_the_camera_the_hidden_are_seen_through_what_hides_them(renderer: Renderer) -> None:
+def test_the_view_from_the_camera_shows_hidden_objects_through_their_occluders(renderer: Renderer) -> None:
     result = renderer.render(EYE)
     outcomes = compute_outcomes(renderer.scene, EYE, result.visible)
     plain = result.image.read()
@@ -136,7 +138,7 @@ def test_standard_depth_hides_edges_as_well(gl: rhi.Device) -> None:
     assert (images[0] != images[1]).any(axis=2).sum() < 60
 
 
-def test_the_view_from_above_leaves_out_what_covers_the_image() -> None:
+def test_the_view_from_above_omits_objects_that_would_cover_the_image() -> None:
     builder = SceneBuilder("ground")
     mesh = builder.add_mesh(BUILT_IN["box"]())
     rng = np.random.default_rng(1)
@@ -149,7 +151,7 @@ def test_the_view_from_above_leaves_out_what_covers_the_image() -> None:
     assert above.projection.height < 70.0
 
 
-def test_the_lines_lead_from_the_eye_along_what_it_sees() -> None:
+def test_the_outline_of_the_view_leads_from_the_eye_along_its_frustum() -> None:
     _, above = make_overhead_camera(make_scene(), 1.0)
     lines = view_outline(EYE, above)
     assert np.abs(lines[:, 0, [0, 2]]).max() < 0.2

@@ -101,7 +101,7 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Devic
 
 @pytest.mark.parametrize("make", [techniques.Forward, techniques.Clustered, techniques.ForwardMultipass])
 @pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
-def test_what_a_mask_leaves_out_looks_at_no_light(
+def test_masked_fragments_evaluate_no_light(
     gl: Device, make: type[techniques.Forward], alpha: float, each: int
 ) -> None:
     scene = walls(5.0, points=1)
@@ -124,7 +124,9 @@ def test_more_than_a_half_float_can_count_are_counted(gl: Device) -> None:
 
 
 @pytest.mark.parametrize("make", [techniques.Deferred, techniques.LightPrePass])
-def test_masked_volumes_leave_out_what_is_before_them(gl: Device, make: type[techniques.Deferred]) -> None:
+def test_stencil_masks_skip_pixels_in_front_of_a_light_volume(
+    gl: Device, make: type[techniques.Deferred]
+) -> None:
     scene = walls(5.0)
     scene.lights.add_point((0, 0, -6.0), 1.2)  # behind the wall's face, which it touches
     scene.lights.add_point((0, 0, -6.5), 1.2)  # behind it
@@ -134,7 +136,9 @@ def test_masked_volumes_leave_out_what_is_before_them(gl: Device, make: type[tec
 @pytest.mark.parametrize(
     "technique", [techniques.Forward(samples=4), techniques.FxaaTechnique(techniques.Forward())]
 )
-def test_what_is_not_known_how_to_count_is_not_counted(gl: Device, technique: techniques.Technique) -> None:
+def test_evaluations_of_multisampled_and_wrapped_techniques_are_not_counted(
+    gl: Device, technique: techniques.Technique
+) -> None:
     assert count(gl, walls(5.0, points=1), technique) is None
 
 

@@ -1,4 +1,4 @@
-"""How the cost of techniques grows with lights and objects, as counters: light evaluations and instances
+"""The growth of the cost of techniques with lights and objects, as counters: light evaluations and instances
 drawn."""
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def cities() -> dict[int, Scene]:
 @pytest.mark.parametrize(
     "name", ["forward", "clustered_deferred", "deferred", "forward_plus", "clustered", "tiled_deferred"]
 )
-def test_more_lights_of_the_same_density_cost_what_is_visible_of_them(
+def test_at_the_same_density_only_visible_lights_add_evaluations(
     gl: rhi.Device, cities: dict[int, Scene], name: str
 ) -> None:
     few, more, most = (count(gl, city, TECHNIQUES[name](), ABOVE) for city in cities.values())
@@ -59,7 +59,7 @@ def test_more_lights_of_the_same_density_cost_what_is_visible_of_them(
 
 
 @pytest.mark.parametrize("name", ["deferred", "tiled_deferred", "clustered_deferred"])
-def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects(
+def test_deferred_techniques_evaluate_as_many_lights_for_any_number_of_objects(
     gl: rhi.Device, name: str
 ) -> None:
     counts = {count(gl, wall(side, 8, 1.0), TECHNIQUES[name](), EYE) for side in (1, 4, 16)}

@@ -14,7 +14,7 @@ from renderer.scene import MATERIAL, Camera, Scene, SceneBuilder, scaling, trans
 from renderer.techniques import Forward
 
 
-def test_the_report_names_passes_textures_and_what_is_left_out() -> None:
+def test_the_report_names_passes_textures_and_omitted_passes() -> None:
     scene = load_scene("grid:mesh=box,count=9")
     report = describe_plan(scene, Forward(), scene.views["overview"], (64, 36))
     (pass_row,) = report.passes
@@ -49,7 +49,7 @@ def test_the_report_lists_the_memory_of_images_and_of_the_rest() -> None:
     assert memory.bytes == sum(size for _, size in rows.values())
 
 
-def test_what_was_destroyed_is_not_in_memory() -> None:
+def test_a_destroyed_buffer_is_not_in_the_memory_report() -> None:
     with rhi.create_device("null") as device:
         live, destroyed = (device.buffer(number, label=str(number)) for number in (48, 64))
         destroyed.destroy()
@@ -74,7 +74,7 @@ def checkered(*, two_sides: bool = False) -> Scene:
 
 
 @pytest.mark.parametrize(("two_sides", "kinds", "draws"), [(False, 2, 1), (True, 3, 2)])
-def test_the_report_counts_what_changes_between_objects(two_sides: bool, kinds: int, draws: int) -> None:
+def test_the_report_counts_kinds_of_materials_and_draws(two_sides: bool, kinds: int, draws: int) -> None:
     """Four materials, each with two meshes; in a group of its own, one with two sides is drawn by a second
     draw."""
     camera = Camera.look_at((-40, 0, 40), (0, 0, 0))

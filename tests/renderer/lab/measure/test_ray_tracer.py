@@ -84,7 +84,7 @@ def test_a_spot_fades_between_its_angles(angle: float, share: float) -> None:
     assert light == pytest.approx(share * np.cos(angle) ** 3, abs=2e-3)
 
 
-def test_an_eye_whose_image_is_squeezed_sees_as_far_to_the_sides_as_one_whose_is_not() -> None:
+def test_an_eye_with_a_squeezed_image_sees_as_far_to_the_sides_as_a_full_image() -> None:
     builder = make_floor()
     builder.lights.add_point((0, 3, 4), 1e6, (1, 1, 0.5), intensity=50.0)
     camera = Camera.look_at((3, 2, 0), (0, 0, 0), projection=Perspective(fov=1.0, aspect=2.0))
@@ -128,7 +128,7 @@ def test_a_light_inside_a_closed_object_shines_and_one_behind_it_does_not() -> N
         assert bool(trace_light(builder, (0, 1, 3), (0, 0, 0.2))[0] > 1e-6) is lit
 
 
-def test_panes_cover_what_is_behind_them_from_back_to_front() -> None:
+def test_panes_are_blended_from_back_to_front() -> None:
     builder = make_floor(emissive=(0.2, 0.2, 0.2), base_color=(0, 0, 0))
     mesh = builder.add_mesh(BUILT_IN["box"]())
     for height, color, alpha in ((1.0, (0.9, 0.0, 0.0), 0.5), (2.0, (0.0, 0.9, 0.0), 0.25)):

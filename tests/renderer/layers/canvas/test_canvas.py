@@ -91,7 +91,9 @@ def test_the_strips_of_an_outline_do_not_overlap(drawing_device: rhi.Device) -> 
     assert set(np.unique(pixels)) <= {0, 127, 128}
 
 
-def test_later_ones_cover_earlier_ones_and_premultiplied_light_is_added(drawing_device: rhi.Device) -> None:
+def test_later_rectangles_cover_earlier_ones_and_premultiplied_light_is_added(
+    drawing_device: rhi.Device,
+) -> None:
     def add(canvas: Canvas) -> None:
         canvas.rects(
             [(0, 0, 8, 4), (2, 0, 2, 4), (4, 0, 2, 4)], [(0, 0, 1, 1), (0.4, 0, 0, 0.4), (0.4, 0, 0, 0)]
@@ -120,7 +122,7 @@ def test_a_clip_rectangle_cuts_everything_at_whole_pixels_and_nests(drawing_devi
     assert (draw(drawing_device, (12, 12), add) == expected).all()
 
 
-def test_a_canvas_that_grows_keeps_what_was_added(drawing_device: rhi.Device) -> None:
+def test_a_canvas_that_grows_keeps_its_shapes(drawing_device: rhi.Device) -> None:
     size = (80, 60)
     x, y = np.meshgrid(np.arange(80), np.arange(60))
     boxes = np.stack([x, y, np.ones_like(x), np.ones_like(x)], axis=-1).reshape(-1, 4)
@@ -196,7 +198,7 @@ def test_clip_rectangles_that_follow_each_other_and_are_equal_share_a_draw(null:
     assert record(null, add) == (2, 48 * 5 + 16)
 
 
-def test_what_lies_outside_of_the_target_or_is_nothing_takes_no_draw(null: rhi.Device) -> None:
+def test_shapes_outside_of_the_target_and_blank_text_take_no_draw(null: rhi.Device) -> None:
     def add(canvas: Canvas) -> None:
         with canvas.clip(100, 0, 20, 20):
             canvas.rect(0, 0, 500, 50, WHITE)

@@ -87,13 +87,13 @@ def check_layout(font: Font, text: str) -> None:
         "€ ∞ 漢 😀 \ud800",
     ],
 )
-def test_a_text_is_laid_out_as_one_by_one(font: Font, text: str) -> None:
+def test_the_layout_of_a_text_equals_a_layout_character_by_character(font: Font, text: str) -> None:
     check_layout(font, text)
 
 
 @kerns
 @pytest.mark.parametrize("size", [9, 13, 32])
-def test_random_texts_are_laid_out_as_one_by_one(size: int) -> None:
+def test_the_layout_of_random_texts_equals_a_layout_character_by_character(size: int) -> None:
     rng = np.random.default_rng(size)
     codes = np.array([*PRINTABLE, *[ord("\t"), ord("\n")] * 12, 0, 7, 127, 0x20AC, 0x1F600])
     for _ in range(12):
@@ -117,7 +117,7 @@ def test_every_printable_character_of_latin_1_has_a_glyph_and_no_other(font: Fon
     assert glyphs == expected
 
 
-def test_the_atlas_holds_what_pillow_rasterises_and_glyphs_do_not_overlap(font: Font) -> None:
+def test_glyphs_of_the_atlas_equal_pillow_s_and_do_not_overlap(font: Font) -> None:
     plain = ImageFont.truetype(FILE, 13, layout_engine=ImageFont.Layout.BASIC)
     taken = np.zeros(font.coverage.shape, int)
     taken[:3, :3] += 1

@@ -126,14 +126,14 @@ def test_slices_are_filaments() -> None:
     assert ours[1] == pytest.approx(5.0)
 
 
-def test_slices_without_a_first_one_are_equally_long_in_the_logarithm() -> None:
+def test_slices_without_a_first_slice_are_spaced_logarithmically() -> None:
     starts = evaluate(slice_start, SLICED_GRIDS["geometric"], np.arange(25), dtype=np.float64)
     assert np.allclose(starts[1:] / starts[:-1], 1000.0 ** (1 / 24))
     flat = evaluate(slice_start, SLICED_GRIDS["parallel, behind"], np.arange(6), dtype=np.float64)
     assert np.allclose(flat, [-5, 12, 29, 46, 63, 80])
 
 
-def test_a_grid_refuses_what_cannot_be_divided() -> None:
+def test_a_grid_refuses_sizes_and_projections_that_cannot_be_divided() -> None:
     class Rolled(OffAxisPerspective):
         @property
         def matrix(self) -> np.ndarray:

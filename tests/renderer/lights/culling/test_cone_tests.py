@@ -43,7 +43,7 @@ def overlaps_sphere_first(pairs: ConePairs) -> np.ndarray:
     )
 
 
-def test_the_sphere_around_a_cone_overlaps_what_the_cone_overlaps(pairs: ConePairs) -> None:
+def test_the_sphere_around_a_cone_overlaps_every_cell_that_the_cone_overlaps(pairs: ConePairs) -> None:
     assert not (pairs.overlap & ~overlaps_sphere_first(pairs)).any()
 
 
@@ -53,7 +53,7 @@ def test_no_cone_that_overlaps_is_dropped_in_float64(pairs: ConePairs, name: str
     assert not (pairs.overlap & ~passed).any()
 
 
-def test_cone_tests_differ_by_what_they_keep(pairs: ConePairs) -> None:
+def test_tighter_cone_tests_pass_fewer_pairs(pairs: ConePairs) -> None:
     around = overlaps_sphere_first(pairs)
     passed = {
         name: int(
@@ -88,7 +88,9 @@ ASIDE, BEHIND = 1.0, -1.0
         (BEHIND, 180.0, True),
     ],
 )
-def test_a_cell_of_a_point_is_kept_if_the_angle_reaches_it(along: float, angle: float, passed: bool) -> None:
+def test_a_cell_that_is_a_point_passes_if_the_cone_s_angle_reaches_it(
+    along: float, angle: float, passed: bool
+) -> None:
     cell = Cell(low=(1, 0), low_slope=(0, 0), high=(1, 0), high_slope=(0, 0), near=along, far=along)
     for name in ("cone_sphere", "tight"):
         test = CONE_TESTS[name].function

@@ -210,7 +210,7 @@ def test_full_lists_are_in_the_masks_and_grow(device: Device, make: Callable[...
         assert grid.overflows == (2 if less else 0)
 
 
-def test_room_follows_the_number_of_cells_unless_it_was_said(
+def test_the_capacity_follows_the_number_of_cells_unless_it_is_set(
     device: Device, make: Callable[..., LightLists]
 ) -> None:
     lights, camera = make_lights(), look(PROJECTIONS["perspective"])

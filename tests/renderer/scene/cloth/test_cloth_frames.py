@@ -33,7 +33,7 @@ def count_dispatches(device: rhi.Device) -> int:
     return count
 
 
-def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device) -> None:
+def test_only_visible_members_take_steps_in_a_single_dispatch(null: rhi.Device) -> None:
     scene = make_scene(3, gap=8.0)
     with open_renderer(null, scene) as renderer:
         null.stream.clear()
@@ -115,7 +115,7 @@ def test_long_absences_take_a_bounded_number_of_dispatches(null: rhi.Device) -> 
         assert count_dispatches(null) == 1
 
 
-def test_what_shows_unexpectedly_is_stepped_between_passes(gl: rhi.Device) -> None:
+def test_a_cloth_that_shows_unexpectedly_is_stepped_between_passes(gl: rhi.Device) -> None:
     scene = make_scene(3)
     algorithm = make_visibility("stop_and_wait", scene, gl)
     none = NoCulling(scene)

@@ -42,7 +42,7 @@ def test_constraints_of_a_batch_share_no_point_and_each_is_there_once(rows: int,
     )
 
 
-def test_each_point_is_held_by_its_nearest_pin() -> None:
+def test_each_point_is_tethered_to_its_nearest_pin() -> None:
     cloth_grid = make_cloth_grid(GRID, PINS)
     assert cloth_grid.anchors.reshape(3, 3, 3)[0, 1].tolist() in ([0, 0, 0], [1, -1, 0])
     assert cloth_grid.reaches.reshape(3, 3)[0].tolist() == pytest.approx([0.0, 1.01, 1.01 * 2**0.5], abs=1e-4)
@@ -100,13 +100,13 @@ def test_folds_are_as_long_as_the_flat_cloth() -> None:
         lambda: make_square(interval=np.nan),
     ],
 )
-def test_what_is_no_cloth_is_refused(make: object) -> None:
+def test_invalid_cloths_are_refused(make: object) -> None:
     assert refused_rule(make) == "scene-bad-cloth"
     assert make_square(100, 100, sub_steps=13).sub_steps == 13
     assert (make_square(interval=0.001).interval, make_square(interval=0.1).interval) == (0.001, 0.1)
 
 
-def test_what_is_just_a_cloth_is_one() -> None:
+def test_cloths_at_the_limits_are_accepted() -> None:
     make_cloth_grid(GRID, PINS, flat=GRID * 2.0, bounds=((0, -2, 0), (2, 0, 0)))
     make_cloth_grid(GRID * 5000.0, PINS)
     Fabric(1e-6, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -123,7 +123,7 @@ def test_gusts_last_as_long_in_steps_of_any_length() -> None:
     assert BREEZE.count_steps(0.1).tolist() == [7, 4, 1, 1]
 
 
-def test_after_years_a_step_is_what_it_is_at_the_beginning() -> None:
+def test_a_step_after_years_equals_the_step_at_the_beginning() -> None:
     """10⁸ s are 6 · 10⁹ steps, more than 32 bits; gusts of 42 and 24 steps repeat every 168."""
     young, old = (ClothSimulation(1, make_square(), BREEZE) for _ in range(2))
     years = 168 * (int(1e8 * 60) // 168)
@@ -168,7 +168,7 @@ def test_a_cloth_that_leaps_is_soon_where_it_would_be(device: rhi.Device) -> Non
 
 
 def test_steps_before_a_leap_are_taken_in_their_wind() -> None:
-    """Whether somebody has looked at the cloth before the leap or not."""
+    """True if somebody has looked at the cloth before the leap or not."""
     seen, unseen = (ClothSimulation(2, make_square(), BREEZE, seed=3) for _ in range(2))
     for cloths in (seen, unseen):
         advance(cloths, 1, 4)

@@ -86,7 +86,7 @@ def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 2])
-def test_what_is_released_begins_again_at_its_first_heights(null: rhi.Device, steps: int) -> None:
+def test_released_water_restarts_at_its_first_heights(null: rhi.Device, steps: int) -> None:
     start = 0.01 * np.cos(np.pi * np.linspace(0.0, 1.0, 7)) * np.ones((6, 1))
     again, new = (WaterSimulation(1, WaterPool(cells=(6, 5), rain=0.0, start=start)) for _ in range(2))
     advance(again, 1, steps)
@@ -108,7 +108,7 @@ def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize(("missed", "is_forgotten"), [(1, True), (0, False)])
-def test_what_returns_after_its_memory_is_as_if_it_had_been_seen_always(
+def test_water_absent_for_longer_than_its_memory_equals_water_that_was_always_simulated(
     missed: int, is_forgotten: bool
 ) -> None:
     pool = WaterPool(**{**RAIN, "damping": 6.0})
@@ -152,7 +152,7 @@ def make_pools() -> Scene:
     return builder.build()
 
 
-def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device) -> None:
+def test_only_visible_members_take_steps_in_a_single_dispatch(null: rhi.Device) -> None:
     scene = make_pools()
     every, single = (Camera.look_at((4.0, height, 0.5 * height), (4.0, 0.0, 0.0)) for height in (9.0, 1.5))
     away = Camera.look_at((0.0, 2.0, 5.0), (0.0, 40.0, 60.0))
@@ -194,7 +194,7 @@ def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
     ],
     ids=lambda wrong: "-".join(wrong),
 )
-def test_what_is_no_pool_is_refused(wrong: dict[str, Any]) -> None:
+def test_invalid_water_pools_are_refused(wrong: dict[str, Any]) -> None:
     WaterPool(start=np.full((49, 49), 0.1), rain=60.0, drop=0.1, cells=(48, 48), depth=0.3)  # the control
     assert refused_rule(lambda: WaterPool(**wrong)) == "scene-bad-water"
 

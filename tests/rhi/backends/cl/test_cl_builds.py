@@ -296,7 +296,7 @@ def test_heat_is_the_time_of_launches(monkeypatch: pytest.MonkeyPatch, device: D
     assert raster._optimisation.heat > 0
 
 
-def test_of_launches_in_flight_one_is_timed_and_stands_for_all() -> None:
+def test_a_single_launch_in_flight_is_timed_for_all() -> None:
     event = SimpleNamespace(status=3, profile=SimpleNamespace(start=1_000, end=4_000))
     event.get_info = lambda _: event.status
     program, other = (

@@ -139,7 +139,7 @@ def test_without_that_each_work_item_is_an_invocation(cl_kit: ClKit) -> None:
         ((65535, 65535, 65535), 0),  # where PoCL's number of groups would overflow and end the process
     ],
 )
-def test_an_indirect_dispatch_takes_its_groups_from_what_was_written_before_it(
+def test_an_indirect_dispatch_reads_its_groups_from_earlier_writes(
     cl_kit: ClKit, groups: tuple[int, int, int], count: int
 ) -> None:
     text = "kernel void write(global uint *words, int count) { vstore3(vload3(0, words + 5), 0, words + 1); }"

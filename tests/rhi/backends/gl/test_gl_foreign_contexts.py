@@ -279,7 +279,7 @@ def test_a_device_made_current_inside_a_pass_goes_on_drawing(
     assert count_filled(image) == PIXELS * 3 // 4
 
 
-def test_a_context_that_is_given_back_in_time_is_not_noticed(
+def test_a_foreign_context_that_is_restored_in_time_is_allowed(
     device: rhi.Device, foreign: moderngl.Context
 ) -> None:
     image, mesh, program = (
@@ -312,7 +312,7 @@ def test_with_validation_the_draw_itself_is_refused() -> None:
         assert count_filled(image) == PIXELS
 
 
-def test_what_a_first_draw_creates_is_not_created_in_another_context(
+def test_a_first_draw_creates_no_driver_objects_in_another_context(
     device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
     """The variant of a program with an alpha test."""

@@ -185,7 +185,7 @@ def test_the_hosts_context_is_current_after_a_frame_and_when_the_device_lets_go(
 
 @pytest.mark.parametrize("works", [True, False], ids=["created", "refused"])
 @pytest.mark.parametrize("current", ["the host's", "a neighbour's", "none"])
-def test_what_was_current_before_a_device_was_created_is_current_again(
+def test_creating_a_device_restores_the_context_that_was_current(
     host: Host, monkeypatch: pytest.MonkeyPatch, current: str, works: bool
 ) -> None:
     neighbour = Host() if current == "a neighbour's" else host
@@ -260,7 +260,7 @@ def test_a_texture_of_the_host_outlives_the_devices(host: Host) -> None:
     np.testing.assert_array_equal(np.frombuffer(source.read(), np.uint8), ramp().ravel())
 
 
-def test_levels_and_layers_of_the_hosts_textures_are_known(host: Host, device: Device) -> None:
+def test_a_texture_of_the_host_has_its_levels_and_layers(host: Host, device: Device) -> None:
     device.present()
     flat = host.context.texture((8, 4), 1, dtype="f4")
     flat.build_mipmaps()
@@ -303,7 +303,7 @@ def test_the_host_reads_a_texture_of_the_device(host: Host, device: Device) -> N
     np.testing.assert_array_equal(np.frombuffer(seen.read(), np.uint8), ramp().ravel())
 
 
-def test_closing_deletes_what_the_device_made_and_nothing_else(host: Host) -> None:
+def test_closing_deletes_the_device_s_own_objects_only(host: Host) -> None:
     is_texture = ctypes.PYFUNCTYPE(ctypes.c_ubyte, ctypes.c_uint)(
         host.context.mglo._context.load("glIsTexture")
     )
@@ -332,7 +332,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_is_no_texture_is_refused(host: Host, device: Device, what: str) -> None:
+def test_names_that_are_not_textures_of_the_host_are_refused(host: Host, device: Device, what: str) -> None:
     call, rule = REFUSED[what]
     with pytest.raises(ValidationError, match=rf"^\[{rule}\]"):
         call(device)
@@ -375,7 +375,7 @@ def test_the_version_of_a_context_that_shares_nothing_is_reported(
     assert _describe_version(api) == description
 
 
-def test_what_is_no_context_is_refused(host: Host) -> None:
+def test_an_object_that_is_not_a_context_is_refused(host: Host) -> None:
     with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         rhi.create_device("gl", context=7)
     assert host.is_current

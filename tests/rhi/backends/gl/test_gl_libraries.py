@@ -70,7 +70,7 @@ check(framebuffer.read)
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("library", LIBRARIES)
-def test_an_image_appears_in_what_a_library_draws_to(library: str, display: Display) -> None:
+def test_an_image_appears_in_the_framebuffer_of_a_library(library: str, display: Display) -> None:
     if importlib.util.find_spec(library) is None:
         pytest.skip(f"no {library}: pip install rhi[hosts]")
     environment = os.environ | display.environment | {"QT_QPA_PLATFORM": "offscreen"}

@@ -33,7 +33,7 @@ def test_a_drivers_line_leads_to_the_python_line(message: str) -> None:
 
 
 @pytest.mark.parametrize(("line", "site"), [(1, "a.py:10"), (3, "c.py:30")])
-def test_the_first_and_the_last_line_are_known(line: int, site: str) -> None:
+def test_driver_errors_in_the_first_and_last_line_have_their_python_line(line: int, site: str) -> None:
     error = make_shader_error(describe_program(), f"0:{line}(1): error", Stage.FRAGMENT, SOURCE)
     assert str(error.site) == site
 

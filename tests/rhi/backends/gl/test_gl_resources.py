@@ -32,7 +32,7 @@ def test_a_buffer_takes_whatever_is_bytes_in_a_row(gl_kit: GlKit, source: object
     assert gl_kit.backend.read_buffer(buffer, 0, 64) == bytes(16) + VALUES.tobytes() + bytes(16)
 
 
-def test_what_is_written_to_a_stream_is_seen_by_the_gpu(gl_kit: GlKit) -> None:
+def test_the_gpu_sees_writes_to_a_stream_buffer(gl_kit: GlKit) -> None:
     stream, target = gl_kit.buffer(bytes(64), BufferUsage.STREAM), gl_kit.buffer(bytes(64))
     for value in (b"a", b"b"):
         gl_kit.backend.write_buffer(stream, 0, value * 64)

@@ -69,7 +69,7 @@ def test_a_device_has_no_anisotropy_where_it_may_never_end_unless_it_is_asked_fo
     )
 
 
-def test_the_driver_is_known_by_name_and_version(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_is_identified_by_name_and_version(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RHI_SLOW_ANISOTROPY", raising=False)
     for device, driver, most in (
         ("llvmpipe (LLVM 15.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.3.6", 1.0),

@@ -24,7 +24,7 @@ def timeline():
     return log.timeline(1000, 800)
 
 
-def test_busy_is_what_lies_between(timeline):
+def test_the_time_between_stalls_is_busy(timeline):
     spans = [(span.activity, span.start, span.end) for span in timeline.lane(Lane.CPU)]
     assert spans == [(Activity.BUSY, 0, 400), (Activity.STALLED, 400, 800), (Activity.BUSY, 800, 1000)]
     assert timeline.total(Lane.GPU, Activity.BUSY) == 300 + 200

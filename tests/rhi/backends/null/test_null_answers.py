@@ -41,7 +41,7 @@ def test_a_script_answers_in_the_order_in_which_queries_end(backend):
     assert read(backend, 1) == 0  # an answer stays
 
 
-def test_what_a_script_does_not_say_raises_or_is_counted(backend):
+def test_a_query_without_a_scripted_result_raises_or_is_counted(backend):
     backend.answer_queries([None, 3])
     assert ask(backend, 1, 2, 3) == ["null-samples", 3, "null-samples"]
     backend.count_samples(lambda draw: 8)
@@ -49,7 +49,7 @@ def test_what_a_script_does_not_say_raises_or_is_counted(backend):
     assert ask(backend, 1) == [8]
 
 
-def test_what_a_mapping_or_a_function_does_not_say_is_never_zero(backend):
+def test_a_query_that_a_mapping_or_function_does_not_answer_raises_instead_of_returning_zero(backend):
     for answers in ({2: 64}, lambda query: 64 if query == 2 else None):
         backend.answer_queries(answers)
         assert ask(backend, 1, 2) == ["null-samples", 64]
@@ -62,7 +62,7 @@ def test_a_script_may_hold_no_nonsense(backend):
         backend.answer_queries(-1)
 
 
-def test_a_log_notes_each_use_and_leaves_unknown_what_was_not_read(backend):
+def test_an_answer_log_notes_each_use_of_a_query_and_omits_unread_results(backend):
     log = AnswerLog(backend)
     backend.answer_queries([5, 6, 7])
     ask(log, 1)
@@ -72,7 +72,7 @@ def test_a_log_notes_each_use_and_leaves_unknown_what_was_not_read(backend):
     assert log.answers == RecordedAnswers({(1, 0): 5, (1, 2): 7})
 
 
-def test_recorded_answers_are_given_use_by_use(backend):
+def test_recorded_answers_are_returned_use_by_use(backend):
     backend.answer_queries(RecordedAnswers({(1, 0): 5, (1, 2): 7}))
     assert [ask(backend, 1), ask(backend, 1), ask(backend, 1)] == [[5], ["null-samples"], [7]]
 

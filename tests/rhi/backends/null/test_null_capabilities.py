@@ -178,7 +178,7 @@ def test_profiles_are_named_as_they_are_asked_for():
         ("blend_per_target", {"everything", "gl-4.5", "webgpu"}),
     ],
 )
-def test_profiles_have_what_such_devices_have(feature: str, expected: set[str]):
+def test_profiles_have_the_features_of_their_devices(feature: str, expected: set[str]):
     assert {name for name, profile in PROFILES.items() if getattr(profile, feature)} == expected
 
 

@@ -99,7 +99,7 @@ def test_an_answer_is_not_there_before_the_handler_has_read_it():
             backend.spend(200_000)
 
 
-def test_a_handler_that_comes_to_an_idle_gpu_reads_what_there_is():
+def test_a_handler_on_an_idle_gpu_reads_the_final_count():
     backend = make_backend(interrupt_latency=5000, halts_at_events=False)
     backend.create_query(1, QueryKind.COUNTER)
     draw(backend, 2)
@@ -109,7 +109,7 @@ def test_a_handler_that_comes_to_an_idle_gpu_reads_what_there_is():
     assert backend.read_query(1) == 2000
 
 
-def test_what_nobody_counts_stays_unknown():
+def test_an_emulated_query_without_a_sample_count_raises():
     backend = make_backend(interrupt_latency=100)
     backend.count_samples(None)
     backend.create_query(1, QueryKind.COUNTER)

@@ -132,7 +132,7 @@ def test_several_draws_lie_a_stride_apart(backend):
 
 
 @pytest.mark.parametrize(("count", "drawn"), [(0, 0), (1, 1), (3, 3), (4, 3), (0xFFFFFFFF, 3)])
-def test_the_number_of_draws_is_the_smaller_of_what_is_asked_and_what_the_buffer_says(backend, count, drawn):
+def test_the_number_of_draws_is_the_minimum_of_the_argument_and_the_count_buffer(backend, count, drawn):
     backend.clear_buffer(ARGUMENTS, 0, 256, 3)
     backend.write_buffer(COUNT, 12, words(count))
     draw_indirect(backend, draws=3, count_buffer=COUNT, count_offset=12)
@@ -197,7 +197,7 @@ def test_the_same_commands_take_the_same_time():
     assert frame() == frame()
 
 
-def test_statistics_count_what_was_executed(backend):
+def test_statistics_count_executed_commands(backend):
     draw(backend)
     backend.begin_pass(descriptors.PassDescriptor((1, 1)))
     backend.write_buffer(ARGUMENTS, 0, words(3, 1, 0, 0, 0, 3, 1, 0, 0, 0))
@@ -236,7 +236,7 @@ def test_a_query_that_nobody_can_answer_is_refused_and_never_zero(backend):
     assert refused(backend, 2) == "null-samples"
 
 
-def test_zero_is_known_where_nothing_was_drawn(backend):
+def test_queries_around_empty_draws_count_zero(backend):
     counter(backend, 1)
     occlusion(backend, 2, draws=0)
     assert (backend.read_query(1), backend.read_query(2)) == (0, 0)
@@ -286,7 +286,7 @@ def test_draws_outside_a_query_count_for_the_running_counter_only(backend):
     assert (backend.read_query(1), backend.read_query(2)) == (7, 21)
 
 
-def test_indirect_draws_are_asked_for_one_by_one(backend):
+def test_indirect_draws_are_counted_one_by_one(backend):
     backend.count_samples(lambda draw: draw.count * 100 + draw.base_instance)
     backend.write_buffer(ARGUMENTS, 0, words(3, 1, 0, 0, 1, 6, 1, 0, 0, 2, 0, 1, 0, 0, 9))
     backend.create_query(1, descriptors.QueryKind.OCCLUSION)
@@ -337,14 +337,14 @@ def test_a_function_counts_from_the_next_command_on(backend):
 @pytest.mark.parametrize(
     "answers", [12, {1: 12}, lambda query: 12 if query == 1 else None, np.int64(12), {1: np.uint32(12)}]
 )
-def test_answers_can_be_given_as_a_number_a_mapping_or_a_function(backend, answers):
+def test_scripted_answers_are_a_number_a_mapping_or_a_function(backend, answers):
     occlusion(backend, 1)
     backend.answer_queries(answers)
     assert backend.read_query(1) == 12
     assert type(backend.read_query(1)) is int
 
 
-def test_a_given_answer_goes_before_a_count_and_a_missing_one_leaves_it(backend):
+def test_a_scripted_answer_overrides_a_count_and_a_missing_answer_keeps_it(backend):
     backend.count_samples(lambda draw: 5)
     backend.answer_queries({1: 99})
     occlusion(backend, 1)

@@ -125,7 +125,7 @@ def test_a_creation_that_fails_leaves_nothing_behind(name):
             create(device)
 
 
-def test_an_event_that_finds_no_memory_for_its_end_keeps_what_its_beginning_got():
+def test_an_event_without_memory_for_its_end_reuses_the_query_of_its_beginning():
     with rhi.create_device("null", timing=True, faults=Faults(memory=1)) as device:
         with pytest.raises(DeviceError):
             device.event("a").__enter__()
@@ -206,7 +206,7 @@ def test_late_fences_change_nothing_but_when(clean, late):
         assert not device.backend_as(SimulatedBackend).hazards
 
 
-def test_what_waits_for_a_late_fence_is_kept_alive():
+def test_a_destroyed_buffer_is_alive_until_a_late_fence_is_signalled():
     with rhi.create_device("null", faults=Faults(late_frames=3), frames_in_flight=8) as device:
         buffer = device.buffer(16)
         buffer.destroy()

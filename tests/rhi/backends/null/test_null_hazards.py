@@ -58,7 +58,7 @@ def finish(backend, value=1):
 # -- memory --------------------------------------------------------------------------------------------------
 
 
-def test_memory_rewritten_in_place_and_memory_a_ring_comes_round_to_are_told_apart():
+def test_hazards_distinguish_rewrites_in_place_from_reuse_by_a_ring():
     backend = uniform_backend()
     backend.write_buffer(STREAM, 0, bytes(16))
     backend.bind_uniform(0, STREAM, 0, 16)
@@ -136,7 +136,7 @@ def test_a_read_that_waits_frees_everything_before_it(read):
 
 
 @pytest.mark.parametrize(("begin", "size"), [(0, 20), (20, 4), (28, 20), (16, 16), (0, 64)])
-def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(backend, begin, size):
+def test_a_read_that_overlaps_a_pending_write_by_a_byte_is_a_hazard(backend, begin, size):
     backend.create_buffer(900, descriptors.BufferDescriptor(64, BufferUsage.READBACK))
     backend.copy_buffer(STATIC, 0, 900, 16, 16)
     backend.read_buffer(900, 0, 16)
@@ -148,7 +148,7 @@ def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(backend, begin, size
     assert hazard.bytes == (max(begin, 16), min(begin + size, 32))
 
 
-def test_an_answer_frees_what_came_before_its_query():
+def test_a_query_result_proves_that_earlier_commands_have_finished():
     backend = uniform_backend()
     backend.create_query(1, descriptors.QueryKind.TIMESTAMP)
     backend.bind_uniform(0, STREAM, 0, 16)
@@ -283,7 +283,7 @@ def test_an_indexed_draw_reads_the_vertices_its_indices_name(primitive, last):
     assert found_bytes(backend) == list(range(58, last))
 
 
-def test_a_write_before_the_indices_are_known_is_found_when_they_are():
+def test_a_write_before_the_indices_are_read_is_a_hazard_once_they_are_read():
     backend = vertex_backend(index_buffer=STATIC)
     backend.write_buffer(STATIC, 0, indices(3, 4, 5))
     backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0)
@@ -313,7 +313,7 @@ def test_a_suspect_counts_only_for_the_buffer_it_was_written_to(backend):
     assert [(hazard.resource, hazard.bytes) for hazard in backend.hazards] == [(7, (128, 136))]
 
 
-def test_indices_and_vertices_in_the_ring_are_known_at_once():
+def test_indices_and_vertices_in_the_ring_are_tracked_at_once():
     backend = vertex_backend(index_buffer=STREAM)
     backend.write_buffer(STREAM, 200, indices(3, 4))
     backend.draw(VERTICES, descriptors.Primitive.LINES, 100, 2, 1, 0, 0)
@@ -324,7 +324,9 @@ def test_indices_and_vertices_in_the_ring_are_known_at_once():
     ("index_buffer", "first", "expected"),
     [(0, 4, [*range(48, 68)]), (STREAM, 100, [*range(38, 58), *range(200, 204)])],
 )
-def test_an_indirect_draw_reads_what_its_arguments_name(index_buffer, first, expected):
+def test_an_indirect_draw_reads_the_indices_and_vertices_that_its_arguments_name(
+    index_buffer, first, expected
+):
     backend = vertex_backend(index_buffer=index_buffer)
     backend.write_buffer(STREAM, 200, indices(3, 4))
     backend.write_buffer(STATIC, 0, words(2, 1, first, 0, 0))
@@ -389,7 +391,7 @@ def test_a_query_whose_answer_is_there_can_be_destroyed():
         assert kinds(backend) == [KINDS.DESTROYED_IN_USE] * (not asks)
 
 
-def test_destroying_what_the_gpu_may_still_use_is_found():
+def test_destroying_a_buffer_that_the_gpu_may_still_use_is_a_hazard():
     for waits in (False, True):
         backend = uniform_backend()
         backend.create_buffer(7, descriptors.BufferDescriptor(64))
@@ -401,7 +403,7 @@ def test_destroying_what_the_gpu_may_still_use_is_found():
         assert kinds(backend) == [KINDS.DESTROYED_IN_USE] * (not waits)
 
 
-def test_writing_to_what_was_destroyed_is_found(backend):
+def test_writing_to_a_destroyed_buffer_is_a_hazard(backend):
     backend.destroy(STREAM)
     backend.write_buffer(STREAM, 0, bytes(16))
     (hazard,) = backend.hazards
@@ -435,7 +437,7 @@ def test_a_target_is_in_use_until_its_pass_has_ended(backend):
     assert [hazard.calls for hazard in backend.hazards] == [("end_pass", "destroy")]
 
 
-def test_using_what_was_destroyed_is_found():
+def test_drawing_with_a_destroyed_buffer_is_a_hazard():
     backend = uniform_backend()
     backend.create_buffer(7, descriptors.BufferDescriptor(64))
     backend.bind_uniform(0, 7, 0, 16)
@@ -505,7 +507,7 @@ NO_COLOR = (ColorWrite, (ColorWrite.OFF,) * 8)
         (descriptors.PassDescriptor((4, 4), (descriptors.Attachment(99),)), [], None, False),
     ],
 )
-def test_a_pass_that_reads_what_it_writes_is_found(descriptor, changes, image, has_feedback):
+def test_a_pass_that_reads_its_own_target_is_a_hazard(descriptor, changes, image, has_feedback):
     assert feedback(descriptor, changes, image) == [KINDS.PASS_FEEDBACK] * has_feedback
 
 
@@ -597,7 +599,7 @@ def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels)
 @settings(max_examples=60)
 @example([("signal", 0, 0), ("draw", 0, 1), ("wait", 0, 0), ("signal", 0, 0), ("write", 0, 1)], 0, 0)
 @given(ACTIONS, st.integers(0, 20_000), st.integers(0, 3000))
-def test_what_is_called_a_hazard_happens_on_a_gpu_that_is_slow_enough(actions, latency, pixels):
+def test_every_reported_hazard_happens_on_a_gpu_that_is_slow_enough(actions, latency, pixels):
     """Run the same program again on a GPU that is never done before the CPU waits for it."""
 
     def run(latency, pixels):

@@ -32,7 +32,7 @@ def whole(descriptor, level=0):
 # -- buffers ---------------------------------------------------------------------------------------------
 
 
-def test_what_was_read_stays_as_it_was(backend):
+def test_data_read_from_a_texture_do_not_change_with_later_writes(backend):
     descriptor = texture(backend, 1)
     before = backend.read_texture(1, 0, whole(descriptor), False)
     backend.write_texture(1, 0, whole(descriptor), bytes([3]) * 16)

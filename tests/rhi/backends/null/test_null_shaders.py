@@ -92,7 +92,7 @@ def test_dispatches_run_when_asked_to(device: rhi.Device) -> None:
     assert not device.capabilities.shading
 
 
-def test_what_was_bound_before_is_known(device: rhi.Device) -> None:
+def test_shaders_run_with_bindings_made_before_they_were_switched_on(device: rhi.Device) -> None:
     weights = device.storage(float, np.ones(4, np.float32))
     arguments = {
         "scale": device.uniform(Scale(factor=1.0)),
@@ -147,7 +147,7 @@ def draw_thrice(device: rhi.Device, marks: rhi.StorageBuffer[sl.uint]) -> None:
         device.draw_indirect(mark, mesh, IndirectDraws(device.buffer(draws), 2), marks=marks)
 
 
-def test_a_stand_in_does_what_fragments_would_do(device: rhi.Device) -> None:
+def test_a_stand_in_function_runs_for_each_draw_in_place_of_its_fragments(device: rhi.Device) -> None:
     seen = []
 
     def mark(bound, draw):

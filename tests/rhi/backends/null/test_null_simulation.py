@@ -70,7 +70,7 @@ def test_options_of_the_wrong_type_are_refused(option):
         rhi.create_device("null", **option)
 
 
-def test_every_call_takes_the_cpu_its_time_and_other_work_what_it_says(backend):
+def test_each_call_costs_cpu_time_and_spend_adds_the_time_of_other_work(backend):
     before = backend.now
     draw(backend)
     draw(backend)
@@ -150,7 +150,7 @@ def test_a_wait_stalls_the_cpu_until_the_gpu_is_there(backend):
     assert (stall.start, stall.end, stall.name) == (submitted + 10, backend.now, "wait(1)")
 
 
-def test_a_wait_for_what_is_done_does_not_stall(backend):
+def test_a_wait_for_a_reached_fence_does_not_stall(backend):
     draw(backend)
     backend.signal(1)
     backend.spend(5000)
@@ -234,7 +234,7 @@ def test_a_query_has_no_answer_before_its_time_and_never_an_older_one(backend):
         assert backend.read_query(1) == instances * 1000
 
 
-def test_reading_a_query_submits_what_it_waits_for(backend):
+def test_reading_a_query_submits_pending_commands(backend):
     backend.create_query(1, QueryKind.TIMESTAMP)
     backend.write_query(1)
     while backend.read_query(1) is None:
@@ -390,11 +390,11 @@ def works(call, **options):
         (lambda b: draw(b, 2), CommandWork(Op.DRAW, 6, 2000)),
     ],
 )
-def test_a_command_costs_what_is_in_it(call, work):
+def test_the_work_of_a_command_follows_from_its_arguments(call, work):
     assert works(call) == [work]
 
 
-def test_mip_levels_cost_what_is_read_and_written():
+def test_generating_mip_levels_costs_the_bytes_read_and_written():
     (work,) = works(lambda b: b.generate_mipmaps(1), levels=3)
     assert work.bytes == 5 * 4 * (32 * 16 + 16 * 8)
 
@@ -420,7 +420,7 @@ def test_clears_and_resolves_cost_by_pass():
         ([(Viewport, Viewport(32, 0, 64, 32)), (Scissor, Scissor(0, 0, 32, 32))], 0),
     ],
 )
-def test_uncounted_draws_cover_at_most_what_viewport_and_scissor_leave(states, area):
+def test_uncounted_draws_cover_at_most_the_viewport_and_scissor(states, area):
     def run(backend):
         backend.count_samples(None)
         backend.begin_pass(PassDescriptor((64, 32)))
@@ -449,7 +449,7 @@ def test_the_area_follows_pass_viewport_and_scissor():
     assert [work.pixels for work in works(run) if work.op is Op.DRAW] == [64 * 32, 32 * 32, 8 * 8, 4 * 4]
 
 
-def test_indirect_draws_cost_what_their_arguments_say():
+def test_the_work_of_indirect_draws_follows_from_the_buffer_of_arguments():
     def run(backend):
         backend.write_buffer(STATIC, 0, words(3, 2, 0, 0, 0, 6, 1, 0, 0, 0))
         backend.draw_indirect(PLAIN, Primitive.TRIANGLES, STATIC, 0, 2, 20, 0, 0)
@@ -473,7 +473,7 @@ def test_primitives_are_counted_by_their_kind(primitive, vertices, count):
     assert count_primitives(primitive, vertices) == count
 
 
-def test_work_costs_by_default_what_the_page_says():
+def test_default_costs_of_work_are_those_of_the_page():
     assert (
         CostModel().nanoseconds(CommandWork(Op.DRAW, 1000, 2000, 3000, 1, 4000))
         == 20 + 500 + 100 + 60 + 100 + 400

@@ -62,7 +62,7 @@ def test_an_adapter_that_does_not_exist_is_refused_with_those_that_do(
 # -- devices -----------------------------------------------------------------------------------------------
 
 
-def test_the_core_profile_has_what_a_null_device_says_of_webgpu(
+def test_the_core_profile_equals_the_null_device_s_profile_of_webgpu(
     usable: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
@@ -115,7 +115,7 @@ class Broken(Shader):
         self.out[0] = 1.0
 
 
-def test_what_naga_refuses_is_told_with_its_python_line(device: Device) -> None:
+def test_an_error_of_naga_names_the_python_line(device: Device) -> None:
     with pytest.raises(ShaderError, match=r"^\[shader-driver\]") as caught:
         device.program(Broken)
     assert "WGSL line 5: out[i] = sqrt(true);" in caught.value.given

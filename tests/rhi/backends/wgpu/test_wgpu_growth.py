@@ -23,7 +23,7 @@ from rhi.conformance.shapes import rectangle
 
 
 def count_native_objects() -> dict[str, int]:
-    """Return how many objects of each kind wgpu-native has."""
+    """Return the number of objects of each kind in wgpu-native."""
     gc.collect()
     return {kind: row["allocated"] for kind, row in generate_report()["hub"].items()}
 

@@ -58,7 +58,7 @@ def kit(recording: Device) -> Any:
 
 
 @pytest.mark.parametrize("name", ["tint", "weights", "albedo", "shadow", "target"])
-def test_a_binding_must_be_given(kit: Kit, name: str) -> None:
+def test_a_missing_binding_is_refused(kit: Kit, name: str) -> None:
     with kit.device.render_pass(kit.image):
         with refuses(rules.BINDING_MISSING, kit.device) as refusal:
             kit.draw(**{name: None})
@@ -68,7 +68,7 @@ def test_a_binding_must_be_given(kit: Kit, name: str) -> None:
             kit.draw(**{name: None})
 
 
-def test_a_binding_must_be_known(kit: Kit) -> None:
+def test_an_unknown_binding_is_refused(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
         with refuses(rules.BINDING_UNKNOWN, kit.device) as refusal:
             kit.draw(tints=kit.bindings["tint"])
@@ -214,7 +214,7 @@ def test_a_uniform_in_a_buffer_must_be_aligned_and_large_enough(kit: Kit) -> Non
 
 
 @pytest.mark.parametrize("name", ["class", "self"])
-def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device, name: str) -> None:
+def test_a_binding_whose_name_cannot_be_a_keyword_argument_is_refused(recording: Device, name: str) -> None:
     bad, good = (Binding(each, BindingKind.UNIFORM, 0, False, Camera, 16) for each in (name, "mesh"))
     with refuses(rules.BINDING_NAME, recording):
         recording.program(hand_made_program("bad", bad))

@@ -157,7 +157,7 @@ HOLDS = [  # what is stored as given, then what isn't, both next to the bound
 
 
 @pytest.mark.parametrize(("element", "accepted", "refused", "refusal_text"), HOLDS)
-def test_storage_of_numbers_takes_what_it_holds(
+def test_storage_of_numbers_accepts_values_of_its_element_type(
     recording: Device, element, accepted, refused, refusal_text: str
 ) -> None:
     with recording.storage(element, accepted) as storage:

@@ -42,7 +42,7 @@ def line() -> int:
 # -- one after the other: recording, submitting ------------------------------------------------------------
 
 
-def test_commands_are_given_inside_the_block(recording: Device) -> None:
+def test_commands_outside_of_their_block_are_refused(recording: Device) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.buffer(4) as buffer:
         commands = recording.record()
         for _ in range(2):
@@ -55,7 +55,7 @@ def test_commands_are_given_inside_the_block(recording: Device) -> None:
         recording.submit(commands)
 
 
-def test_draws_are_given_inside_the_block(recording: Device, image: rhi.Texture, mesh: Mesh) -> None:
+def test_draws_outside_of_their_block_are_refused(recording: Device, image: rhi.Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
     with recording.record() as commands:
         with commands.render_pass(image):
@@ -150,7 +150,7 @@ def test_a_query_ends_in_its_pass(recording: Device) -> None:
 # -- what it uses must be there ----------------------------------------------------------------------------
 
 
-def test_what_is_used_lives_until_the_last_submission(recording: Device) -> None:
+def test_a_submission_after_a_used_texture_was_destroyed_is_refused(recording: Device) -> None:
     image = recording.texture(SIZE, Format.R8, label="map")
     with recording.record() as commands:
         used = line() + 1
@@ -165,7 +165,7 @@ def test_what_is_used_lives_until_the_last_submission(recording: Device) -> None
         assert expected in refusal.error.given
 
 
-def test_what_is_used_lives_until_the_first_submission(recording: Device) -> None:
+def test_a_first_submission_after_a_used_buffer_was_destroyed_is_refused(recording: Device) -> None:
     with recording.buffer(4) as buffer, recording.record() as commands:
         commands.clear(buffer)
     with refuses(rules.RESOURCE_DESTROYED, recording):
@@ -177,7 +177,9 @@ def test_what_is_used_lives_until_the_first_submission(recording: Device) -> Non
 
 
 @pytest.mark.parametrize("gone", ["mesh", "program", "tint"])
-def test_what_draws_use_lives_as_long(recording: Device, gone: str) -> None:
+def test_a_submission_after_a_resource_of_a_draw_was_destroyed_is_refused(
+    recording: Device, gone: str
+) -> None:
     with recording.texture(SIZE, Format.RGBA8) as image:
         parts: dict[str, Any] = {
             "mesh": recording.mesh(rectangle(), label="house"),
@@ -228,7 +230,7 @@ def test_a_mesh_without_attributes_lives_as_long(recording: Device, image: rhi.T
     assert "Mesh('points')" in refusal.error.given
 
 
-def test_what_is_locked_is_not_submitted(recording: Device) -> None:
+def test_a_submission_that_uses_a_locked_buffer_is_refused(recording: Device) -> None:
     with recording.buffer(4) as buffer, recording.buffer(4) as other:
         with recording.record() as commands:
             commands.clear(buffer)

@@ -72,7 +72,7 @@ def test_targets_have_the_same_samples(recording: Device) -> None:
     recording.prepare(program, targets=(four, four))
 
 
-def test_what_is_destroyed_is_not_prepared(recording: Device) -> None:
+def test_preparing_with_a_destroyed_resource_is_refused(recording: Device) -> None:
     program, image = recording.program(Colored), recording.texture((4, 4), Format.RGBA8)
     mesh = recording.mesh(rectangle())
     image.destroy()
@@ -99,7 +99,7 @@ def test_a_compute_program_is_prepared_already(recording: Device) -> None:
     assert recording.prepare(recording.program(Doubled)).done()
 
 
-def test_preparing_records_only_what_a_first_draw_would_create(recording: Device) -> None:
+def test_preparing_records_only_the_creations_of_a_first_draw(recording: Device) -> None:
     program, mesh = recording.program(Colored), recording.mesh(rectangle())
     before = len(recording.stream)
     preparation = recording.prepare(program, mesh, targets=(Format.RGBA8,))

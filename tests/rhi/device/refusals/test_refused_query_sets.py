@@ -239,7 +239,7 @@ def test_an_emulated_set_decides_nothing(recording: Device, mesh: Mesh, image: A
     queries.destroy()
 
 
-def test_a_command_buffer_decides_by_what_it_counts_itself(
+def test_a_conditional_draw_needs_a_query_counted_in_the_same_command_buffer(
     recording: Device, queries: QuerySet, mesh: Mesh, image: Any
 ) -> None:
     program = recording.program(Colored)

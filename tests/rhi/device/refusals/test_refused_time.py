@@ -21,7 +21,7 @@ SIZE = (4, 4)
 
 
 @pytest.mark.parametrize("ahead", [1, 1000])
-def test_only_what_was_signalled_is_waited_for(recording: Device, ahead: int) -> None:
+def test_waiting_for_a_fence_value_that_was_not_signalled_is_refused(recording: Device, ahead: int) -> None:
     value = recording.signal()
     with refuses(rules.FENCE_VALUE, recording):
         recording.wait(value + ahead)
@@ -133,7 +133,7 @@ def test_a_command_s_arguments_have_names(recording: Device) -> None:
     assert command["value"] > 0
 
 
-def test_what_held_at_a_command_is_gone_with_its_stream(backend: str) -> None:
+def test_labels_of_a_command_are_refused_after_its_stream_was_cleared(backend: str) -> None:
     with rhi.create_device(backend, record=True) as device:
         device.signal()
         command = device.stream[-1]
@@ -154,7 +154,7 @@ def test_only_a_recording_device_has_a_stream(backend: str) -> None:
 # -- devices -----------------------------------------------------------------------------------------------
 
 
-def test_a_backend_s_name_is_known(backend: str) -> None:
+def test_an_unknown_backend_is_refused_with_the_names_of_backends(backend: str) -> None:
     with refuses(rules.DEVICE_UNKNOWN, kind=DeviceError) as refusal:
         rhi.create_device(backend + "x")
     assert backend in str(refusal.error)

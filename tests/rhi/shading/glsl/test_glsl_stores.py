@@ -52,19 +52,19 @@ def source(shader: type[sl.Shader]) -> str:
     return sl.compile_shader(shader).emit("glsl", Stage.COMPUTE).text
 
 
-def test_an_unknown_column_of_a_stored_matrix_is_chosen_by_a_switch() -> None:
+def test_a_store_to_a_variable_column_of_a_matrix_is_a_switch() -> None:
     text = source(StoreAnywhere)
     assert "if (uint(i) < uint(int(matrices.length())) && uint(at) < 4u) {\n        switch (at) {" in text
     assert [f"case {i}: matrices[i][{i}][2] = 1.0; break;" in text for i in range(4)] == [True] * 4
 
 
-def test_a_known_column_is_stored_at_once() -> None:
+def test_a_store_to_a_constant_column_of_a_matrix_is_direct() -> None:
     text = source(StoreAtConstant)
     assert "switch" not in text
     assert "[1][2] = 1.0;" in text
 
 
-def test_the_value_of_such_a_store_is_computed_before_its_column() -> None:
+def test_the_value_of_a_column_store_is_computed_before_its_column() -> None:
     text = source(StoreInOrder)
     assert text.index("value = float(atomicAdd(") < text.index("at = atomicAdd(") < text.index("switch (at)")
 

@@ -37,7 +37,7 @@ def test_the_page_names_every_builtin():
     assert set(BUILTINS) <= words
 
 
-def test_the_reference_of_the_builtins_is_what_the_table_says():
+def test_the_page_of_built_ins_is_generated_from_their_table():
     page = REFERENCE.read_text()
     assert update(page) == page, "run python -m rhi.shading.tools.reference docs/shading-builtins.md"
     assert update(page.replace("| sine (", "| sin (")) == page

@@ -65,7 +65,7 @@ def kernel_of(shader):
     return compile_shader(shader).emit("glsl", Stage.COMPUTE).text
 
 
-def test_an_edited_file_does_not_change_what_a_class_compiles_to(module):
+def test_an_edited_file_does_not_change_the_program_of_a_class(module):
     imported, write = module
     write(MODULE.replace("2.0", "33.5"))
     assert run_compute(imported.Written, out=1)["out"].tolist() == [2]
@@ -153,7 +153,7 @@ def test_from_source_passes_over_imported_shaders_and_other_classes():
 IMPORTED = from_source(MODULE)
 
 
-def test_from_source_returns_what_is_named_in_that_order():
+def test_from_source_returns_the_named_objects_in_order():
     doubled, shader = from_source(MODULE, "doubled", "Written")
     assert evaluate(doubled, 4.0) == 8
     assert run_compute(shader, out=1)["out"].tolist() == [2]
@@ -173,7 +173,7 @@ def test_a_class_that_a_text_makes_later_has_its_text_too():
     assert run_compute(make(), out=1)["out"].tolist() == [2]
 
 
-def test_a_text_sees_the_names_that_it_is_given_and_no_others():
+def test_a_text_sees_only_the_names_that_are_passed_with_it():
     text = MODULE.replace("2.0", "LIMIT")
     assert run_compute(from_source(text, "Written", scope={"LIMIT": 7.5}), out=1)["out"].tolist() == [7.5]
     with pytest.raises(ShaderError, match="LIMIT"):

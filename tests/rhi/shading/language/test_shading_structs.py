@@ -69,7 +69,7 @@ def field_by_field(cls, values):
 
 @pytest.mark.parametrize("cls", [Plain, Defaulted])
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name in GOOD for value in GOOD[name]])
-def test_a_generated_constructor_keeps_what_checks_field_by_field_would(cls, name, value):
+def test_a_generated_constructor_stores_the_same_values_as_checks_field_by_field(cls, name, value):
     values = {each: GOOD[each][0] for each in GOOD} | {name: value}
     created, expected = cls(**values), field_by_field(cls, values)
     for layout in Layout:
@@ -82,7 +82,7 @@ def test_a_generated_constructor_keeps_what_checks_field_by_field_would(cls, nam
 
 @pytest.mark.parametrize("cls", [Plain, Defaulted])
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name in BAD for value in BAD[name]])
-def test_a_generated_constructor_refuses_what_checks_field_by_field_would(cls, name, value):
+def test_a_generated_constructor_refuses_the_same_values_as_checks_field_by_field(cls, name, value):
     values = {each: GOOD[each][0] for each in GOOD} | {name: value}
     with pytest.raises(ValidationError) as expected:
         field_by_field(cls, values)
@@ -105,7 +105,7 @@ def test_a_constructor_generated_for_a_base_does_not_serve_structs_derived_from_
     assert len(Wider(**values).to_bytes()) == Wider.uniform_dtype.itemsize
 
 
-def test_a_value_keeps_what_its_arrays_held():
+def test_a_struct_value_copies_its_arrays():
     view = np.arange(16.0).reshape(4, 4)
     value = Plain(**{name: GOOD[name][0] for name in GOOD} | {"view": view})
     view[:] = 0

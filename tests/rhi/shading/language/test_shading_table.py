@@ -87,7 +87,7 @@ def test_every_row_has_one_meaning_in_each_language():
         assert isinstance(row.error, ErrorBound)
 
 
-def test_what_wgsl_lacks_is_refused_by_name():
+def test_the_built_ins_that_wgsl_lacks_are_refused_by_name():
     assert [row.name for row in BUILTINS.values() if isinstance(row.wgsl, Refused)] == [
         "memory_barrier",
         "point_coordinate",
@@ -113,7 +113,7 @@ class OfTiles(Shader):
             self.out[i] = float(uniform(tile * 2)) + (1.0 if uniform(tile > 4) else 0.0)
 
 
-def test_what_is_uniform_is_read_once_for_all_lanes(run_everywhere):
+def test_uniform_values_are_read_once_for_all_lanes(run_everywhere):
     tiles = np.repeat([3, 7], 16).astype("i4")
     lists = np.arange(20, dtype="f4")
     out = run_everywhere(OfTiles, tiles=tiles, lists=lists, out=32)["out"]

@@ -163,7 +163,7 @@ def boxed(shader: type[sl.Shader]) -> list[int] | None:
 
 
 @pytest.mark.parametrize("shader", [Base, AffineTransform, Swayed, ShadedVarying])
-def test_affine_positions_are_bounded_by_what_they_depend_on(shader: type[sl.Shader]) -> None:
+def test_affine_positions_are_bounded_by_their_inputs(shader: type[sl.Shader]) -> None:
     assert boxed(shader) == [0, 1, 2]
 
 

@@ -111,7 +111,7 @@ class StoresTooFar(Checked):
         self.out[sl.global_id().x + self.which[0]] = self.a[0]
 
 
-def test_a_store_outside_is_found_and_touches_nothing_behind_the_buffer(run):
+def test_a_store_out_of_range_is_reported_and_writes_nothing(run):
     run(StoresTooFar, **values(i0=0))
     with pytest.raises(ShaderError) as caught:
         run(StoresTooFar, **values(i0=1))
@@ -167,7 +167,7 @@ def test_the_environment_turns_it_on():
         assert run.stdout.strip() == expected
 
 
-def test_a_device_raises_what_a_dispatch_found_and_goes_on():
+def test_a_device_raises_the_error_of_a_checked_dispatch_and_goes_on():
     queue()  # or the test is skipped
     with rhi.create_device("cl") as device:
         program = device.program(Checked)

@@ -1,4 +1,4 @@
-"""How often a stage is lowered: again only where a run was told of a value what its end shows to be
+"""The number of lowerings of a stage: another only where a run was told of a value what its end shows to be
 otherwise."""
 
 from __future__ import annotations

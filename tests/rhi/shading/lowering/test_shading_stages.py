@@ -428,7 +428,7 @@ class CheckedLookup(Lookup):
     checked = True
 
 
-def test_helpers_have_no_say_in_what_is_uniform():
+def test_helper_invocations_do_not_affect_uniformity():
     value = np.stack([np.full(SHAPE, 3.0), ROWS % 4], axis=-1).astype("f4")
     mask = (COLUMNS % 4 != 0) & (ROWS > 0)
     value[~mask] = -1000.0

@@ -48,12 +48,12 @@ class AllStore(Shader):
 
 
 @pytest.mark.parametrize("shader", [Meets, OneStores])
-def test_what_a_work_group_does_as_a_whole_is_allowed(shader: type[Shader]) -> None:
+def test_barriers_and_stores_in_uniform_control_flow_are_allowed(shader: type[Shader]) -> None:
     assert compile_shader(shader).emit("opencl4", Stage.COMPUTE).text
 
 
 @pytest.mark.parametrize(("shader", "rule"), [(PartlyMeets, BARRIER), (AllStore, RACE)])
-def test_what_a_work_group_must_not_do_is_refused(shader: type[Shader], rule: object) -> None:
+def test_divergent_barriers_and_racing_stores_are_refused(shader: type[Shader], rule: object) -> None:
     with pytest.raises(ShaderError, match=rf"^\[{rule.id}\]") as caught:
         compile_shader(shader).emit("opencl4", Stage.COMPUTE)
     assert "test_shading_work_groups.py" in str(caught.value)

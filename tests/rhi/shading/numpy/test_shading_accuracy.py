@@ -143,7 +143,7 @@ def words(*rows):
 (DOT,) = builtin_probes(BUILTINS["dot"])
 
 
-def test_a_unit_is_one_in_the_last_place_of_the_exact_float():
+def test_a_unit_of_error_is_the_last_place_of_the_exact_float():
     exact = np.float32(np.sin(1.0))
     next_one = np.nextafter(exact, np.float32(2))
     (units,) = count_units(SINE, words([1.0]), np.array([[next_one]]))[0]
@@ -151,7 +151,7 @@ def test_a_unit_is_one_in_the_last_place_of_the_exact_float():
     assert count_units(SINE, words([1.0]), np.array([[exact]]))[0, 0] <= 0.5
 
 
-def test_of_what_is_made_from_others_a_unit_is_also_that_of_an_argument():
+def test_a_unit_of_error_of_a_composed_function_is_relative_to_its_arguments():
     inputs = words([1.0, 1.0, 0.0, 1.0, -1.0 + 1e-6, 0.0])  # two products that cancel
     off = DOT.evaluate(inputs, np.float64) + 1e-7
     assert count_units(DOT, inputs, off)[0, 0] < 2
@@ -162,7 +162,7 @@ def test_of_what_is_made_from_others_a_unit_is_also_that_of_an_argument():
     ("argument", "result", "units"),
     [(np.nan, np.nan, 0), (np.nan, 0.0, np.inf), (1.0, np.nan, np.inf), (1e-40, 0.0, 0), (np.inf, np.nan, 0)],
 )
-def test_what_is_not_a_number_must_not_be_one_and_denormals_may_be_zero(argument, result, units):
+def test_nan_must_stay_nan_and_denormals_may_be_zero(argument, result, units):
     assert count_units(SINE, words([argument]), np.array([[result]], np.float32))[0, 0] == units
 
 
@@ -184,7 +184,7 @@ def test_fast_functions_keep_their_error_with_any_number_of_lanes(width):
 
 @pytest.mark.parametrize("name", ["sin", "cos", "tan"])
 @pytest.mark.parametrize("width", [4, 8, 16])
-def test_an_angle_does_not_depend_on_those_of_other_lanes(name, width):
+def test_an_angle_does_not_depend_on_the_angles_of_other_lanes(name, width):
     """PoCL 3.1's vector functions are off by .008 in all lanes if one is above 1e7."""
     (probe,) = builtin_probes(BUILTINS[name])
     alone, beside = words(*[[6e-8]] * WORK_GROUP), words(*[[6e-8]] * WORK_GROUP)

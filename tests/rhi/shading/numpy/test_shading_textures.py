@@ -180,7 +180,9 @@ def test_hard_coordinates_read_the_same_texels_everywhere(
 
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
-def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filter) -> None:
+def test_coordinates_that_are_not_finite_or_too_large_read_a_texel_or_the_border(
+    wrap: Wrap, filter: Filter
+) -> None:
     """NaN, infinities and coordinates beyond integers are undefined in OpenGL (llvmpipe overflows); here all
     ways read the same texels or the border, and nothing else."""
     hard = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 0.3, 2.0**31], "f4")
@@ -372,7 +374,7 @@ def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
 
 
 @pytest.mark.parametrize(("ratio", "part_of_error"), [(2.0, 0.65), (5.0, 0.25), (16.0, 0.25)])
-def test_an_anisotropic_average_is_nearer_to_the_mean_of_what_a_pixel_covers(
+def test_an_anisotropic_average_is_nearer_to_the_mean_of_the_covered_texels(
     ratio: float, part_of_error: float
 ) -> None:
     """And an anisotropy that doesn't reach as far as the sampling area lies between that and none."""
@@ -399,7 +401,7 @@ def test_a_round_sampling_area_is_sampled_once_as_without_anisotropy() -> None:
     np.testing.assert_allclose(within, grade(checkers(1), at, right / 30, down / 30), rtol=0, atol=1e-9)
 
 
-def test_nothing_jumps_where_an_anisotropic_average_takes_one_sample_more() -> None:
+def test_an_anisotropic_average_is_continuous_where_it_takes_another_sample() -> None:
     """Rounded up to whole samples of equal weight, results would change by up to 0.1 there."""
     ratios = np.linspace(0.5, 20.0, 8001)[:, None]
     turned = np.array([0.6, 0.8]) / 64
@@ -411,7 +413,7 @@ def test_nothing_jumps_where_an_anisotropic_average_takes_one_sample_more() -> N
 
 
 @pytest.mark.parametrize("width", [1, 16])
-def test_derivatives_that_are_no_numbers_give_some_texel(width: int) -> None:
+def test_derivatives_that_are_not_finite_read_a_texel(width: int) -> None:
     hard = np.array([np.nan, np.inf, -np.inf, 3e38], "f4")
     steps = np.zeros((256, 4), "f4")
     steps[:] = np.stack(np.meshgrid(*[hard] * 4), -1).reshape(-1, 4)
@@ -1024,7 +1026,7 @@ def test_a_host_texture_of_another_shape_or_format_is_refused() -> None:
         sl.run_compute(Layered, 1, target=sl.HostTexture(np.zeros((1, 1, 1, 1), "f2"), Format.R16F, D3))
 
 
-def test_images_given_stay_as_they_are() -> None:
+def test_images_passed_to_run_compute_are_not_modified() -> None:
     texels = np.zeros((3, 4, 4, 1), "f4")
     texture = sl.HostTexture(texels, Format.R32F, D3)
     after = sl.run_compute(Layered, (1, 1, 3), target=texture)["target"]
@@ -1032,7 +1034,7 @@ def test_images_given_stay_as_they_are() -> None:
     assert not texture.levels[0].any()
 
 
-def test_nearest_is_what_integers_get_without_a_sampler() -> None:
+def test_integer_textures_default_to_a_nearest_sampler() -> None:
     assert sl.HostTexture(np.zeros((1, 1), "u4"), Format.R32UI).sampler.minify is NEAREST
     assert sl.HostTexture(np.zeros((1, 1), "u1"), Format.R8, sampler=nearest()).sampler == nearest()
     assert sl.HostTexture(np.zeros((1, 1), "u1"), Format.R8).sampler == SamplerDescriptor()

@@ -49,7 +49,7 @@ def test_a_text_has_the_origins_of_its_own_lines(language: str) -> None:
 
 
 @pytest.mark.parametrize("language", ["opencl", "opencl2", "hlsl", ""])
-def test_a_language_there_is_none_of_is_refused_with_those_there_are(language: str) -> None:
+def test_an_unknown_language_is_refused_with_the_list_of_languages(language: str) -> None:
     with pytest.raises(ShaderError, match=r"glsl, opencl1, opencl4, opencl8, opencl16") as caught:
         compile_shader(Ramp).emit(language, Stage.COMPUTE)
     assert caught.value.rule.id == "shading-native"

@@ -72,13 +72,13 @@ def expected_results(group: int) -> dict[str, list[int]]:
 
 @pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("form", FORMS)
-def test_each_form_gives_what_python_gives(running_device: rhi.Device, form: str) -> None:
+def test_each_form_has_the_result_of_python(running_device: rhi.Device, form: str) -> None:
     group = next(number for number, forms in enumerate(GROUPS) if form in forms)
     assert group_results(running_device, group)[form] == expected_results(group)[form]
 
 
 @pytest.mark.parametrize("seed", [*SOME, *(pytest.param(n, marks=pytest.mark.nightly) for n in MANY)])
-def test_random_programs_leave_in_memory_what_python_leaves(running_device: rhi.Device, seed: int) -> None:
+def test_random_programs_leave_the_same_memory_as_python(running_device: rhi.Device, seed: int) -> None:
     text = random_program(rotate_seed(seed), BODIES)
     assert run(running_device, text, BODIES) == run_in_python(text, BODIES), text
 

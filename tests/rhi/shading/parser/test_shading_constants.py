@@ -135,7 +135,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("value", "tip"), REFUSED, ids=[repr(row[0])[:40] for row in REFUSED])
-def test_what_a_numpy_value_could_also_be_is_said(value, tip):
+def test_the_tip_for_an_unsuitable_numpy_value_names_the_shading_value_to_use(value, tip):
     error = refusal_of("K", K=value)
     assert error.rule.id == "shading-not-shading"
     assert tip in error.tip
@@ -176,7 +176,7 @@ def test_a_numpy_int_beyond_32_bits_is_refused(value):
         ("self.out[0] = 7.0", "if len(TABLE) > 3:", "    self.out[0] = TABLE[3]"),
     ],
 )
-def test_what_python_would_not_evaluate_is_not_refused(lines):
+def test_an_operation_that_python_would_not_evaluate_is_not_refused(lines):
     zero = shader(*lines, fields="    n = 0\n", TABLE=(1.0, 2.0))
     assert run_compute(zero, out=1)["out"].tolist() == [7]
     if "self.n" in "".join(lines):
@@ -274,7 +274,7 @@ def test_a_name_close_to_a_variable_is_suggested_beside_the_tip():
     assert error.value.tip == "use length(v); did you mean 'normal'?"
 
 
-def test_tips_name_only_what_exists():
+def test_tips_name_only_names_that_exist():
     kinds = [value for value in vars(rhi.shading).values() if isinstance(value, type)]
     textures = [kind.shading_type for kind in kinds if issubclass(kind, SampledTexture)]
     methods = {name for texture in textures for name in methods_of(texture)} | {"store"}  # of images

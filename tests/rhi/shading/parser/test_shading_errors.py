@@ -383,7 +383,7 @@ def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(rule, sha
     compile_shader(define(shader), strict=True)
 
 
-def test_all_that_is_wrong_in_a_shader_is_one_error():
+def test_all_faults_of_a_shader_are_a_single_error():
     """A helper for each faulty body, called from one stage, with bodies that are right between them."""
     bodies = [lines for _, bad, good, _ in BODIES for lines in (bad, good)]
     text, calls, first = ["class Test(Base):"], [], []
@@ -408,7 +408,7 @@ def test_all_that_is_wrong_in_a_shader_is_one_error():
     assert reported.keys() < expected.keys(), "bodies that are right are said to be wrong"
 
 
-def test_what_follows_from_an_error_is_no_error():
+def test_consequences_of_an_error_are_not_reported():
     lines = (
         "a = wieght",
         "b = a.x + 1.0",
@@ -460,7 +460,7 @@ def test_both_stages_their_interface_and_a_shared_function_are_checked():
     ]
 
 
-def test_all_bindings_that_are_wrong_are_one_error():
+def test_all_wrong_bindings_are_a_single_error():
     with pytest.raises(ShaderError) as caught:
         define("class Test(Base):\n    a: Uniform[str]\n    b: Uniform[float]\n    c: int\n")
     assert [error.call for error in (caught.value, *caught.value.others)] == [

@@ -190,7 +190,7 @@ class Reversed(Colored):
         return super().base().yxzw + self.extra
 
 
-def test_a_subclass_adds_the_bindings_of_what_it_overrides():
+def test_a_subclass_adds_the_bindings_of_its_overriding_methods():
     assert [binding.name for binding in sl.compile_shader(Reversed).bindings] == ["scale", "extra"]
 
 
@@ -261,7 +261,7 @@ def test_emission_is_deterministic_and_descriptors_are_memoised():
         assert _compile(Everything)[0].emit("glsl", stage).text == first.emit("glsl", stage).text
 
 
-def test_only_what_a_stage_uses_is_declared_in_it():
+def test_only_bindings_that_a_stage_uses_are_declared_in_it():
     program = sl.compile_shader(Colored)
     assert "scale" not in program.emit("glsl", Stage.VERTEX).text
     assert "scale" in program.emit("glsl", Stage.FRAGMENT).text

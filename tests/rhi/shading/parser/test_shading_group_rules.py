@@ -150,7 +150,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("rule", "body"), list(REFUSED.values()), ids=list(REFUSED))
-def test_what_breaks_a_rule_is_refused_when_it_is_compiled(rule: Rule, body: str) -> None:
+def test_shaders_that_break_a_work_group_rule_are_refused_at_compilation(rule: Rule, body: str) -> None:
     with pytest.raises(ShaderError) as caught:
         compile_shader(make_shader(body))
     assert caught.value.rule is rule
@@ -170,7 +170,7 @@ ACCEPTED = {
 
 
 @pytest.mark.parametrize("body", list(ACCEPTED.values()), ids=list(ACCEPTED))
-def test_what_obviously_keeps_the_rules_is_compiled_without_lane_code(
+def test_shaders_that_obviously_keep_the_work_group_rules_are_compiled_without_lane_code(
     body: str, lowered_widths: list[int]
 ) -> None:
     compile_shader(make_shader(body))

@@ -1,4 +1,4 @@
-"""Which indices are known to be inside: each proof beside a control that is one too far, or misses a
+"""Indices that are proved to be inside: each proof beside a control that is one too far, or misses a
 condition."""
 
 import pytest
@@ -93,7 +93,7 @@ IN_BOUNDS = [
 
 
 def count_bounded_indices(body: str) -> int:
-    """Return how many indices of a body aren't known to be inside."""
+    """Return the number of a body's indices that aren't proved to be inside."""
     lines = "\n".join("        " + line for line in body.split("\n"))
     text = "TABLE = (1, 2, 3, 4)\n" + HEADER.format(body=lines)
     stage = stage_trees(from_source(text))[Stage.COMPUTE]
@@ -109,12 +109,12 @@ def count_bounded_indices(body: str) -> int:
 
 
 @pytest.mark.parametrize(("inside", "beyond"), IN_BOUNDS)
-def test_an_index_is_known_to_be_inside_only_if_it_is(inside, beyond):
+def test_an_index_is_proved_inside_only_if_it_is_inside(inside, beyond):
     assert count_bounded_indices(inside) == 0
     assert count_bounded_indices(beyond) == 1
 
 
-def test_a_loop_over_a_known_range_has_no_bounds_in_its_text():
+def test_a_loop_over_a_constant_range_has_no_bounds_checks_in_its_text():
     shader = from_source("TABLE = (1, 2, 3, 4)\n" + HEADER.format(body="        keep += TABLE_OF_8[i % 8]"))
     text = compile_shader(shader).emit("glsl", Stage.COMPUTE).text
     assert "clamp(" not in text

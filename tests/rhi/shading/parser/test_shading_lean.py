@@ -84,7 +84,7 @@ class Undecided(Decided):
     doubles = False
 
 
-def test_what_follows_a_return_that_is_taken_is_left_out_of_any_program() -> None:
+def test_statements_after_a_return_that_is_always_taken_are_removed() -> None:
     texts = [sl.compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
     assert ["7.0" in text for text in texts] == [False, True]
 
@@ -124,7 +124,7 @@ class Goes(Skips):
     ("shader", "read", "total"),
     [(Skips, {"values", "more"}, 66.0), (Ends, {"values"}, 1.0), (Goes, {"values"}, 6.0)],
 )
-def test_what_follows_a_break_or_continue_that_is_taken_is_left_out(
+def test_statements_after_a_break_or_continue_that_is_always_taken_are_removed(
     shader: type[sl.Shader], read: set[str], total: float
 ) -> None:
     assert {declared.name for declared in sl.stage_trees(shader)[Stage.COMPUTE].bindings} == {

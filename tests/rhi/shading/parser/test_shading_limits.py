@@ -96,7 +96,7 @@ def test_a_long_flat_chain_is_written_in_every_language(name):
     assert descriptor.emit("numpy", Stage.COMPUTE).text
 
 
-def test_a_long_elif_computes_what_python_would(run_everywhere):
+def test_a_long_elif_computes_the_same_as_python(run_everywhere):
     result = run_everywhere(shader(*arms(120, lambda k: f"y = {k}.5")), 2, out=128)["out"]
     assert result.tolist() == [i + 0.5 if i < 120 else -1 for i in I]
 
@@ -109,7 +109,7 @@ def test_variables_that_all_branches_of_a_long_elif_assign_have_a_value():
         compile_shader(shader(*without, "    z = 1.0", "self.out[i] = z"))
 
 
-def test_a_long_elif_of_returns_returns_what_python_would(run_everywhere):
+def test_a_long_elif_of_returns_returns_the_same_as_python(run_everywhere):
     text = "".join(f"        if i == {k}:\n            return {k}.5\n" for k in range(100))
     method = f"    def pick(self, i: int) -> float:\n{text}        return -1.0\n"
     result = run_everywhere(shader(*store("self.pick(i)"), before=method), 2, out=128)["out"]

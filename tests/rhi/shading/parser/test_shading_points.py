@@ -44,7 +44,7 @@ class Plain(sl.Shader):
         return sl.vec4(1.0)
 
 
-def test_a_descriptor_says_what_a_program_does_with_points() -> None:
+def test_a_descriptor_tells_whether_a_program_writes_point_size_or_reads_point_coordinate() -> None:
     both, sized, plain = map(sl.compile_shader, (Dots, Depths, Plain))
     assert (both.point_size, both.reads_point_coordinates) == ("size", True)
     assert (sized.point_size, sized.reads_point_coordinates) == ("size", False)

@@ -125,7 +125,7 @@ FOREIGN = (
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_a_method_that_looks_like_a_stage_is_refused_with_what_to_do(name):
+def test_a_method_that_looks_like_a_stage_is_refused_with_a_tip(name):
     with pytest.raises(ShaderError, match=name) as error:
         sl.compile_shader(with_method(name))
     assert error.value.rule.id == "shading-stages"

@@ -41,7 +41,7 @@ INHERITED = (1103.5, 1106.5)
 @pytest.mark.parametrize(
     "examine",
     [
-        test_language.test_integers_mean_what_they_mean_in_python,
+        test_language.test_integer_arithmetic_equals_that_of_python,
         test_language.test_loops_run_as_often_as_their_data_says,
         test_language.test_control_flow_is_python_s,
         test_language.test_components_are_read_and_written_in_any_order,
@@ -58,7 +58,7 @@ INHERITED = (1103.5, 1106.5)
     ],
     ids=lambda examine: getattr(examine, "__name__", "places"),
 )
-def test_every_language_gives_what_the_kit_asks_of_devices(run_everywhere, examine):
+def test_every_language_passes_the_kit_s_tests_of_the_language(run_everywhere, examine):
     examine(Host(run_everywhere))
 
 
@@ -363,7 +363,7 @@ class Calls(sl.Shader):
         self.out[2] = sl.clamp(sl.dot(sl.vec3(1), sl.vec3(2)), 0.0, 5.0)
 
 
-def test_functions_helpers_and_defaults_are_found_as_in_python(run_everywhere):
+def test_functions_helpers_and_defaults_are_resolved_as_in_python(run_everywhere):
     assert run_everywhere(Calls, out=3)["out"].tolist() == [2, 4, 5]
 
 

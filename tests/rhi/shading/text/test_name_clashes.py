@@ -133,14 +133,14 @@ def test_stages_on_numpy_keep_each_attribute_and_varying(seed: int) -> None:
 @pytest.mark.parametrize(
     "reserved", [RESERVED, VULKAN_RESERVED, WGSL_RESERVED], ids=["glsl", "vulkan", "wgsl"]
 )
-def test_no_two_of_any_names_are_one(reserved: frozenset[str]) -> None:
+def test_different_names_stay_different_in_every_language(reserved: frozenset[str]) -> None:
     texts = Names(reserved=reserved).get_all({name: name for name in NAMES})
     assert len(set(texts)) == len(NAMES)
     assert not reserved & set(texts)
     assert all(re.fullmatch(r"[A-Za-z]\w*", text) and "__" not in text for text in texts)
 
 
-def test_a_name_that_is_legal_stays_as_it_is_beside_one_that_becomes_like_it() -> None:
+def test_a_legal_name_is_unchanged_beside_a_name_that_is_mapped_onto_it() -> None:
     class Two(sl.Struct):
         a_: float
         a: float

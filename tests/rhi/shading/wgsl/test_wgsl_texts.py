@@ -149,7 +149,7 @@ class LoadsAndStores(sl.Shader):
         self.target.store(texel, self.source.load(texel, self.at[0]) + self.source.load(texel, 1))
 
 
-def test_a_level_that_may_not_exist_is_compared_with_those_there_are(naga: Any) -> None:
+def test_a_level_that_may_not_exist_is_compared_with_the_number_of_levels(naga: Any) -> None:
     """WebGPU may load from another one instead; rhi promises zeros."""
     text = text_of(LoadsAndStores)
     naga.create_shader_module(code=text)
@@ -183,7 +183,9 @@ class FencesMemory(sl.Shader):
     ("shader", "construct"),
     [(SamplesIntegers, "an integer texture that is sampled"), (FencesMemory, "memory_barrier()")],
 )
-def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[sl.Shader], construct: str) -> None:
+def test_a_construct_that_wgsl_lacks_is_refused_at_its_python_line(
+    shader: type[sl.Shader], construct: str
+) -> None:
     with pytest.raises(ShaderError, match=r"^\[shading-native\]") as caught:
         text_of(shader)
     assert caught.value.given == f"{construct}, which WGSL lacks"

@@ -330,7 +330,7 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
         ),
     ],
 )
-def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[rhi.Device], Any]) -> None:
+def test_too_large_allocations_are_refused_and_the_device_goes_on(make: Callable[[rhi.Device], Any]) -> None:
     with rhi.create_device("cl") as device:
         expected = work(device)
         with pytest.raises(rhi.DeviceError, match=r"^\[device-out-of-memory\]") as caught:

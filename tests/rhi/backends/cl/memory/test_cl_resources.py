@@ -31,7 +31,7 @@ def test_a_cl_buffer_takes_whatever_is_bytes_in_a_row(
 
 
 @pytest.mark.parametrize("shares_memory", [True, False])
-def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(
+def test_kernels_see_writes_to_a_stream_buffer_with_and_without_shared_memory(
     cl_kit: ClKit, shares_memory: bool
 ) -> None:
     backend = ClBackend(replace(cl_kit.backend.context, shares_memory=shares_memory))
@@ -47,7 +47,7 @@ def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(
     backend.close()
 
 
-def test_what_is_written_may_change_while_the_device_is_busy(cl_kit: ClKit) -> None:
+def test_an_array_may_change_after_it_was_written_to_a_busy_device(cl_kit: ClKit) -> None:
     backend, data = cl_kit.backend, np.full((4, 4, 4), 7, np.uint8)
     buffer, texture = cl_kit.buffer(bytes(64)), cl_kit.texture(TextureDescriptor((4, 4), Format.RGBA8))
     gate = cl_kit.hold()
@@ -59,7 +59,7 @@ def test_what_is_written_may_change_while_the_device_is_busy(cl_kit: ClKit) -> N
     assert (cl_kit.read(texture, 4, 4) == 7).all()
 
 
-def test_the_memory_of_what_is_destroyed_stays_until_writes_of_it_are_executed(cl_kit: ClKit) -> None:
+def test_the_memory_of_a_destroyed_resource_stays_until_its_writes_are_executed(cl_kit: ClKit) -> None:
     backend, data = cl_kit.backend, np.full((4, 4, 4), 7, np.uint8)
     buffer, texture = cl_kit.buffer(bytes(1 << 16)), cl_kit.texture(TextureDescriptor((4, 4), Format.RGBA8))
     planes = backend._buffers[buffer].cl, backend._textures[texture].levels[0].memory
@@ -85,7 +85,7 @@ def test_a_page_of_tables_stays_when_the_next_one_begins_since_kernels_may_still
     assert page() is not None and page() is not uploads._page.bytes  # noqa: PT018
 
 
-def test_a_program_keeps_no_memory_of_what_is_destroyed(cl_kit: ClKit) -> None:
+def test_a_program_keeps_no_memory_of_destroyed_buffers(cl_kit: ClKit) -> None:
     backend, buffer = cl_kit.backend, cl_kit.buffer(bytes(64))
     memory = weakref.ref(backend._buffers[buffer].cl.hostbuf)
     backend.bind_storage(0, buffer, 0, 64)
@@ -234,7 +234,7 @@ def test_a_resolve_averages_samples_in_linear_light(cl_kit: ClKit, format: Forma
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_the_mean_of_equal_samples_is_what_they_are(cl_kit: ClKit, samples: int) -> None:
+def test_the_mean_of_equal_samples_equals_them(cl_kit: ClKit, samples: int) -> None:
     values = np.random.default_rng(5).random((1, 32, 32), np.float32)
     source = cl_kit.texture(TextureDescriptor((32, 32), Format.R32F, samples=samples))
     target = cl_kit.texture(TextureDescriptor((32, 32), Format.R32F))

@@ -163,7 +163,7 @@ def test_machine_code_is_used_only_where_it_was_checked(filled: tuple[Path, str]
     assert finish_counting(start(folder)) == (image, 0, 0, 3)
 
 
-def test_a_driver_that_another_library_has_begun_is_given_nothing_of_the_folder(
+def test_a_driver_that_another_library_has_started_gets_nothing_from_the_cache(
     filled: tuple[Path, str], tmp_path: Path
 ) -> None:
     """It doesn't look there, and ends the process where machine code that it is told of isn't in its own
@@ -252,13 +252,13 @@ def test_code_that_the_driver_refuses_is_made_again(filled: tuple[Path, str]) ->
     assert draw(folder) == (image, 0)
 
 
-def test_known_programs_are_not_given_to_the_driver_as_source(first_run: tuple[Path, str]) -> None:
+def test_cached_programs_are_not_passed_to_the_driver_as_source(first_run: tuple[Path, str]) -> None:
     folder, image = first_run
     assert finish_counting(start(folder)) == (image, 0, 0, 3)
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
-def test_a_driver_that_takes_no_code_is_given_source(filled: tuple[Path, str]) -> None:
+def test_a_driver_that_refuses_machine_code_gets_source(filled: tuple[Path, str]) -> None:
     folder, image = filled
     for _ in range(2):
         assert finish_counting(start(folder, 1 << 30, "refuse"))[::2] == (image, 4)
@@ -334,7 +334,7 @@ def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
             assert list_records(tmp_path / part) == left
 
 
-def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> None:
+def test_unused_files_of_the_kernel_cache_are_removed_after_a_day(tmp_path: Path) -> None:
     """Code, locks and programs without records, and the empty files that PoCL leaves."""
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
@@ -385,7 +385,7 @@ def test_code_counts_to_the_size_of_a_program_and_goes_with_it(
         assert list_records(tmp_path / "rhi") == left
 
 
-def test_a_program_is_found_by_its_name_however_many_are_newer(tmp_path: Path) -> None:
+def test_a_cached_program_is_loaded_however_many_are_newer(tmp_path: Path) -> None:
     (tmp_path / "rhi").mkdir()
     cache = KernelCache(tmp_path, "driver")
     for age, (name, key) in enumerate(
@@ -452,7 +452,7 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "kernels" / "pocl"
 
 
-def test_what_is_made_is_for_the_user_only(environment: Path, tmp_path: Path) -> None:
+def test_files_of_the_kernel_cache_are_readable_by_their_user_only(environment: Path, tmp_path: Path) -> None:
     assert kernel_cache.choose_folder() == environment
     folders = (environment.parent, environment, environment / "rhi", tmp_path / "user" / "rhi")
     assert {folder.stat().st_mode & 0o777 for folder in folders} == {0o700}
@@ -544,7 +544,7 @@ def test_a_key_that_others_can_read_is_none(
     assert trust.read_key() == b""
 
 
-def test_a_lock_of_a_stopped_process_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lock_of_a_stopped_process_is_released(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And the program is built under a name of its own, so that nothing is written that the other one
     writes."""
     fcntl = pytest.importorskip("fcntl")

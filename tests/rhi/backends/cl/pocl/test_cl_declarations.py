@@ -180,6 +180,6 @@ def test_lines_are_counted_without_the_declarations() -> None:
     assert options == (GUARD,)
 
 
-def test_without_the_header_to_leave_out_a_program_is_given_as_it_is() -> None:
+def test_a_driver_without_the_header_gets_the_program_unchanged() -> None:
     request = KernelCache(None, "driver").request("kernel void f(void) {}\n", ("-w",))
     assert request.write() == ("kernel void f(void) {}\n", ("-w",))

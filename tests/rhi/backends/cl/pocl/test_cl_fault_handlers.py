@@ -26,7 +26,7 @@ def end(words: Path, name: str, enabled: str) -> int:
 
 
 @pytest.mark.parametrize("name", ["SIGABRT", "SIGSEGV", "SIGBUS"])
-def test_a_death_after_a_device_is_told_where_the_host_asked_for_it(tmp_path: Path, name: str) -> None:
+def test_a_crash_is_reported_where_the_host_enabled_faulthandler(tmp_path: Path, name: str) -> None:
     """In the file that the host chose, with the line; without faulthandler, the process ends all the same."""
     words = tmp_path / "words"
     assert end(words, name, "enabled") < 0

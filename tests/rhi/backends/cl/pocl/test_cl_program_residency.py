@@ -72,7 +72,7 @@ def test_programs_that_draw_are_released_and_draw_the_same_again(device: Device)
     assert {program.builds for program in residency(device).list_resident()} == {2}
 
 
-def test_a_compute_program_that_was_released_finds_what_was_bound(device: Device) -> None:
+def test_a_compute_program_that_was_released_uses_its_earlier_bindings(device: Device) -> None:
     program = device.program(AddStep)
     numbers, step = device.storage(float, np.zeros(16, np.float32)), device.uniform(Step(size=1.5))
     for count in (1, 2):

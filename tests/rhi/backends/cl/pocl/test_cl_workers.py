@@ -41,7 +41,7 @@ def affinities(threads: list[int]) -> list[set[int]]:
     return [os.sched_getaffinity(thread) for thread in threads]
 
 
-def test_threads_that_began_are_found(threads: list[int]) -> None:
+def test_list_threads_includes_started_threads(threads: list[int]) -> None:
     assert set(threads) <= list_threads()
 
 
@@ -69,7 +69,7 @@ def test_more_threads_than_cpus_are_left_alone(threads: list[int], monkeypatch: 
 
 @pytest.mark.skipif(os.cpu_count() != len(CPUS), reason="PoCL has a worker for each CPU of the machine")
 @pytest.mark.parametrize("choice", [None, "0"])
-def test_a_device_spreads_its_workers_unless_told_otherwise(choice: str | None) -> None:
+def test_a_device_pins_its_workers_unless_pocl_affinity_says_otherwise(choice: str | None) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "POCL_AFFINITY"}
     environment |= {} if choice is None else {"POCL_AFFINITY": choice}
     run = subprocess.run(

@@ -200,7 +200,7 @@ def test_one_list_serves_all_draws_of_a_topology_without_indices() -> None:
     assert host.uploads == 2
 
 
-def test_what_the_cpu_writes_is_known_without_reading_again() -> None:
+def test_cpu_writes_update_the_host_s_copy_of_an_index_buffer_without_a_read() -> None:
     host = Host()
     buffer = host.buffer(1, STRIP)
     assert max(assemble_strip(host, buffer)) == 6
@@ -248,7 +248,7 @@ def test_strips_that_the_device_wrote_are_read_back_after_each_change() -> None:
     assert host.reads == 2
 
 
-def test_buffers_without_indices_and_destroyed_ones_are_nobody_s_business() -> None:
+def test_buffers_without_indices_and_destroyed_buffers_are_ignored() -> None:
     host = Host()
     buffer = host.buffer(1, STRIP)
     host.assembler.write(99, 0, b"abcd")
@@ -259,7 +259,7 @@ def test_buffers_without_indices_and_destroyed_ones_are_nobody_s_business() -> N
         assemble_strip(host, buffer)
 
 
-def test_what_is_kept_of_a_buffer_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_cached_assemblies_of_a_buffer_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(assembly, "_MAX_ASSEMBLIES", 3)
     host = Host()
     buffer = host.buffer(1, np.arange(100, dtype=np.uint32))

@@ -154,7 +154,7 @@ def assert_same(images: list[NDArray[Any]], expected: list[NDArray[Any]]) -> Non
 
 
 def count_dropped(device: rhi.Device) -> int:
-    """Return how many instances of the last piece were culled before they were transformed, if none has more
+    """Return the number of instances of the last piece that were culled before they were transformed, if none has more
     than a chunk of vertices. Their extents are marked as lying behind all planes."""
     backend = device.backend_as(ClBackend)
     memory, state = (
@@ -223,7 +223,7 @@ def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(
         (1.7e38 * translate(2.0, 0.0, 0.0), False),
     ],
 )
-def test_what_lies_beyond_one_plane_of_the_view_is_dropped(
+def test_instances_beyond_a_plane_of_the_view_are_dropped(
     device: rhi.Device, transform: Any, dropped: bool
 ) -> None:
     """Nothing else is culled, nor anything with numbers that overflow or aren't finite."""
@@ -238,7 +238,7 @@ def test_what_lies_beyond_one_plane_of_the_view_is_dropped(
 
 @pytest.mark.nightly_cases("DepthFunction.GREATER", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("nearer", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER])
-def test_what_lies_behind_a_wall_is_dropped(bounding_device: rhi.Device, nearer: rhi.DepthFunction) -> None:
+def test_instances_behind_a_wall_are_dropped(bounding_device: rhi.Device, nearer: rhi.DepthFunction) -> None:
     """Bounds of depth that an earlier batch left cull instances, but not those that reach through, nor with a
     bias."""
     device, flat = bounding_device, np.diag([1.0, 1.0, 0.2, 1.0])
@@ -309,7 +309,7 @@ def test_a_draw_without_instances_has_no_box(device: rhi.Device, launches: list[
         assert count_dropped(device) == 1
 
 
-def test_what_instances_add_is_not_part_of_a_box(device: rhi.Device) -> None:
+def test_offsets_of_instances_are_not_part_of_a_box(device: rhi.Device) -> None:
     offsets = np.zeros(4, Offset.dtype)
     offsets["offset"] = [(0, 0), (3, 0), (0, -4), (0.5, 0)]
     program = device.program(Shifted)

@@ -1,4 +1,4 @@
-"""How a pass's clears are executed: by draws if possible, else as fills. rhi/conformance checks their
+"""The execution of a pass's clears: by draws if possible, else as fills. rhi/conformance checks their
 results."""
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ def scene(device: rhi.Device) -> Iterator[Scene]:
         yield Scene(image, depth, mesh, program)
 
 
-def test_draws_clear_what_they_draw_into(device: rhi.Device, scene: Scene, fills: list[bytes]) -> None:
+def test_draws_clear_the_targets_that_they_write(
+    device: rhi.Device, scene: Scene, fills: list[bytes]
+) -> None:
     with device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25):
         device.draw(scene.program, scene.mesh)
     assert fills == []
@@ -71,7 +73,7 @@ def test_draws_clear_what_they_draw_into(device: rhi.Device, scene: Scene, fills
     ],
     ids=["depth", "color"],
 )
-def test_what_no_draw_of_the_pass_draws_into_is_filled(
+def test_a_target_that_no_draw_of_the_pass_writes_is_cleared_by_a_fill(
     device: rhi.Device, scene: Scene, fills: list[bytes], states: tuple[rhi.State, ...], filled: bytes
 ) -> None:
     with device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25), device.states(*states):

@@ -159,7 +159,9 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
 
 
 @pytest.mark.parametrize("samples", [1, 4, 8])
-def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device, samples: int) -> None:
+def test_triangles_beyond_the_target_cover_the_texels_that_whole_numbers_compute(
+    device: Device, samples: int
+) -> None:
     """Of all sizes and in any order, half of them with perspective: only what a fixed-point grid can't hold
     is cut."""
     rng = np.random.default_rng(samples)

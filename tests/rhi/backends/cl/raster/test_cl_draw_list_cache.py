@@ -93,7 +93,7 @@ def test_draws_of_equal_hashes_have_slots_of_their_own(
     np.testing.assert_array_equal(lists.lookup(draws[::-1]), indices[::-1])
 
 
-def test_what_could_not_be_filled_is_filled_the_next_time(draws: NDArray[Any]) -> None:
+def test_a_draw_list_that_failed_to_be_filled_is_filled_the_next_time(draws: NDArray[Any]) -> None:
     lists = Lists()
     lists.lookup(draws[:100])
     lists.fails = True
@@ -120,7 +120,9 @@ def in_use(prepared: PreparedDraws) -> int:
     return len(prepared.draws) - len(prepared._free)
 
 
-def test_the_draws_of_old_indices_are_dropped_with_the_first_of_new_ones(draws: NDArray[Any]) -> None:
+def test_prepared_draws_of_old_indices_are_dropped_by_the_first_draws_of_new_indices(
+    draws: NDArray[Any],
+) -> None:
     prepared = PreparedDraws()
     lists = DrawListCache(prepared)
     for version in range(5):

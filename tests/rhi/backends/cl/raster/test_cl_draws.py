@@ -75,7 +75,7 @@ def test_draws_of_one_program_are_one_batch(device: rhi.Device, launches: list[s
     assert launches.count("raster") == 1
 
 
-def test_what_draws_bind_does_not_end_a_batch(device: rhi.Device, launches: list[str]) -> None:
+def test_bindings_of_draws_do_not_end_a_batch(device: rhi.Device, launches: list[str]) -> None:
     """Meshes, viewports and culling don't end a batch either; each draw has its own."""
     tints = [device.uniform(Tint(color=(i / 255, 0, 0, 1))) for i in range(1, 9)]
     meshes = [device.mesh(rectangle()[:: 1 if i % 2 else -1]) for i in range(8)]
@@ -425,7 +425,7 @@ FLOAT, FIXED = (rhi.Format.D32F, rhi.Format.D32FS8), (rhi.Format.D24, rhi.Format
 )
 @pytest.mark.parametrize("depth_format", [FLOAT, FIXED], ids=["float", "24"])
 @pytest.mark.parametrize("function", rhi.DepthFunction, ids=lambda function: function.name)
-def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
+def test_culling_by_the_depth_bounds_of_tiles_drops_only_fragments_that_fail_the_depth_test(
     device: rhi.Device, function: rhi.DepthFunction, depth_format: tuple[rhi.Format, rhi.Format]
 ) -> None:
     """With a stencil test, depth isn't staged and has no bounds."""
@@ -472,7 +472,7 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     "function", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER_EQUAL], ids=lambda f: f.name
 )
 @pytest.mark.parametrize("offset", [0.0, 0.5])
-def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
+def test_culling_by_earlier_slices_drops_only_primitives_that_fail_the_depth_test(
     device: rhi.Device,
     monkeypatch: pytest.MonkeyPatch,
     function: rhi.DepthFunction,
@@ -573,7 +573,7 @@ def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) 
         (_draw_unbounded, False, 64),
     ],
 )
-def test_a_pass_knows_what_hid_in_the_one_before_unless_depth_changed(
+def test_a_pass_reuses_the_depth_bounds_of_the_pass_before_unless_depth_changed(
     device: rhi.Device,
     change: Callable[[rhi.Texture, rhi.Texture, rhi.Device], None],
     hides: bool,

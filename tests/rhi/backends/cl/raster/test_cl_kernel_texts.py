@@ -48,7 +48,7 @@ def test_kernels_give_structs_by_address() -> None:
         ("bool holds(global const Pair *pairs, int pair)", False),
     ],
 )
-def test_structs_by_value_are_found(head: str, by_value: bool) -> None:
+def test_structs_passed_by_value_are_listed(head: str, by_value: bool) -> None:
     text = f"typedef struct {{\n    int a, b;\n}} Pair;\n\n{head} {{\n    Pair c, d;\n    use(c, d);\n}}\n"
     assert list_structs_by_value(text) == ([head] if by_value else [])
 

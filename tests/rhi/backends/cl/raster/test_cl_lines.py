@@ -40,7 +40,7 @@ def count_overdraw(
     primitive: Primitive = Primitive.TRIANGLES,
     samples: int = 1,
 ) -> NDArray[Any]:
-    """Return how often each texel is drawn, (height, width)."""
+    """Return the number of draws of each texel, (height, width)."""
     states = (BlendFunction.ADDITIVE, *states)
     return draw_once(device, SIZE, Format.RGBA32F, rows, *states, primitive=primitive, samples=samples)[
         ..., 3
@@ -54,7 +54,7 @@ def many_triangles(count: int) -> NDArray[Any]:
 
 
 @pytest.mark.parametrize("slice_groups", [1, 2, 3, 7])
-def test_slices_of_edges_draw_what_one_draws(
+def test_edges_in_several_slices_draw_the_same_image_as_in_a_single_slice(
     device: Device, monkeypatch: pytest.MonkeyPatch, slice_groups: int
 ) -> None:
     """Each slice has room for the edges of all its triangles."""
@@ -112,7 +112,7 @@ def test_edges_have_the_stencil_test_of_their_face(device: Device, order: int) -
 
 
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda cull: cull.name)
-def test_a_triangle_with_a_corner_behind_the_eye_has_the_facing_of_what_is_seen(
+def test_a_triangle_with_a_corner_behind_the_eye_has_the_facing_of_its_visible_part(
     device: Device, cull: CullMode
 ) -> None:
     """Its edges are cut one by one; no line is drawn along the cut."""

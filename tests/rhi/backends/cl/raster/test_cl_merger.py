@@ -226,7 +226,7 @@ def test_numbers_and_factors_share_a_key(states: list[State]) -> None:
     assert key_of(*states) == key_of(BlendFunction.ALPHA)
 
 
-def test_what_is_not_written_leaves_no_trace_in_a_key() -> None:
+def test_states_of_targets_that_are_not_written_are_not_part_of_a_key() -> None:
     bare = key_of(ColorWrite.OFF, BlendFunction.ALPHA)
     assert not bare.colors
     assert bare == key_of(ColorWrite.OFF) == key_of(formats=())

@@ -29,14 +29,14 @@ def random_points(count: int) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def expected_overdraw(points: NDArray[Any], indices: Any = slice(None)) -> NDArray[np.int64]:
-    """Return how many of the points cover each texel."""
+    """Return the number of points that cover each texel."""
     return np.sum([point_square(x, y, side, SIZE) for x, y, side in points[indices]], 0)
 
 
 def count_overdraw(
     device: Device, rows: NDArray[Any], indices: Any = None, *states: Any, samples: int = 1
 ) -> NDArray[Any]:
-    """Return how often each texel is drawn."""
+    """Return the number of draws of each texel."""
     options: dict[str, Any] = {
         "shader": Sized,
         "indices": indices,

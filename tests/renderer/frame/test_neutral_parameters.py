@@ -113,7 +113,7 @@ def check(device: rhi.Device, pairs: list[Neutral]) -> None:
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-def test_what_changes_nothing_costs_no_command(null: rhi.Device, spread: str) -> None:
+def test_neutral_parameters_cost_no_command(null: rhi.Device, spread: str) -> None:
     check(null, select(list(SPREADS[spread]()), BY_DAY, 5))
 
 
@@ -137,7 +137,7 @@ def test_rays_say_that_it_changes_nothing(spread: str) -> None:
 
 @pytest.mark.nightly_cases("wgpu*", "cl*", reason=FEWER_CASES)
 @pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
-def test_what_changes_nothing_leaves_the_image(backend: str) -> None:
+def test_neutral_parameters_do_not_change_the_image(backend: str) -> None:
     pairs = [pair for spread in SPREADS.values() for pair in select(list(spread()), 2, 11)]
     with open_device(backend) as device:
         for pair in pairs:
@@ -168,7 +168,7 @@ SEEN: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", SEEN)
-def test_what_changes_something_is_drawn(null: rhi.Device, name: str) -> None:
+def test_effective_parameters_change_the_commands(null: rhi.Device, name: str) -> None:
     assert list_work(null, make_scene(SEEN[name])) != list_work(null, make_scene(bool))
 
 
@@ -233,7 +233,7 @@ def test_fog_far_below_the_eye_isnt_in_a_view_of_the_sky(null: rhi.Device) -> No
     assert list_work(null, high, SKY) != list_work(null, make_scene(bool), SKY), "control: fog around the eye"
 
 
-def test_what_becomes_seen_is_drawn_at_once(null: rhi.Device) -> None:
+def test_an_object_or_light_that_becomes_visible_is_drawn_in_the_next_frame(null: rhi.Device) -> None:
     clear = {"base_color": (1, 1, 1, 0.0), "alpha_mode": AlphaMode.BLEND}
     scene = make_scene(
         lambda builder: (add_box(builder, clear), builder.lights.add_point((0, 2, 1), 5.0, intensity=0.0))
