@@ -14,6 +14,7 @@ import stat
 import time
 from contextlib import suppress
 from pathlib import Path
+from threading import get_ident
 from typing import IO, Final
 
 try:
@@ -45,7 +46,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         OSError: it can't be written.
     """
-    fresh = path.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
+    fresh = path.with_suffix(f".{os.getpid()}.{get_ident()}{time.monotonic_ns()}")
     fresh.write_bytes(content)
     fresh.replace(path)
 
@@ -106,20 +107,36 @@ def sign(secret: bytes, content: bytes, *names: str) -> str:
 def lock(path: str, patience: float) -> IO[bytes] | None:
     """Lock a file; None where there are no locks, or it can't be written.
 
+    Others may remove the file before it is locked. A lock on a file that has no name any more would keep nobody
+    out, so the file of that name is locked then.
+
     Raises:
         TimeoutError: another process holds it for longer than `patience`, in seconds.
     """
     if not path or fcntl is None:
         return None
-    try:
-        file = open(path, "wb")  # noqa: SIM115
-    except OSError:  # the folder has been removed or can't be written
-        return None
     until = time.monotonic() + patience
     while True:
         try:
+            file = open(path, "wb")  # noqa: SIM115
+        except OSError:  # the folder has been removed or can't be written
+            return None
+        _wait_for_lock(file, path, until)
+        with suppress(OSError):
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
+                return file
+        file.close()
+        if time.monotonic() >= until:
+            raise TimeoutError(f"{path} is removed again and again")
+
+
+def _wait_for_lock(file: IO[bytes], path: str, until: float) -> None:
+    """Lock an open file. It is closed if that fails."""
+    assert fcntl is not None
+    while True:
+        try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return file
+            return
         except BlockingIOError:
             if time.monotonic() >= until:
                 file.close()

@@ -4,10 +4,10 @@
     python tests/kits/nights.py overdue [PYTEST ARGUMENTS]
     python tests/kits/nights.py merge RECORD…
 
-`run` runs what is marked nightly, and property tests with 20 times as many examples, in one process.
-`./test.sh --nightly --shard K/N --minutes M` calls it. Tests come in this order:
+`run` runs what is marked nightly, property tests with 20 times as many examples, and the conformance kit on gl,
+cl, wgpu and null. `./test.sh --nightly --shard K/N --minutes M` calls it. Tests come in this order:
 
-1. those responsible for what changed since the commit on which most tests last passed,
+1. those responsible for what changed since the commit on which they last passed,
 2. those that failed last,
 3. the others, those first that haven't run for longest,
 4. those in which the process has ended.
@@ -15,9 +15,13 @@
 No test begins that would probably end after the budget, but for the first. Shards follow the durations in the
 record as the commit has it: on one commit they are the same, whatever a shard has recorded meanwhile.
 
-The record, `tests/nights.tsv`, has a line for each test. Lines are appended while the tests run, so a run that
-is interrupted keeps what has passed; reading sorts them, and of several for a test the newest counts. `merge`
-adds the records of other machines. A commit ends in `+` if the tree differed from it.
+The tests run in a process of their own. If it dies, or a test takes far longer than it ever has, another process
+goes on with the next test (`supervised_nights.py`).
+
+The record, `tests/nights.tsv`, has a line for each test, with a tab between the columns of `Row`. Lines are appended
+while the tests run, so a run that is interrupted keeps what has passed; reading sorts them, and of several for a
+test the newest counts. `merge` adds the records of other machines. A commit ends in `+` if the tree differed from
+it.
 
 Each run of a test has the next seed: hypothesis takes it, and so does a test that calls `rotate_seed`.
 `--hypothesis-seed` repeats a run with the seed in the record.
@@ -34,14 +38,16 @@ import statistics
 import subprocess
 import sys
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from contextlib import nullcontext
+from dataclasses import astuple, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Final
 
 import pytest
+from supervised_nights import ATTEMPT, Attempt, supervise
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 RECORD: Final = ROOT / "tests" / "nights.tsv"
@@ -50,6 +56,12 @@ SEED_VARIABLE: Final = "RHI_NIGHTLY_SEED"
 _RECENT_COMMITS: Final = 10
 _SEEDS_PER_RUN: Final = 100_000
 _UNKNOWN_SECONDS: Final = 10.0
+_KIT: Final = (
+    "--pyargs",
+    "rhi.conformance",
+    *(f"--rhi-backend={each}" for each in ("gl", "cl", "wgpu", "null")),
+)
+_KIT_PROPERTY: Final = "rhi-conformance"  # of the kit's tests; its plugin can't be imported before pytest
 _PART_OF_SHARD: Final = 0.25
 """A file stays in one shard, which sets its fixtures up once, unless it is more than this part of it."""
 
@@ -59,7 +71,7 @@ class Row:
     """A test's line in the record."""
 
     test: str
-    outcome: str  # passed, failed, skipped; started: the process ended in it
+    outcome: str  # passed, failed, skipped; started: the process ended in it, or it took too long
     ran: str  # when it last began, in UTC
     seconds: float
     seed: int  # of its last run
@@ -113,9 +125,12 @@ def _join(first: Row, second: Row) -> Row:
     return replace(newer, commit=passed.commit, passed=passed.passed)
 
 
+_TITLES: Final = "\t".join(each.name for each in fields(Row)) + "\n"
+
+
 def format_record(rows: Mapping[str, Row]) -> str:
-    """Return the text of a record, sorted by test."""
-    return "".join(_format_row(rows[test]) for test in sorted(rows))
+    """Return the text of a record: the columns' names, and a line for each test, sorted."""
+    return _TITLES + "".join(_format_row(rows[test]) for test in sorted(rows))
 
 
 def _format_row(row: Row) -> str:
@@ -189,20 +204,27 @@ def choose_shard(
     return frozenset(shards[number - 1])
 
 
-def order_tests(tests: Sequence[str], record: Mapping[str, Row], changed: Collection[str]) -> list[str]:
-    """Return tests in the order of a night; `changed` are files and folders of tests.
+def order_tests(
+    tests: Sequence[str], record: Mapping[str, Row], changed: Mapping[str, Collection[str]]
+) -> list[str]:
+    """Return tests in the order of a night.
+
+    Args:
+        changed: by commit the files and folders of tests responsible for what changed since then.
 
     Tests of a file that are equally urgent stay together, because they share fixtures.
     """
 
     def urgency(test: str) -> int:
         file = test.partition("::")[0]
-        outcome = record[test].outcome if test in record else ""
-        if outcome == "started":
+        row = record.get(test)
+        if row is None:
+            return 2
+        if row.outcome == "started":
             return 3
-        if any(file == each or file.startswith(f"{each}/") for each in changed):
+        if any(file == each or file.startswith(f"{each}/") for each in changed.get(row.commit, ())):
             return 0
-        return 1 if outcome == "failed" else 2
+        return 1 if row.outcome == "failed" else 2
 
     def last_run(test: str) -> str:
         return record[test].ran if test in record else ""
@@ -230,22 +252,23 @@ def list_overdue(tests: Iterable[str], record: Mapping[str, Row], recent: Collec
 # -- the plugin ----------------------------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(eq=False)  # pytest keeps plugins in sets
 class Night:
     """The plugin of pytest that runs a night's tests and records them.
 
     `shard` is its number, from 1, and how many there are; `budget` is in seconds. Of `durations` the shards
-    are made.
+    are made. `attempt` says where the supervisor learns which test runs, and which tests it leaves out.
     """
 
     path: Path
     commit: str
     shard: tuple[int, int] = (1, 1)
     budget: float | None = None
-    changed: Collection[str] = ()
+    changed: Mapping[str, Collection[str]] = field(default_factory=dict)
     durations: Mapping[str, float] | None = None
     lists_only: bool = False
     clock: Callable[[], float] = time.monotonic
+    attempt: Attempt | None = None
 
     def __post_init__(self) -> None:
         self.record = read_record(self.path)
@@ -264,6 +287,8 @@ class Night:
             return
         durations = list_durations(self.record) if self.durations is None else self.durations
         shard_tests = choose_shard(nightly, durations, *self.shard)
+        if self.attempt is not None:
+            shard_tests -= self.attempt.list_begun()
         ordered = order_tests([test for test in nightly if test in shard_tests], self.record, self.changed)
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in shard_tests])
         items[:] = [nightly[test] for test in ordered]
@@ -325,7 +350,9 @@ class Night:
         _seed_hypothesis(seed)
         os.environ[SEED_VARIABLE] = str(seed)
         begin = self.clock()
-        item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+        left = None if self._end is None else self._end - begin
+        with nullcontext() if self.attempt is None else self.attempt.limit(row.test, row.seconds, left):
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         row = replace(row, seconds=self.clock() - begin, outcome=self._outcomes.get(item.nodeid, "failed"))
         if row.outcome == "passed":
             row = replace(row, commit=self.commit, passed=now)
@@ -343,6 +370,8 @@ class Night:
         os.environ.pop(SEED_VARIABLE, None)
         if not self.lists_only:
             self.record = settle_record(self.path)
+        if self.attempt is not None:
+            self.attempt.finish()
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Say how many tests the budget left for another night."""
@@ -359,7 +388,8 @@ def _seed_hypothesis(seed: int | None) -> None:
 
 def _is_nightly(item: pytest.Item) -> bool:
     is_property = getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
-    return is_property or item.get_closest_marker("nightly") is not None
+    is_of_kit = any(name == _KIT_PROPERTY for name, _ in item.user_properties)
+    return is_property or is_of_kit or item.get_closest_marker("nightly") is not None
 
 
 # -- commands ------------------------------------------------------------------------------------------------
@@ -377,19 +407,26 @@ def _name_commit() -> str:
     return commit + ("+" if _git("status", "--porcelain", "--", ".", f":!{own}") else "")
 
 
-def _list_changed(record: Mapping[str, Row]) -> list[str]:
-    """Return the tests of what changed since the commit on which most tests last passed."""
+def _list_changed(record: Mapping[str, Row]) -> dict[str, list[str]]:
+    """Return by commit of the record the tests responsible for what changed since then.
+
+    Of a commit that this clone doesn't have, as a shallow one, nothing is listed.
+    """
     sys.path.append(str(ROOT / "tests" / "meta"))
     from responsible_tests import choose_changed_tests, list_changed_files
 
-    commits = Counter(row.commit.rstrip("+") for row in record.values() if row.commit != "-")
-    passed_commits = [
-        each for each, _ in commits.most_common() if _git("cat-file", "-e", f"{each}^{{commit}}") is not None
-    ]
-    changed = choose_changed_tests(
-        ROOT, list_changed_files(ROOT, passed_commits[0] if passed_commits else None)
-    )
-    return [each for each in changed if (ROOT / each).exists()]
+    responsible: dict[str, list[str]] = {}
+    changed: dict[str, list[str]] = {}
+    for commit in sorted({row.commit for row in record.values()} - {"-"}):
+        if _git("cat-file", "-e", f"{commit.rstrip('+')}^{{commit}}") is None:
+            continue
+        tests: dict[str, None] = {}
+        for file in list_changed_files(ROOT, commit.rstrip("+")):
+            if file not in responsible:
+                responsible[file] = choose_changed_tests(ROOT, [file])
+            tests |= dict.fromkeys(responsible[file])
+        changed[commit] = [each for each in tests if (ROOT / each).exists()]
+    return changed
 
 
 def _parse_shard(text: str) -> tuple[int, int]:
@@ -414,9 +451,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="nights.py", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--record", type=Path, default=RECORD, help="the file, instead of tests/nights.tsv")
     commands = parser.add_subparsers(dest="command", required=True)
-    run = commands.add_parser("run", help="run a shard's tests within a budget")
-    run.add_argument("--shard", type=_parse_shard, default=(1, 1), metavar="K/N")
-    run.add_argument("--minutes", type=_parse_minutes, metavar="M")
+    for command, explained in (("run", "run a shard's tests within a budget"), (ATTEMPT, argparse.SUPPRESS)):
+        run = commands.add_parser(command, help=explained)
+        run.add_argument("--shard", type=_parse_shard, default=(1, 1), metavar="K/N")
+        run.add_argument("--minutes", type=_parse_minutes, metavar="M")
+        run.add_argument("--folder", type=Path, default=ROOT / "out" / "nights", help="of reports of deaths")
     commands.add_parser("overdue", help="print what hasn't passed on the last ten commits of main")
     merge = commands.add_parser("merge", help="add records of other machines")
     merge.add_argument("records", nargs="+", type=Path)
@@ -432,7 +471,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.path.insert(0, str(ROOT))
     record = read_record(options.record)
     named = [each for each in rest if Path(each.partition("::")[0]).exists()]
-    every = ["-m", "", "--hypothesis-profile", "nightly", *rest, *([] if named else [str(ROOT / "tests")])]
+    every = ["-m", "", "--hypothesis-profile", "nightly", *rest]
+    every += [] if named else [str(ROOT / "tests"), *_KIT]
     if options.command == "overdue":
         night = Night(options.record, "-", lists_only=True)
         status = int(pytest.main(["--collect-only", "-qq", *every], plugins=[night]))
@@ -442,16 +482,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
         overdue = list_overdue(night.tests, record, log.split())
         print("\n".join([*overdue, f"{len(overdue)} of {len(night.tests)} nightly tests are overdue"]))
         return 1 if overdue else 0
+    budget = None if options.minutes is None else 60.0 * options.minutes
+    if options.command == "run":
+        return _supervise(options, budget, rest)
     committed = _git("show", f"HEAD:{RECORD.relative_to(ROOT).as_posix()}") or ""
+    attempt = Attempt(options.folder)
     night = Night(
         options.record,
         _name_commit(),
         options.shard,
-        None if options.minutes is None else 60.0 * options.minutes,
+        budget,
         _list_changed(record),
         list_durations(parse_record(committed)),
+        attempt=attempt,
     )
-    return int(pytest.main(every, plugins=[night]))
+    return int(pytest.main([*every, *attempt.options], plugins=[night]))
+
+
+def _supervise(options: argparse.Namespace, budget: float | None, rest: Sequence[str]) -> int:
+    """Run the shard in other processes; record the tests in which one ended."""
+
+    def record_end(test: str, seconds: float) -> None:
+        row = read_record(options.record).get(test)
+        if row is not None:
+            append_row(options.record, replace(row, seconds=seconds))
+            settle_record(options.record)
+
+    command = [sys.executable, str(Path(__file__)), "--record", str(options.record), ATTEMPT]
+    command += ["--shard", "{}/{}".format(*options.shard)]
+    return supervise(command, rest, options.folder, budget, record_end)
 
 
 if __name__ == "__main__":

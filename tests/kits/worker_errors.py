@@ -1,5 +1,7 @@
 """A pytest plugin: what a test worker wrote to standard error when it ended, printed by the run.
 
+It does the same for the process that runs a night's tests (`supervised_nights`), which names the file.
+
 While a test runs, pytest captures standard error in a file without a name, which vanishes with the worker. So
 the messages of drivers that end the process are lost. Here the worker's file has a name, and the controller
 prints it when the worker has crashed. pytest's own faulthandler writes to the terminal beside that.
@@ -13,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from supervised_nights import ERRORS_VARIABLE
 
 _PATH: Final = "rhi_standard_error"
 _LIMIT: Final = 20_000
@@ -30,13 +33,13 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """In a worker, give a name to the file in which pytest captures standard error."""
-    path = getattr(config, "workerinput", {}).get(_PATH)
+    """In a worker, or a night, give a name to the file in which pytest captures standard error."""
+    path = getattr(config, "workerinput", {}).get(_PATH) or os.environ.pop(ERRORS_VARIABLE, "")
     manager = config.pluginmanager.getplugin("capturemanager")
     capturing = getattr(manager, "_global_capturing", None)
     captured = getattr(getattr(capturing, "err", None), "tmpfile", None)
     if not path or captured is None or getattr(capturing.err, "targetfd", None) != 2:
-        return  # not a worker, or standard error goes to the terminal
+        return  # neither, or standard error goes to the terminal
     captured.flush()
     named = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600)
     os.dup2(named, captured.fileno())

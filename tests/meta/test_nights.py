@@ -101,7 +101,8 @@ def test_a_newer_failure_keeps_the_last_pass() -> None:
 
 def test_a_line_that_was_cut_off_is_left_out() -> None:
     text = format_record({"a": row("a.py::test_a"), "b": row("b.py::test_b")})
-    for end in range(text.index("\n") + 1, len(text) - 3):
+    titles, first, _ = text.splitlines(keepends=True)
+    for end in range(len(titles) + len(first), len(text) - 3):
         assert set(parse_record(text[:end])) == {"a.py::test_a"}
     assert len(parse_record(text)) == 2
 
@@ -178,15 +179,27 @@ def test_a_night_runs_changed_tests_first_then_failed_tests_then_those_that_wait
         "some/changed.py::t": row("some/changed.py::t", ran="2020-01-05T00:00:00Z"),
     }
     expected = ["some/changed.py::t", "failed.py::t", "never.py::t", "old.py::t", "new.py::t", "ended.py::t"]
-    assert order_tests(tests, record, ["some"]) == expected
-    assert order_tests(tests[::-1], record, ["some/changed.py"]) == expected
-    assert order_tests(tests, record, ["som"])[0] == "failed.py::t"
+    assert order_tests(tests, record, {"-": ["some"]}) == expected
+    assert order_tests(tests[::-1], record, {"-": ["some/changed.py"]}) == expected
+    assert order_tests(tests, record, {"-": ["som"]})[0] == "failed.py::t"
+
+
+def test_a_test_is_urgent_if_something_changed_since_it_last_passed() -> None:
+    """Of two tests of a folder that has changed between the commits, only that which passed before."""
+    tests = ["some/a.py::t", "some/b.py::t", "other.py::t"]
+    record = {
+        "some/a.py::t": row("some/a.py::t", ran="2020-01-02T00:00:00Z", commit="new"),
+        "some/b.py::t": row("some/b.py::t", ran="2020-01-03T00:00:00Z", commit="old+"),
+        "other.py::t": row("other.py::t", ran="2020-01-01T00:00:00Z", commit="old+"),
+    }
+    expected = ["some/b.py::t", "other.py::t", "some/a.py::t"]
+    assert order_tests(tests, record, {"old+": ["some"], "new": []}) == expected
 
 
 def test_tests_of_a_file_stay_together() -> None:
     tests = ["a.py::1", "b.py::1", "a.py::2", "b.py::2"]
     record = {"a.py::1": row("a.py::1", ran="2020-01-03T00:00:00Z"), "b.py::1": row("b.py::1")}
-    assert order_tests(tests, record, []) == ["a.py::2", "a.py::1", "b.py::2", "b.py::1"]
+    assert order_tests(tests, record, {}) == ["a.py::2", "a.py::1", "b.py::2", "b.py::1"]
 
 
 # -- runs ----------------------------------------------------------------------------------------------------
@@ -236,6 +249,16 @@ def test_a_night_leaves_out_tests_of_the_default_run_except_property_tests(pytes
         """
     )
     assert run(pytester, Night(pytester.path / "record.tsv", "a")) == ["test_day.py::test_property"]
+
+
+def test_tests_of_several_folders_with_plugins_of_their_own_run(pytester: pytest.Pytester) -> None:
+    """As those of the project and of the conformance kit: pytest then leaves plugins out by folder."""
+    for name in ("first", "second"):
+        folder = pytester.mkdir(name)
+        (folder / "conftest.py").write_text("def pytest_runtest_logreport(report): pass")
+        (folder / f"test_{name}.py").write_text(TESTS)
+    pytester.makeini("[pytest]\nmarkers = nightly: takes long")
+    assert len(run(pytester, Night(pytester.path / "record.tsv", "a"))) == 18
 
 
 def test_shards_of_a_run_cover_it_once(folder: pytest.Pytester) -> None:

@@ -106,7 +106,6 @@ class ClContext:
         Args:
             types: the types of each kernel's arguments, if they are scalars.
         """
-        self.programs.is_crowded = self.cache.is_crowded
         return self.programs.add(
             program, request, self._build, types, partial(self.cache.has_code, request.key)
         )
@@ -268,6 +267,8 @@ def build_cached(
     binary = cache.make_binary(request) if stored is not None and stored.code else None
     if binary is None:  # the driver may write machine code beside its LLVM code at any launch
         cache.hold(request.key)
+        if not cache.is_recorded(request.key):  # another process has removed it just before
+            stored = None
     if stored is not None and not stored.code:
         return build(context, *request.write())
     if stored is not None:

@@ -146,6 +146,37 @@ def grow(*options: str) -> dict[str, float]:
     return {f"{row['repeated']}, {name}": row[name] for row in rows for name in row if name.endswith("MiB")}
 
 
+GROWTH = BENCHMARK.with_name("growth.py")
+MOST_MIB, MOST_MAPS, MOST_THREADS = 60.0, 300.0, 4.0
+"""That the second half of the repetitions may add."""
+MAPS_OF_A_PROGRAM = 16.0
+"""On cl: PoCL never unloads the three kernels of a program."""
+SCALES = {("cl", "programs"): 0.2, ("cl", "reloads"): 0.2, ("wgpu", "programs"): 0.5}
+"""Parts of the benchmark's repetitions, where each takes half a second; elsewhere all."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("row", ["programs", "devices", "reloads", "frames with edits"])
+@pytest.mark.parametrize("backend", ["null", "gl", "cl", "wgpu"])
+def test_the_second_half_of_many_repetitions_adds_little(backend: str, row: str) -> None:
+    if backend == "wgpu":
+        pytest.importorskip("wgpu")
+    scale = str(SCALES.get((backend, row), 1.0))
+    command = [sys.executable, str(GROWTH), "--json", "--backend", backend, "--only", row, "--scale", scale]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    (counts,) = json.loads(done.stdout)["rows"]
+
+    def added(name: str) -> float:
+        _, half, end = map(float, counts[name].split(" → "))
+        return end - half
+
+    builds = counts["times"] / 2 if row in ("programs", "reloads") and backend == "cl" else 0.0
+    assert added("descriptors") <= 0, counts
+    assert added("threads") <= MOST_THREADS, counts
+    assert added("maps") <= MOST_MAPS + MAPS_OF_A_PROGRAM * builds, counts
+    assert added("RSS, MiB") <= MOST_MIB, counts
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize(("row", "bound"), [("programs", 20), ("compute programs", 20), ("scissors", 30)])
 def test_thousands_of_programs_and_scissors_leave_little(row: str, bound: int) -> None:

@@ -175,20 +175,28 @@ def _lock(path: str) -> IO[bytes] | None:
     try:
         import fcntl
         import signal
-
-        lock = open(path, "wb")  # noqa: SIM115
-    except (ImportError, OSError):
+    except ImportError:
         return None
     signal.signal(signal.SIGALRM, _give_up)
     signal.alarm(_LOCKED)
+    lock: IO[bytes] | None = None
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        while True:
+            try:
+                lock = open(path, "wb")  # noqa: SIM115
+            except OSError:
+                return None
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            with suppress(OSError):  # as in `rhi.contract.trust.lock`: another process has removed the file
+                if os.path.samestat(os.fstat(lock.fileno()), os.stat(path)):
+                    return lock
+            lock.close()
     except TimeoutError:
-        lock.close()
+        if lock is not None:
+            lock.close()
         raise
     finally:
         signal.alarm(0)
-    return lock
 
 
 def _give_up(*_: object) -> None:

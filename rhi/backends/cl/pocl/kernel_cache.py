@@ -73,9 +73,6 @@ _TRIM_LOCK: Final = "trim.lock"
 """Locked while programs are removed, or named as used: so none is removed that a process is about to use."""
 _TEMPORARY_FILES: Final = "tempfile_*"
 """Empty files that PoCL leaves in the folder, one a process."""
-_REMEMBERED: Final = 96
-"""Kernels of which PoCL surely remembers the machine code: its table has 128 places, and others use it,
-too."""
 _TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
 PATIENCE: Final = 20.0
 """Seconds to wait for a lock; a process that holds it for longer may be stopped."""
@@ -83,8 +80,6 @@ _IMPATIENCE: Final = 0.5  # once a wait for a lock has timed out
 LOGGER: Final = logging.getLogger("rhi.kernels")
 _replaced: Final[dict[str, Path]] = {}
 """Temporary folders, by the folder that each replaces."""
-_linked: Final[set[str]] = set()
-"""The links that this process has made for the driver, which remembers its machine code by process."""
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are abandoned
 
 
@@ -217,23 +212,30 @@ class KernelCache:
         if not record.exists():  # another process may be about to write it, and has kept the code
             return None
         entry = program, files, checksum, _ = _read_record(self._folder, record)
-        is_missing = False
-        try:
-            complete = program is not None and all(
-                self._sign(key, name, (program / name).read_bytes()) == expected
-                for name, expected in files.items()
-            )
-        except OSError:
-            complete, is_missing = False, True
+        damaged = [] if program is None else self._list_damaged(key, program, files)
+        complete = program is not None and not damaged
         code = self.read_code(key) if complete and checksum is not None else None
         if not complete or (
             checksum is not None and (code is None or self._sign(key, _CODE, code) != checksum)
         ):
-            self._remove_damaged(key, entry, is_missing)
+            self._remove_damaged(key, entry, damaged)
             return None
         with suppress(OSError):
             os.utime(record)
         return CachedProgram(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
+
+    def _list_damaged(self, key: str, program: Path, files: dict[str, str]) -> list[Path]:
+        """Return the files of a program that aren't there, or have another checksum than recorded."""
+        damaged = []
+        for name, expected in files.items():
+            path = program / name
+            try:
+                is_whole = self._sign(key, name, path.read_bytes()) == expected
+            except OSError:
+                is_whole = False
+            if not is_whole:
+                damaged.append(path)
+        return damaged
 
     @contextmanager
     def watch_use(self, key: str) -> Iterator[None]:
@@ -352,7 +354,6 @@ class KernelCache:
                     new.hardlink_to(target)
                     new.replace(link)  # at once, since PoCL may be looking for it
                 self._links[request.key, kernel] = str(link)
-                _linked.add(str(link))
         except OSError:  # no links there
             return None
         return binaries.write(header, name, built)
@@ -371,12 +372,6 @@ class KernelCache:
                 (self._folder / _RECORDS).mkdir(mode=0o700, parents=True, exist_ok=True)
         return False
 
-    @property
-    def is_crowded(self) -> bool:
-        """True if the driver may look for machine code at any launch: it remembers that of so many
-        kernels."""
-        return len(_linked) > _REMEMBERED
-
     def drop_code(self, key: str) -> None:
         """Remove LLVM code that the driver doesn't take."""
         self.takes_code = False
@@ -384,11 +379,18 @@ class KernelCache:
             with suppress(OSError):
                 self._code_path(key).unlink()
 
+    def is_recorded(self, key: str) -> bool:
+        """Whether a program that was looked up is still there. Once it is held, it stays."""
+        return self._folder is not None and (self._folder / _RECORDS / key).exists()
+
     def forget(self, key: str) -> None:
-        """Remove a program that the driver doesn't take."""
+        """Remove the record of a program that the driver doesn't take.
+
+        Its folder stays for a day, like others without a record: processes that use it may be writing
+        there."""
         if self._folder is not None:
-            program, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
-            self._remove(key, program)
+            with self._removing():
+                self._remove(key, None)
 
     def seal(self, key: str, content: bytes, name: str = _CODE) -> bytes:
         """Return data to be stored under this name, such as LLVM code, behind its checksum."""
@@ -427,16 +429,19 @@ class KernelCache:
         with lock or nullcontext():
             yield True
 
-    def _remove_damaged(self, key: str, entry: _Entry, is_missing: bool) -> None:
+    def _remove_damaged(self, key: str, entry: _Entry, damaged: Sequence[Path]) -> None:
         """Remove a damaged program, unless another process has built it again meanwhile.
 
-        Where files are missing, the folder of a program in use stays: the driver may be writing there, and
+        Of a program in use only the damaged files are removed: the driver may be writing in its folder, and
         generates what is missing."""
         assert self._folder is not None
-        with self._removing():
+        with self._removing() as is_safe:
             if _read_record(self._folder, self._folder / _RECORDS / key) != entry:
                 return
-            stays = is_missing and key in leases.list_held(self._folder)
+            stays = not is_safe or key in leases.list_held(self._folder)
+            for path in damaged if stays else ():
+                with suppress(OSError):
+                    path.unlink()
             self._remove(key, None if stays else entry[0])
 
     def _remove(self, key: str, program_folder: Path | None) -> None:
@@ -469,20 +474,28 @@ class KernelCache:
             yield True
 
     def record(self, key: str) -> None:
-        """Record that a program's files are complete."""
+        """Record that a program's files are complete. Nothing is recorded of files that vanish meanwhile."""
         if self._folder is None:
             return
         code = self.read_code(key)
         program, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
-        if program is None or not (program / _PROGRAM).is_file():
-            program = self._search(_mark_name(key, code), code)
+        name = _mark_name(key, code)
+        if program is None or not _contains(program, name):  # one of code that isn't there any more
+            program = self._search(name, code)
         if program is None:
             return
+        with suppress(OSError):
+            described = self._describe(key, program, code)
+            trust.write_atomically(self._folder / _RECORDS / key, json.dumps(described).encode())
+        self._written.add(key)
+
+    def _describe(self, key: str, program: Path, code: bytes | None) -> dict[str, object]:
+        """Return a program's record. Raises an `OSError` if another process removes files meanwhile."""
+        assert self._folder is not None
         files = {
             str(path.relative_to(program)): self._sign(key, str(path.relative_to(program)), path.read_bytes())
             for path in (program / _PROGRAM, *program.glob("*/*/*.so"))
         }
-        record = self._folder / _RECORDS / key
         size = sum(path.stat().st_size for path in program.rglob("*") if path.is_file()) + len(code or b"")
         described: dict[str, object] = {
             "folder": str(program.relative_to(self._folder)),
@@ -491,9 +504,7 @@ class KernelCache:
         }
         if code is not None:
             described["code"] = self._sign(key, _CODE, code)
-        with suppress(OSError):
-            trust.write_atomically(record, json.dumps(described).encode())
-        self._written.add(key)
+        return described
 
     def _search(self, name: bytes, code: bytes | None = None) -> Path | None:
         """Return the driver's folder of the program that has a function of this name and isn't `code`."""
@@ -515,9 +526,7 @@ class KernelCache:
         if self._folder is None or not self._written:
             return
         for key in list(self._written):
-            path = self.lock_path(key)
-            path = path if os.path.exists(path) else ""  # nobody has ever locked it
-            with suppress(TimeoutError), trust.lock(path, 0.0) or nullcontext():
+            with suppress(TimeoutError), trust.lock(self.lock_path(key), 0.0) or nullcontext():
                 self.record(key)  # unless another process is just writing, which records it, too
         self._written.clear()
         with suppress(OSError), self._removing() as is_safe:
@@ -578,6 +587,14 @@ def _list_newest(folder: Path) -> list[Path]:
     return [Path(path) for _, path in sorted(dated, reverse=True)]
 
 
+def _contains(program: Path, name: bytes) -> bool:
+    """Whether a program in the driver's folder has a function of this name."""
+    try:
+        return name in (program / _PROGRAM).read_bytes()
+    except OSError:
+        return False
+
+
 def make_mark() -> str:
     """Return a mark that is unique among all processes."""
     return os.urandom(8).hex()
@@ -608,6 +625,7 @@ def _read_record(folder: Path, record: Path) -> _Entry:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None, {}, None, 0
     is_program = name.match(_FOLDER_PATTERN) and name.parts[0] != binaries.LINKS
-    if ".." in name.parts or not is_program or len(name.parts) != 2:
+    inside = all(".." not in PurePosixPath(file).parts and not file.startswith("/") for file in files)
+    if ".." in name.parts or not is_program or len(name.parts) != 2 or not inside:
         return None, {}, None, 0
     return folder / name, files, checksum, size

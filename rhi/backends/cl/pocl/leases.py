@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -31,6 +32,7 @@ _HELD: Final = ".held"
 _ATTEMPTS: Final = 4
 _OLD: Final = 86400.0
 """Seconds after which a folder that nobody can lock is removed: links of older versions."""
+_guard: Final = threading.RLock()  # threads take one name together
 _leases: Final[dict[Path, tuple[int, str, int]]] = {}
 """By folder of compiled kernels: the process, its name there, and a descriptor of its locked file.
 
@@ -42,9 +44,14 @@ def take(folder: Path) -> str | None:
 
     Without locks there is none, since nobody could tell when the process has ended.
     """
-    lease = _leases.get(folder)
-    if lease is not None and lease[0] == os.getpid() and _lock_path(folder, lease[1]).exists():
-        return lease[1]
+    with _guard:
+        lease = _leases.get(folder)
+        if lease is not None and lease[0] == os.getpid() and _lock_path(folder, lease[1]).exists():
+            return lease[1]
+        return _take_new(folder)
+
+
+def _take_new(folder: Path) -> str | None:
     remove_stale(folder)
     for _ in range(_ATTEMPTS):  # another process may take a folder that isn't locked yet for a stale one
         name = os.urandom(binaries.PROCESS_CHARACTERS // 2).hex().upper()
@@ -57,14 +64,15 @@ def take(folder: Path) -> str | None:
         except OSError:
             return None
         if file is None:
+            if not path.parent.exists():  # the other process has removed it
+                continue
             shutil.rmtree(path.parent, ignore_errors=True)
             return None
         with file:
-            if path.exists():
-                with suppress(OSError):
-                    path.with_name(_BEGUN).touch(mode=0o600)
-                _leases[folder] = os.getpid(), name, os.dup(file.fileno())
-                return name
+            with suppress(OSError):
+                path.with_name(_BEGUN).touch(mode=0o600)
+            _leases[folder] = os.getpid(), name, os.dup(file.fileno())
+            return name
     return None
 
 

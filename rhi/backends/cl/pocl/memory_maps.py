@@ -33,7 +33,11 @@ _LIMIT: Final = Path("/proc/sys/vm/max_map_count")
 
 
 class MapCounter:
-    """Watches the memory maps of this process while kernels are made."""
+    """Watches the memory maps of this process while kernels are made.
+
+    Attributes:
+        kernels: how many have been made.
+    """
 
     def __init__(self, count: Callable[[], int], limit: Callable[[], int]) -> None:
         """`count`, `limit`: return the number of maps and the system's limit; 0 where it isn't known."""
@@ -42,6 +46,7 @@ class MapCounter:
         self._until_count = 1
         self._due = 0.0  # seconds, of the next count
         self._has_warned = False
+        self.kernels = 0
 
     def note_kernel(self) -> None:
         """Note that a kernel is going to be loaded.
@@ -49,6 +54,7 @@ class MapCounter:
         Raises:
             DeviceError: `device-out-of-memory` if there are too many maps for it.
         """
+        self.kernels += 1
         self._until_count -= 1
         now = time.monotonic()
         if self._until_count > 0 and now < self._due:

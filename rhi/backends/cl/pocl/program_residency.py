@@ -33,6 +33,8 @@ AGE: Final = 128
 """Values of the fence, some two seconds of frames, after which a program may be released."""
 _OFTEN: Final = 16
 """Values of the fence between two searches for programs to release."""
+_REMEMBERED: Final = 96
+"""Kernels of which PoCL surely remembers the machine code: its table, one for the process, has 128 places."""
 _PACKING: Final = 1  # a source of 80 kB becomes 12 in half a millisecond
 
 
@@ -154,16 +156,20 @@ class ProgramResidency:
 
     Attributes:
         now: the latest value of the fence.
-        is_crowded: whether the driver may look for machine code at any launch (`KernelCache.is_crowded`).
     """
 
     def __init__(self, releases: bool) -> None:
         """`releases`: whether programs are found again on disk, so that they can be released."""
-        self.is_crowded = False
         self._releases = releases
         self._programs: weakref.WeakSet[EvictableProgram] = weakref.WeakSet()
         self._lock = threading.Lock()  # programs are optimised in other threads
         self.now = 0
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether the driver may look for machine code at any launch: it remembers that of so many kernels,
+        whichever device they are of."""
+        return COUNTER.kernels > _REMEMBERED
 
     def list_resident(self) -> list[EvictableProgram]:
         """Return the programs that are in memory."""

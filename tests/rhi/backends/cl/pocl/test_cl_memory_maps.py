@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import mmap
+import os
+import subprocess
+import sys
 import time
 import warnings
 
@@ -91,6 +94,55 @@ def test_maps_are_counted() -> None:
     for each in mappings:
         each.close()
     assert memory_maps.read_limit() > 1000
+
+
+PROGRAMS = """
+import sys, warnings
+import rhi
+from cl_stress import SHADER
+from rhi.backends.cl.pocl import memory_maps
+from rhi.conformance.shapes import rectangle
+from rhi.shading import from_source
+
+with rhi.create_device("cl") as device, device.texture((8, 8), rhi.Format.RGBA8) as image:
+    mesh = device.mesh(rectangle(color=(1, 1, 1, 1)))
+
+    def draw(factor):
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(device.program(programs[factor]), mesh)
+        return int(image.read()[4, 4, 0])
+
+    programs = {factor: from_source(SHADER.format(factor=factor / 64), "Scaled") for factor in range(1, 65)}
+    assert draw(64) == 255
+    limit = int(memory_maps.count_maps() / 0.75)
+    memory_maps.COUNTER._limit = lambda: limit
+    warned = refused = 0
+    with warnings.catch_warnings(record=True) as messages:
+        warnings.simplefilter("always")
+        for factor in range(1, 64):
+            try:
+                draw(factor)
+            except rhi.DeviceError as error:
+                assert error.rule.id == "device-out-of-memory", error
+                refused = memory_maps.count_maps()
+                break
+            if messages and not warned:
+                warned = memory_maps.count_maps()
+    assert draw(64) == 255 and draw(1) in (3, 4)
+    print(limit, warned, refused)
+"""
+"""Draws with new programs until one is refused, below a limit that is lowered to a third more than there are."""
+
+
+@pytest.mark.nightly
+def test_real_kernels_are_warned_of_and_refused_below_a_lowered_limit() -> None:
+    command = [sys.executable, "-c", PROGRAMS]
+    environment = os.environ | {"RHI_KERNELS": "quick", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    limit, warned, refused = map(int, done.stdout.split())
+    assert 0.8 * limit <= warned < refused
+    assert 0.95 * limit <= refused < limit
 
 
 def test_a_device_refuses_kernels_by_name_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
