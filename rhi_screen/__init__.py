@@ -19,6 +19,8 @@
 
 from rhi_screen.cameras import FlyCamera, OrbitCamera
 from rhi_screen.canvases import CANVASES, open_canvas
+from rhi_screen.executors import make_executor
+from rhi_screen.films import FilmResult, film
 from rhi_screen.image_program import save_image
 from rhi_screen.screen import Screen, open_screen
 from rhi_screen.statistics import FrameCounter
@@ -28,6 +30,7 @@ from rhi_screen.video import VideoWriter
 
 __all__ = [
     "CANVASES",
+    "FilmResult",
     "FixedSteps",
     "FlyCamera",
     "FrameCounter",
@@ -35,6 +38,8 @@ __all__ = [
     "Screen",
     "ScreenTargets",
     "VideoWriter",
+    "film",
+    "make_executor",
     "open_canvas",
     "open_screen",
     "save_image",

@@ -10,6 +10,7 @@ from weakref import WeakSet
 
 import rhi
 from rhi.errors import refuse
+from rhi.errors.arguments import ArgumentChecker
 from rhi_screen.canvases import Canvas, choose_default_canvas, get_loop, open_canvas
 from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE, SCREEN_WINDOW
 from rhi_screen.statistics import FrameCounter
@@ -45,6 +46,7 @@ class Screen:
         self._targets: WeakSet[ScreenTargets] = WeakSet()
         self._screenshot_paths: list[Path] = []
         self._video: VideoWriter | None = None
+        self._update_mode = "ondemand"
         open_beside = getattr(canvas, "open_device", None)
         self._owned = isinstance(device, str)
         self._beside = device == "gl" and open_beside is not None
@@ -106,6 +108,8 @@ class Screen:
     def record(self, path: str | Path, fps: float = 30.0) -> VideoWriter:
         """Add all images that are shown from now on to a video, a frame each, until that is closed.
 
+        Meanwhile `run` draws all frames on a canvas without a loop, too, such as offscreen.
+
         Raises:
             DeviceError: `screen-missing` without PyAV.
         """
@@ -154,20 +158,26 @@ class Screen:
         texels[..., 3] = 255
         self._context.set_bitmap(texels)
 
-    def run(self, draw: Callable[[], None] | None = None, *, on_error: str = "raise") -> None:
+    def run(
+        self, draw: Callable[[], None] | None = None, *, frames: int | None = None, on_error: str = "raise"
+    ) -> None:
         """Run the canvas's loop until it is closed; `draw` is called for each frame.
 
         In a notebook, whose loop runs already, this returns at once. A canvas without a loop, such as
-        offscreen, draws one frame.
+        offscreen, draws one frame. While a video is recorded (`record`) it draws as a window would: until it is
+        closed, or with the update mode "ondemand" until `draw` requests no further frame.
 
         Args:
             draw: a function that shows an image; None: the one that was given to the canvas.
+            frames: the number of frames that a canvas without a loop draws, recorded or not; others ignore
+                it. None: as many as above.
             on_error: "raise": an exception of `draw` ends the loop, and is raised here; "log": rendercanvas
                 logs it, and the loop goes on. In a notebook errors are logged.
 
         Raises:
-            ValidationError: `screen-errors` for another `on_error`.
+            ValidationError: `screen-errors` for another `on_error`, `device-argument` for less than 1 frame.
         """
+        frames = ArgumentChecker("screen.run").integer_or_none("frames", frames, 1)
         if on_error not in ("raise", "log"):
             refuse(SCREEN_ERRORS, "screen.run(on_error=...)", repr(on_error), '"raise" or "log"')
         loop = get_loop(self.canvas)
@@ -188,13 +198,37 @@ class Screen:
         self.canvas.request_draw(draw if draw is None or on_error == "log" else draw_or_stop)
         try:
             if loop is None:
-                self.canvas.force_draw()
+                self._draw_without_loop(frames, errors)
             else:
                 loop.run()
         finally:
             running = False
         if errors:
             raise errors[0]
+
+    def _draw_without_loop(self, frames: int | None, errors: list[Exception]) -> None:
+        """Draw so many frames, or those that a window would draw while a video is recorded."""
+        canvas, requests = self.canvas, [True]
+        request_draw = canvas.request_draw
+
+        def note_request(draw: Callable[[], None] | None = None) -> None:
+            requests.append(True)
+            request_draw(draw)
+
+        is_steady = self._update_mode != "ondemand"
+        canvas.request_draw = note_request
+        try:
+            drawn = 0
+            while not canvas.get_closed() and not errors:
+                requests.clear()
+                canvas.force_draw()
+                drawn += 1
+                is_recording = self._video is not None and not self._video.is_closed
+                goes_on = is_recording and (is_steady or len(requests) > 0)
+                if drawn >= frames if frames is not None else not goes_on:
+                    break
+        finally:
+            del canvas.request_draw
 
     def close(self) -> None:
         """Close the device, if the screen has created it, and the canvas. A second call does nothing."""
@@ -249,7 +283,9 @@ def open_screen(
         kind, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync, **window_options
     )
     try:
-        return Screen(opened, device, **options)
+        screen = Screen(opened, device, **options)
     except BaseException:
         opened.close()
         raise
+    screen._update_mode = update_mode
+    return screen

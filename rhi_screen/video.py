@@ -35,11 +35,12 @@ class VideoWriter:
         frames: how many images were added.
     """
 
-    def __init__(self, path: str | Path, fps: float = 30.0) -> None:
+    def __init__(self, path: str | Path, fps: float = 30.0, *, comment: str = "") -> None:
         """
         Args:
             path: the file; its folder is made.
             fps: frames a second.
+            comment: a text that is stored in the file; `read_comment` returns it.
 
         Raises:
             DeviceError: `screen-missing` without PyAV.
@@ -71,6 +72,8 @@ class VideoWriter:
                 self._file.close()
                 self._file = None
                 raise ValueError("its container has no video")
+            if comment:
+                self._file.metadata["comment"] = comment
         except (OSError, ValueError, av.FFmpegError) as error:
             refuse(VIDEO_FILE, "VideoWriter", f"{path}: {error}")
 
@@ -90,7 +93,7 @@ class VideoWriter:
             refuse(
                 VIDEO_IMAGE, "VideoWriter.add", "an image after close()", "images before the file is finished"
             )
-        texels = self._read(image)
+        texels = read_colors(image, "VideoWriter.add")
         height, width = (each & ~1 for each in texels.shape[:2])
         if self._stream is None and min(width, height) > 0:
             self._stream = self._file.add_stream(self._file.default_video_codec, rate=self._rate)
@@ -103,17 +106,12 @@ class VideoWriter:
             self._file.mux(packet)
         self.frames += 1
 
-    @staticmethod
-    def _read(image: rhi.Texture | NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the texels of an image, (height, width, 3 or 4) uint8."""
-        check = ArgumentChecker("VideoWriter.add", rule=VIDEO_IMAGE)
-        texels = image.read() if isinstance(image, rhi.Texture) else check.array("image", image)
-        if texels.ndim != 3 or texels.shape[2] not in (3, 4) or texels.dtype != np.uint8:
-            actual = (
-                repr(image) if isinstance(image, rhi.Texture) else f"shape {texels.shape} of {texels.dtype}"
-            )
-            refuse(VIDEO_IMAGE, "VideoWriter.add", actual, "(height, width, 3 or 4) of uint8")
-        return texels
+    @classmethod
+    def check(cls, path: Path, fps: float) -> None:
+        """Refuse what `VideoWriter(path, fps)` would; nothing is left in the file's folder."""
+        part = path.with_name(f"{path.stem}.part{path.suffix}")
+        cls(part, fps).close()
+        part.unlink(missing_ok=True)
 
     @property
     def is_closed(self) -> bool:
@@ -135,3 +133,28 @@ class VideoWriter:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close()
+
+
+def read_colors(image: rhi.Texture | NDArray[np.uint8], call: str) -> NDArray[np.uint8]:
+    """Return the texels of an image, (height, width, 3 or 4) uint8.
+
+    Raises:
+        ValidationError: `video-image` for anything else.
+    """
+    check = ArgumentChecker(call, rule=VIDEO_IMAGE)
+    texels = image.read() if isinstance(image, rhi.Texture) else check.array("image", image)
+    if texels.ndim != 3 or texels.shape[2] not in (3, 4) or texels.dtype != np.uint8:
+        actual = repr(image) if isinstance(image, rhi.Texture) else f"shape {texels.shape} of {texels.dtype}"
+        refuse(VIDEO_IMAGE, call, actual, "(height, width, 3 or 4) of uint8")
+    return texels
+
+
+def read_comment(path: Path) -> str:
+    """Return the comment of a video; "" if it has none, or there is no such file."""
+    try:
+        import av
+
+        with av.open(str(path)) as file:
+            return str(file.metadata.get("comment", ""))
+    except (ImportError, OSError, av.FFmpegError):
+        return ""

@@ -28,6 +28,7 @@ from renderer.cli import (
     demo,
     effect_costs,
     exam,
+    film,
     plan,
     render,
     scenes,
@@ -44,6 +45,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     render.COMMAND,
     view.COMMAND,
     demo.COMMAND,
+    film.COMMAND,
     SubcommandGroup(
         "compare",
         "compare techniques, visibility algorithms, tests of light culling, one eye and two, encodings, or "

@@ -37,7 +37,6 @@ import rhi
 from renderer import rules
 from renderer.cli import accuracy_report, options
 from renderer.cli.arguments import load_settings, open_scene
-from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, note, prepare_chart, report_omissions, show_progress
 from renderer.cli.subcommand import Subcommand
@@ -58,6 +57,7 @@ from renderer.lab.measure import format_table
 from renderer.settings import to_json
 from renderer.viewer.frame_budget import BudgetStep, save_steps
 from rhi import RhiError, refuse
+from rhi_screen.executors import KINDS, make_executor
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -87,7 +87,7 @@ _OPTIONS: Final = (
         type=options.parse_bound,
         metavar="E",
     ),
-    options.executor("shards of quality settings", KINDS),
+    options.executor("shards of quality settings run", KINDS),
     options.output_file("--plot", "write charts of errors and times"),
     options.output_folder("--output", "folder for the results; an interrupted sweep is resumed from it"),
     *options.form(),

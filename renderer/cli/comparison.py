@@ -11,12 +11,13 @@ from itertools import groupby
 from typing import Any
 
 import rhi
-from renderer.cli.options import CommandOption, add_options, form
+from renderer.cli.options import CommandOption, add_options, executor, form
 from renderer.cli.output import draw_chart, note, prepare_chart, report_omissions
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.lab.comparison import KERNELS, Record
 from renderer.lab.measure.table import format_table, format_value, title_of
 from renderer.scene import Scene
+from rhi_screen.executors import KINDS, SERIAL, as_completed, make_executor
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +70,16 @@ class ComparisonProgram:
 
     @property
     def command(self) -> Subcommand:
-        """The comparison as a command."""
-        return Subcommand(self.name, self.summary, self.options, self.run, self.notes)
+        """The comparison as a command, which can also run elsewhere: as one call, because its times are
+        ratios of what one process does in turns."""
+        options = (*self.options, executor("the comparison runs", KINDS))
+        return Subcommand(self.name, self.summary, options, self.run, self.notes)
 
     def run(self, arguments: argparse.Namespace) -> None:
         """Compare, and print the report."""
         if self.plot is not None and arguments.plot is not None:
             prepare_chart(arguments.plot)
-        report = self.measure(arguments)
+        report = self._measure(arguments)
         if any("quick" in (row.get(KERNELS) or "") for row in report.rows):
             note("quick kernels ran, which a long run has not: RHI_KERNELS=optimised measures its own")
         if self.plot is not None and arguments.plot is not None:
@@ -92,6 +95,17 @@ class ComparisonProgram:
                 *self.extra_tables(report.metadata, arguments.markdown),
             ]
             print("\n\n".join(tables))
+
+    def _measure(self, arguments: argparse.Namespace) -> Report:
+        """Make the report where the arguments say."""
+        where = getattr(arguments, "executor", SERIAL)
+        if where == SERIAL:
+            return self.measure(arguments)
+        sent = {name: value for name, value in vars(arguments).items() if name != "run"}
+        with make_executor(where) as workers:
+            future = workers.submit(self.measure, argparse.Namespace(**sent))
+            (done,) = as_completed(workers, [future])
+            return done.result()
 
     def format(self, rows: Sequence[Record], *, markdown: bool = False) -> str:
         """Format rows as tables; rows with other columns begin another table."""

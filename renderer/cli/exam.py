@@ -3,11 +3,13 @@
   python -m renderer exam
   python -m renderer exam --backend numpy --json
   python -m renderer exam --case 13 --case 21
+  python -m renderer exam --executor processes:4
   python -m renderer exam --show 21 --backend cl --output case21.png
 
 Each case has a reference, and a tolerance with its reason, which --show prints. What a device lacks is
 declared in its capabilities; a case that needs it doesn't apply, and isn't passed. A case that raises an
-error has failed. The exit code is 1 if a case has failed on some backend.
+error has failed. With --executor each case has a device of its own on a worker, and a case that ends its
+process has failed, too. The exit code is 1 if a case has failed on some backend.
 """
 
 from __future__ import annotations
@@ -26,12 +28,14 @@ from renderer.cli import options
 from renderer.cli.options import option
 from renderer.cli.output import note, open_available_devices, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
-from renderer.lab.exam import CASES, Case, ExamRow, examine, select_cases
+from renderer.lab.exam import CASES, Case, ExamRow, examine, examine_elsewhere, select_cases
 from renderer.lab.exam.case import NOTHING
 from renderer.lab.exam.case_images import join_images
 from renderer.lab.measure import format_table
 from rhi.errors.output_paths import check_output_file
+from rhi_screen.executors import KINDS, SERIAL, make_executor
 
+_BACKENDS: Final = ("gl", "cl", "null")
 _OPTIONS: Final = (
     option(
         "--backend",
@@ -55,6 +59,7 @@ _OPTIONS: Final = (
         ),
         output=check_output_file,
     ),
+    options.executor("cases run", KINDS),
     *options.form(),
 )
 
@@ -62,11 +67,14 @@ _OPTIONS: Final = (
 def _run(arguments: argparse.Namespace) -> None:
     if arguments.output is not None:
         prepare_image(arguments.output)
+    if arguments.executor != SERIAL and arguments.show is None:
+        _report(_examine_elsewhere(arguments), arguments)
+        return
     with ExitStack() as stack:
         devices = (
             [stack.enter_context(rhi.create_device(name)) for name in arguments.backend]
             if arguments.backend
-            else open_available_devices(stack, ("gl", "cl", "null"))
+            else open_available_devices(stack, _BACKENDS)
         )
         if arguments.show is not None:
             (case,) = select_cases([arguments.show])
@@ -78,12 +86,34 @@ def _run(arguments: argparse.Namespace) -> None:
                 for device in devices
                 for row in show_progress(examine(device, cases), device.backend_name, len(cases))
             ]
-            has_failed = any(row.passed is False for row in rows)
-            if arguments.json:
-                print(json.dumps([row.as_record() for row in rows]))
-            else:
-                print(format_rows_by_backend(rows, markdown=arguments.markdown))
+            _report(rows, arguments)
+            return
     if has_failed:
+        sys.exit(1)
+
+
+def _examine_elsewhere(arguments: argparse.Namespace) -> list[ExamRow]:
+    """Examine backends on an executor; return the rows in the order in which one process has them."""
+    cases = select_cases(arguments.case, are_long=arguments.long)
+    backends = arguments.backend
+    if not backends:
+        with ExitStack() as stack:
+            backends = [device.backend_name for device in open_available_devices(stack, _BACKENDS)]
+    with make_executor(arguments.executor) as executor:
+        rows = list(
+            show_progress(examine_elsewhere(executor, backends, cases), "exam", len(backends) * len(cases))
+        )
+    numbers = [case.number for case in cases]
+    return sorted(rows, key=lambda row: (backends.index(row.backend), numbers.index(row.case)))
+
+
+def _report(rows: Sequence[ExamRow], arguments: argparse.Namespace) -> None:
+    """Print the rows; end the process with 1 if a case has failed."""
+    if arguments.json:
+        print(json.dumps([row.as_record() for row in rows]))
+    else:
+        print(format_rows_by_backend(rows, markdown=arguments.markdown))
+    if any(row.passed is False for row in rows):
         sys.exit(1)
 
 

@@ -334,5 +334,6 @@ BLENDING: Final = choice(
 
 
 def executor(what: str, kinds: str) -> CommandOption:
-    """The option `--executor E`; `what` runs there, and `kinds` lists the executors."""
-    return option("--executor", f"where {what} run: {kinds} of a scheduler", "serial", metavar="E")
+    """The option `--executor E`; `what` says what runs there, with its verb, and `kinds` lists the
+    executors."""
+    return option("--executor", f"where {what}: {kinds} of a scheduler", "serial", metavar="E")

@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import csv
 from collections.abc import Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Final
@@ -27,7 +27,6 @@ from typing import Final
 import rhi
 from renderer.cli import options
 from renderer.cli.arguments import open_scene
-from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Subcommand
@@ -44,6 +43,7 @@ from renderer.lab.accuracy.tuning import (
 from renderer.lab.measure import format_table, title_of
 from renderer.scene import CameraPath
 from renderer.visibility import VisibilitySettings, list_algorithms
+from rhi_screen.executors import KINDS, as_completed, make_executor
 
 _LEAF_SIZES: Final = 5
 """The most leaf sizes to try."""
@@ -129,7 +129,7 @@ def _try_all(executor: Executor, path_frames: PathFrames, pairs: Sequence[Parame
     """Try each pair, as many at a time as the executor allows, and return the trials in this order."""
     futures = [executor.submit(try_pairs, path_frames, [pair]) for pair in show_progress(pairs, "tune")]
     for _ in show_progress(
-        as_completed(futures), "tune", len(pairs)
+        as_completed(executor, futures), "tune", len(pairs)
     ):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
@@ -200,7 +200,7 @@ _OPTIONS: Final = (
         metavar="LOW:HIGH",
     ),
     options.rounds("rounds of the search, the first of which tries a grid of values", 4),
-    options.executor("trials", KINDS),
+    options.executor("trials run", KINDS),
     options.queries("native"),
     options.BACKEND,
     options.size(),

@@ -378,6 +378,12 @@ class SceneResources:
             simulation,
         ]
 
+    def detach_simulator(self) -> Simulator:
+        """Return the simulator, whose simulations keep what they have on the device when all else is
+        destroyed. Another renderer of the device may go on with it."""
+        self._computing.pop(self.simulator, None)
+        return self.simulator
+
     def _release_all(self) -> None:
         for simulations in self._computing.values():
             for simulation in simulations:

@@ -43,6 +43,7 @@ from rhi.math import Camera, is_parallel
 _NONE: Final[Indices] = np.zeros(0, np.int64)
 _ROUNDING: Final = 2.0**-20  # of the largest coordinate: vertices are float32
 _STATES: Final = count(1)
+_ALL_STEPS: Final = 1 << 62  # of a frame: more than any members can miss
 
 MAX_EXPECTED_SPEED: Final = 4.0
 """How many diameters of its bounds something is expected to move in a second, at most."""
@@ -219,6 +220,8 @@ class Simulator:
         seconds: the time of the frame.
         steps: number of steps that members took since `begin_frame`.
         late: number of members that were brought towards the frame's time, and haven't reached it.
+        takes_all_steps: whether members take all steps that they have missed, one by one, whatever their
+            policies allow. Their states then follow from the frame's time alone.
         validation: whether `advance` also checks the bounds of one of its objects, another one in each call.
     """
 
@@ -263,6 +266,7 @@ class Simulator:
         self._times: Floats = np.zeros(len(self._which))  # by slot: what it is brought to in this frame
         self._waiting = np.zeros(len(objects), bool)
         self._drawn = np.zeros(len(objects), bool)
+        self.takes_all_steps = False
         self.validation = False
         self._check_count = 0
         self.seconds = 0.0
@@ -426,7 +430,10 @@ class Simulator:
     def _reset_counts(self) -> None:
         self.steps = 0
         self.late = 0
-        self._left = [simulated.simulation.catch_up.steps_per_frame for simulated in self._begin]
+        self._left = [
+            _ALL_STEPS if self.takes_all_steps else simulated.simulation.catch_up.steps_per_frame
+            for simulated in self._begin
+        ]
         self._drawn[self.objects] = False
         self._waiting[self.objects] = True
         self._is_done: NDArray[np.bool_] = np.zeros(len(self._which), bool)

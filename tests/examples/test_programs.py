@@ -48,6 +48,7 @@ COSTS = {  # draws, dispatches, render passes
     "deferred": (2, 0, 2),
     "draw_lists": (3, 0, 1),
     "engine_test": (4, 0, 1),
+    "film": (1, 0, 1),
     "instanced_crates": (1, 0, 1),
     "julia": (1, 0, 1),
     "life": (1, 100, 1),

@@ -172,3 +172,55 @@ def test_a_recorded_video_has_the_frames_that_were_shown(tmp_path: Path) -> None
     assert np.abs(np.array([frame[24, 32] for frame in frames]).astype(int) - colors).max() < 12, (
         "H.264, 4:2:0"
     )
+
+
+@pytest.mark.parametrize("count", [1, 10])
+@pytest.mark.parametrize("mode", ["ondemand", "continuous", "fastest"])
+def test_offscreen_a_recorded_run_writes_all_frames_until_the_canvas_is_closed(
+    tmp_path: Path, mode: str, count: int
+) -> None:
+    with open_screen("gl", canvas="offscreen", size=(16, 16), update_mode=mode) as screen:
+        image = screen.device.texture(np.zeros((16, 16, 4), np.uint8), rhi.Format.RGBA8)
+        video = screen.record(tmp_path / "film.mp4", 25)
+
+        def draw() -> None:
+            screen.show(image)
+            if video.frames == count:
+                screen.canvas.close()
+            if mode == "ondemand":
+                screen.canvas.request_draw()
+
+        screen.run(draw)
+        assert video.frames == count
+
+
+def test_offscreen_a_recorded_run_ends_when_no_frame_is_requested(tmp_path: Path) -> None:
+    with open_screen("gl", canvas="offscreen", size=(16, 16)) as screen:
+        image = screen.device.texture(np.zeros((16, 16, 4), np.uint8), rhi.Format.RGBA8)
+        video = screen.record(tmp_path / "four.mp4", 25)
+
+        def draw() -> None:
+            screen.show(image)
+            if video.frames % 4:
+                screen.canvas.request_draw()
+
+        screen.run(draw)
+        assert video.frames == 4
+        video.close()
+        screen.run(draw)  # nothing is recorded: one frame
+        assert screen.counter.frames == 5
+
+
+def test_offscreen_a_run_draws_as_many_frames_as_it_is_asked_for(tmp_path: Path) -> None:
+    with open_screen("gl", canvas="offscreen", size=(16, 16)) as screen:
+        image = screen.device.texture(np.zeros((16, 16, 4), np.uint8), rhi.Format.RGBA8)
+        screen.run(lambda: screen.show(image), frames=3)
+        assert screen.counter.frames == 3
+        with screen.record(tmp_path / "five.mp4", 25) as video:
+            screen.run(lambda: screen.show(image), frames=5)
+        assert video.frames == 5
+        with pytest.raises(ValidationError, match="frames"):
+            screen.run(lambda: screen.show(image), frames=0)
+        with pytest.raises(ZeroDivisionError):
+            screen.run(lambda: 1 / 0, frames=2)  # type: ignore[arg-type, return-value]
+        assert "request_draw" not in vars(screen.canvas)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass
 from functools import partial
 from hashlib import sha256
@@ -25,6 +25,7 @@ from renderer.lab.accuracy import sweep
 from renderer.lab.accuracy.choice import ParetoPoint, combine, compute_pareto_front, make_plain
 from renderer.lab.accuracy.quality_settings import QUALITY_SETTINGS, ErrorUnit, Requirement
 from renderer.settings import to_json
+from rhi_screen.executors import as_completed
 
 _VERSION: Final = 4
 """Part of each job's hash. Raise it with any change of what is measured or stored."""
@@ -120,7 +121,7 @@ def run_jobs(
         futures[job] = executor.submit(SweepJob.run, job)
         if folder is not None:
             futures[job].add_done_callback(partial(_save_result, folder / f"{job.key}.json"))
-    for _ in progress(as_completed(futures.values()), len(left)):
+    for _ in progress(as_completed(executor, futures.values()), len(left)):
         pass
     samples_by_setting: dict[str, list[sweep.SettingSample]] = {}
     for job in jobs:

@@ -5,7 +5,16 @@ for row in examine(device, select_cases([])):
 """
 
 from renderer.lab.exam.case import Case, CaseImage, CaseResult
-from renderer.lab.exam.examination import ExamRow, examine
+from renderer.lab.exam.examination import ExamRow, examine, examine_elsewhere
 from renderer.lab.exam.table import CASES, select_cases
 
-__all__ = ["CASES", "Case", "CaseImage", "CaseResult", "ExamRow", "examine", "select_cases"]
+__all__ = [
+    "CASES",
+    "Case",
+    "CaseImage",
+    "CaseResult",
+    "ExamRow",
+    "examine",
+    "examine_elsewhere",
+    "select_cases",
+]

@@ -60,8 +60,15 @@ class Overlay:
         milliseconds: what it cost the CPU.
     """
 
-    def __init__(self, device: Device, *, scale: int = 1, font: Font | None = None) -> None:
-        """`scale` is the number of pixels of each texel of the text, in both directions."""
+    def __init__(
+        self, device: Device, *, scale: int = 1, font: Font | None = None, is_timed: bool = True
+    ) -> None:
+        """
+        Args:
+            scale: the number of pixels of each texel of the text, in both directions.
+            is_timed: whether to show times, and counters that depend on earlier frames. Without them the
+                overlay follows from the frame alone, as films need it.
+        """
         self._canvas = Canvas(device, font or Font.load())
         self._scale = scale
         self._frames, self._own = History(_FRAMES), History(_FRAMES)
@@ -73,8 +80,9 @@ class Overlay:
         self.milliseconds = 0.0
         self._memory = ("memory", "")
         self._memory_frames = 0  # until it is asked for again, which takes a microsecond a resource
+        self._is_timed = is_timed
         self._device, self._was_timing = device, device.timing
-        if device.capabilities.timestamps:
+        if is_timed and device.capabilities.timestamps:
             device.timing = True
 
     def render(self, device: Device, frame: Frame) -> None:
@@ -113,7 +121,8 @@ class Overlay:
         """Add the panel of times and counters; if it isn't small, with the graph and the timers."""
         canvas, scale = self._canvas, self._scale
         counters = {name: getattr(counted, name) - getattr(self._before, name) for name in _COUNTERS}
-        rows = _list_counters(frame, counters)
+        rows = _list_counters(frame, counters if self._is_timed else None)
+        is_small = is_small or not self._is_timed
         if not is_small:
             rows.append(self._list_memory(device))
         timers = [] if is_small else device.timers
@@ -125,7 +134,10 @@ class Overlay:
         outside = Rectangle(pad, pad, width + 2 * pad, height + 2 * pad)
         canvas.rects([outside], PANEL)
         inside = outside.inset(pad)
-        canvas.text(inside.x, inside.y, self._describe_times(), TEXT, scale)
+        title = (
+            self._describe_times() if self._is_timed else f"frame at {frame.resources.scene.seconds:.3f} s"
+        )
+        canvas.text(inside.x, inside.y, title, TEXT, scale)
         y = inside.y + line
         if not is_small:
             graph = Rectangle(inside.x, y, width, _GRAPH * scale)
@@ -183,27 +195,30 @@ def name_algorithm(algorithm: VisibilityAlgorithm) -> str:
     return type(algorithm).__name__
 
 
-def _list_counters(frame: Frame, counters: dict[str, int]) -> list[tuple[str, str]]:
-    """Return the names and values of the counters."""
-    rows = [
-        ("draw calls", f"{counters['draws']:,}"),
-        (
-            "states set / sent",
-            f"{counters['software_state_changes']:,} / {counters['hardware_state_changes']:,}",
-        ),
-        ("uploaded", f"{counters['upload_bytes'] / 1024:,.1f} KiB"),
-        ("resources made", f"{counters['creations']:,}"),
-    ]
+def _list_counters(frame: Frame, counters: dict[str, int] | None) -> list[tuple[str, str]]:
+    """Return the names and values of the counters; without `counters` those that follow from the frame."""
+    rows: list[tuple[str, str]] = []
     culling = frame.statistics
+    if culling is not None and frame.draw_result.is_on_cpu:
+        rows += [
+            ("objects drawn", f"{len(frame.draw_result.object_indices):,} of {culling.objects:,}"),
+            ("triangles", f"{frame.draw_result.triangles:,}"),
+        ]
+    if counters is not None:
+        rows += [
+            ("draw calls", f"{counters['draws']:,}"),
+            (
+                "states set / sent",
+                f"{counters['software_state_changes']:,} / {counters['hardware_state_changes']:,}",
+            ),
+            ("uploaded", f"{counters['upload_bytes'] / 1024:,.1f} KiB"),
+            ("resources made", f"{counters['creations']:,}"),
+        ]
     if culling is not None:
-        if frame.draw_result.is_on_cpu:
-            rows.insert(0, ("triangles", f"{frame.draw_result.triangles:,}"))
-            rows.insert(
-                0, ("objects drawn", f"{len(frame.draw_result.object_indices):,} of {culling.objects:,}")
-            )
         rows += [
             ("nodes tested", f"{culling.nodes_tested:,}"),
             ("queries", f"{culling.queries:,} of {culling.boxes:,} boxes"),
-            ("stalled", f"{culling.stalled_milliseconds:.2f} ms"),
         ]
+        if counters is not None:
+            rows.append(("stalled", f"{culling.stalled_milliseconds:.2f} ms"))
     return rows

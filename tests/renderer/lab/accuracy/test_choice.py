@@ -22,7 +22,6 @@ from nightly_reasons import CHEAPER_TEST
 import rhi
 from renderer.cli import main
 from renderer.cli.accuracy import describe_left_out
-from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
 from renderer.lab.accuracy import (
     ParetoPoint,
@@ -48,6 +47,7 @@ from renderer.scene import PathFrame
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
+from rhi_screen.executors import SerialExecutor, make_executor
 from tests.renderer.conftest import open_device
 
 SETUP = SweepSetup("city:blocks=2,shadows=1", backend="gl", size=(48, 28), views=2, rounds=2)

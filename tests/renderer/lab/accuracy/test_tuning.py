@@ -20,11 +20,10 @@ from PIL import Image
 
 import rhi
 from renderer.cli import main
-from renderer.cli.executors import make_executor
-from renderer.cli.output import OutputError
 from renderer.content import load_scene
 from renderer.lab.accuracy.tuning import ParameterPair, PathFrames, Trial, search, select_best, try_pairs
 from renderer.visibility import VisibilitySettings
+from rhi_screen.executors import make_executor
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
 
@@ -176,7 +175,7 @@ class Counter(Executor):
 @pytest.mark.usefixtures("gl")
 def test_any_executor_runs_the_trials(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counter = Counter()
-    monkeypatch.setattr("renderer.cli.executors.SerialExecutor", lambda: counter)
+    monkeypatch.setattr("rhi_screen.executors.SerialExecutor", lambda: counter)
     assert main([*COMMAND, "--rounds", "1"]) == 0
     assert counter.ran == [try_pairs] * 5  # four, and those that decide against each other
 
@@ -219,8 +218,8 @@ def test_without_dask_its_executor_says_what_to_install(monkeypatch: pytest.Monk
     def missing(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr("renderer.cli.executors.import_module", missing)
-    with pytest.raises(OutputError, match=r"rhi\[dask\]"), make_executor("dask:tcp://nowhere:1"):
+    monkeypatch.setattr("rhi_screen.executors.import_module", missing)
+    with pytest.raises(rhi.DeviceError, match=r"rhi\[dask\]"), make_executor("dask:tcp://nowhere:1"):
         pass
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from renderer.cli import executors
-from renderer.cli.executors import list_cpus, make_executor, partition_cpus
-from renderer.cli.output import OutputError
+from rhi.errors import DeviceError, ValidationError
+from rhi_screen import executors
+from rhi_screen.executors import list_cpus, make_executor, partition_cpus
 
 VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "LP_NUM_THREADS")
 
@@ -61,7 +61,7 @@ def test_each_process_has_cpus_and_threads_of_its_own(monkeypatch: pytest.Monkey
 
 def test_a_process_that_is_ended_is_an_error_of_one_line() -> None:
     with (
-        pytest.raises(OutputError, match="a process of processes:1 was ended"),
+        pytest.raises(DeviceError, match="a process of processes:1 was ended"),
         make_executor("processes:1") as pool,
     ):
         assert pool.submit(abs, -1).result() == 1
@@ -70,5 +70,5 @@ def test_a_process_that_is_ended_is_an_error_of_one_line() -> None:
 
 def test_an_executor_of_an_unknown_kind_is_refused() -> None:
     for text in ("process", "processes:0", "threads:x", "dask", "serial:2"):
-        with pytest.raises(OutputError, match="is none of serial, processes"), make_executor(text):
+        with pytest.raises(ValidationError, match="is none of serial, processes"), make_executor(text):
             pass
