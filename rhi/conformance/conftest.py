@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import pytest
 
 import rhi
-from rhi.conformance.plugin import FAILED, PROPERTY
+from rhi.conformance.plugin import FAILED, PROPERTY, has_threads
 from rhi.conformance.shapes import rectangle
 from rhi_pytest import get_backend_names
 
@@ -140,7 +140,10 @@ def fresh_device(backend: str) -> Iterator[rhi.Device]:
 
 @pytest.fixture(autouse=True)
 def capable(request: pytest.FixtureRequest) -> None:
-    """Skip a test marked `requires` if the backend declares the capability missing, or the limit 0."""
+    """Skip a test marked `requires` if the backend declares the capability missing, or the limit 0; and one marked
+    `threads` where Python has none."""
+    if request.node.get_closest_marker("threads") and not has_threads():
+        pytest.skip("Python can't start threads here")
     required = [capability for marker in request.node.iter_markers("requires") for capability in marker.args]
     if not required or "backend" not in request.fixturenames:
         return

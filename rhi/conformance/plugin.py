@@ -12,6 +12,7 @@ option if a conftest below `--pyargs` defined it.
 from __future__ import annotations
 
 import gc
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Generator
 from typing import Any, Final
@@ -38,9 +39,16 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers", "requires(*capabilities): skipped where the device declares one missing"
     )
+    config.addinivalue_line("markers", "threads: starts threads; skipped where Python can't")
     config.addinivalue_line(
         "markers", "recorded_too: runs without and with a recorder in front of the backend"
     )
+
+
+def has_threads() -> bool:
+    """Return whether Python can start threads here; in a browser, in Pyodide, it can't."""
+    emscripten = getattr(sys, "_emscripten_info", None)
+    return emscripten is None or bool(emscripten.pthreads)
 
 
 @pytest.fixture(scope="module")

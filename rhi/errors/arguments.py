@@ -203,7 +203,7 @@ def to_integer(value: Any) -> int | None:
     """Return a whole number as an int, None for anything else; a bool is none."""
     if value.__class__ is int:
         return value
-    if isinstance(value, bool) or is_masked(value):
+    if isinstance(value, bool | np.bool_) or is_masked(value):  # NumPy 1 takes its own bools as integers
         return None
     try:
         return index(value)

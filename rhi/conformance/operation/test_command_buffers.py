@@ -171,6 +171,7 @@ def test_samples_can_be_resolved(device: rhi.Device) -> None:
         assert_same(target.read(), 102)
 
 
+@pytest.mark.threads
 def test_buffers_can_be_recorded_on_several_threads(device: rhi.Device) -> None:
     buffers: dict[int, rhi.CommandBuffer] = {}
     with device.texture(SIZE, rhi.Format.R8, levels=None) as image:
@@ -430,6 +431,7 @@ def test_many_draws_and_indirect_draws_can_be_recorded(device: rhi.Device, image
             assert_same(image.read(), np.isin(np.arange(8), (1, 3, column))[None] * 255)
 
 
+@pytest.mark.threads
 @pixels
 def test_threads_record_draws_of_the_same_mesh_and_program(device: rhi.Device) -> None:
     buffers: dict[int, rhi.CommandBuffer] = {}

@@ -88,6 +88,7 @@ def test_a_resource_that_is_destroyed_and_then_dropped_is_destroyed_once(
     assert destroyed(recording, since) == created(recording, since)
 
 
+@pytest.mark.threads
 def test_another_thread_may_drop_a_resource(recording: Device, since: int) -> None:
     resources = [recording.texture((4, 4), Format.RGBA8)]
     thread = threading.Thread(target=resources.clear)

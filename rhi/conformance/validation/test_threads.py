@@ -21,6 +21,7 @@ T = TypeVar("T")
 Elsewhere: TypeAlias = Callable[[Callable[[], T]], T]
 
 SIZE = (4, 4)
+pytestmark = pytest.mark.threads
 
 
 @pytest.fixture

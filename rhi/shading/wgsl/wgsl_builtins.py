@@ -51,6 +51,9 @@ TEXTURE_CALLS: Final = {
 """Calls with a texture: `{texture_and_sampler}` stands for both names, `{at}` for the coordinates, a layer
 included. Levels of detail are bounded, since llvmpipe takes the first level for numbers beyond 2³¹."""
 
+DERIVING_CALLS: Final = ("sample", "sample_bias", "sample_compare")
+"""The calls whose level of detail depends on differences between neighbouring fragments."""
+
 OUTSIDE_FRAGMENTS: Final = {
     "sample": "textureSampleLevel({texture_and_sampler}, {at}, 0.0)",
     "sample_compare": "textureSampleCompareLevel({texture_and_sampler}, {at}, {2})",
@@ -71,6 +74,20 @@ INPUTS: Final = {
     "group_count": ("vec3<i32>", "vec3<u32>", "num_workgroups", "vec3<i32>({0})"),
 }
 """Inputs of stages: the type of the built-in, WGSL's type and name of it, and the conversion."""
+
+GROUP_INPUTS: Final = ("group_id", "group_count")
+"""Inputs that a work-group shares. Functions take them as parameters: WGSL takes what a private variable holds to
+differ within a work-group."""
+
+AGREEMENT: Final = """\
+var<workgroup> rhi_agreed: i32;
+fn rhi_agree_i32(x: i32) -> i32 {
+    if (rhi_local_index == 0) { rhi_agreed = x; }
+    return workgroupUniformLoad(&rhi_agreed);
+}
+fn rhi_agree_bool(x: bool) -> bool { return rhi_agree_i32(select(0, 1, x)) != 0; }"""
+"""Functions that return what the first invocation of a work-group passes: it is the same for all, but WGSL doesn't
+know that."""
 
 EXTENSIONS: Final = ("draw_index", "primitive_index")
 """Inputs that must be enabled; devices need a feature of this name for them."""

@@ -25,7 +25,7 @@ from rhi.shading.language.types import VOID, ImageType, StorageType, TextureType
 from rhi.shading.text.names import Names
 from rhi.shading.text.stage_names import name_bindings, name_structs
 from rhi.shading.text.text_writer import constant_key, output_type
-from rhi.shading.wgsl.wgsl_builtins import EXTENSIONS, INPUTS
+from rhi.shading.wgsl.wgsl_builtins import DERIVING_CALLS, EXTENSIONS, GROUP_INPUTS, INPUTS
 from rhi.shading.wgsl.wgsl_memory import UNIFORM
 from rhi.shading.wgsl.wgsl_names import RESERVED, texel_format
 from rhi.shading.wgsl.wgsl_writer import SHAPES, WgslWriter, sampler_type
@@ -59,6 +59,10 @@ _ALPHA_TEST: Final = "\n".join(
         "}",
     ]
 )
+_ANY_FLOW: Final = "diagnostic(off, derivative_uniformity);"
+"""Without it, compilers refuse differences and texture samples under conditions that may vary. As in GLSL, they are
+allowed there, and undefined if a neighbouring fragment takes another path."""
+_DIFFERENCES: Final = ("ddx", "ddy", "fwidth")
 _ROLES: Final = {Role.FLAT: " @interpolate(flat)", Role.NO_PERSPECTIVE: " @interpolate(linear)"}
 _DECLARATION: Final = re.compile(
     r"^@group\((\d)\) @binding\((\d+)\) var(?:<storage, (\w+)>)?([^;]*);", re.MULTILINE
@@ -85,6 +89,18 @@ def read_declarations(text: str) -> dict[tuple[int, int], str]:
     return declarations
 
 
+def _needs_derivatives(stage: tree.StageTree) -> bool:
+    """Return whether a stage computes differences between neighbouring fragments, or samples at their level."""
+    return any(row.name in _DIFFERENCES for row in stage.builtins) or any(
+        isinstance(node, tree.BuiltinCall)
+        and bool(node.arguments)
+        and isinstance(node.arguments[0].type, TextureType)
+        and node.builtin.name in DERIVING_CALLS
+        for function in stage.functions
+        for node in tree.walk(function.body)
+    )
+
+
 class _WgslStageWriter:
     def __init__(self, stage: tree.StageTree, interface: Interface) -> None:
         self.stage = stage
@@ -106,10 +122,14 @@ class _WgslStageWriter:
         bindings = [self._binding(declaration) for declaration in stage.bindings]
         for function in stage.functions:
             writer.function(function)
+        if "rhi_agree" in writer.helpers and "local_index" not in self.inputs:
+            self.inputs = sorted([*self.inputs, "local_index"])
         add = self.lines.add
         for name in self.inputs:
             if name in EXTENSIONS:
                 add(f"enable {name};")
+        if stage.stage is Stage.FRAGMENT and _needs_derivatives(stage):
+            add(_ANY_FLOW)
         add(f"// {self.interface.name}, {stage.stage.value} stage")
         for struct in stage.structs:
             with self.lines.braces(f"struct {writer.type(struct)}"):
@@ -126,7 +146,8 @@ class _WgslStageWriter:
             name, type = writer.expression(constant), writer.type(constant.type)
             add(f"const {name} = {type}({', '.join(map(writer.expression, constant.elements))});")
         for name in self.inputs:
-            add(f"var<private> rhi_{name}: {INPUTS[name][0]};")
+            if name not in GROUP_INPUTS:
+                add(f"var<private> rhi_{name}: {INPUTS[name][0]};")
         for text in writer.helpers.values():
             add(text)
         self.lines.text += writer.lines.text
@@ -178,7 +199,8 @@ class _WgslStageWriter:
             _, passed, builtin, conversion = INPUTS[name]
             parameter = self.main_names.get_legal(("built-in", name), f"in_{name}")
             parameters.append(f"@builtin({builtin}) {parameter}: {passed}")
-            starts.append(f"rhi_{name} = {conversion.format(parameter)};")
+            start = "let " if name in GROUP_INPUTS else ""
+            starts.append(f"{start}rhi_{name} = {conversion.format(parameter)};")
         arguments = self._arguments(parameters)
         outputs = self._outputs()
         tested = self._alpha_tested_output()
@@ -198,6 +220,7 @@ class _WgslStageWriter:
         with lines.braces(f"{head} fn main({', '.join(parameters)}){' -> RhiOutputs' if outputs else ''}"):
             for start in starts:
                 lines.add(start)
+            arguments += [f"rhi_{name}" for name in self.writer.group_inputs[entry]]
             call = f"{self.names.get(entry, entry.name)}({', '.join(arguments)})"
             if entry.result == VOID:
                 lines.add(f"{call};")

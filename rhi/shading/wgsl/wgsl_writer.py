@@ -29,14 +29,17 @@ from rhi.shading.language.types import VOID, ImageType, StorageType, TextureType
 from rhi.shading.text.names import Names
 from rhi.shading.text.text_writer import TextWriter, int_text, is_constant, is_nonzero, unknown_indices
 from rhi.shading.wgsl.wgsl_builtins import (
+    AGREEMENT,
     BARRIER,
     CONVERSIONS,
+    GROUP_INPUTS,
     INPUTS,
     INVERSES,
     OUTSIDE_FRAGMENTS,
     TEXTURE_CALLS,
 )
 from rhi.shading.wgsl.wgsl_memory import UNIFORM, MemoryTypes
+from rhi.shading.wgsl.wgsl_uniformity import list_agreed_conditions
 
 SCALARS: Final = {layout.FLOAT: "f32", layout.INT: "i32", layout.UINT: "u32", layout.BOOL: "bool"}
 SHAPES: Final = {
@@ -67,6 +70,9 @@ class WgslWriter(TextWriter):
             if isinstance(node, tree.BuiltinCall) and node.builtin.name.startswith("atomic_")
         }
         self.function_result: Type = VOID  # of the function that is being written
+        is_compute = stage.stage is Stage.COMPUTE
+        self.agreed = list_agreed_conditions(stage) if is_compute else set()
+        self.group_inputs = _list_group_inputs(stage)
         self.discarding = _discarding_functions(stage)
         self.loops_discard = any(
             self.discards(node)
@@ -201,6 +207,23 @@ class WgslWriter(TextWriter):
     # -- expressions
 
     def expression(self, node: Expression) -> str:
+        text = self._expression(node)
+        return self.agree(node, text) if node in self.agreed else text
+
+    def agree(self, node: Expression, text: str) -> str:
+        """Return a condition or loop bound as a value that WGSL knows to be the same in the whole work-group."""
+        self.helpers["rhi_agree"] = AGREEMENT
+        return f"rhi_agree_{self.type(node.type)}({text})"
+
+    def hoist_bound(self, node: tree.For, value: Expression, what: str) -> str:
+        text = super().hoist_bound(node, value, what)
+        if value not in self.agreed or not text.startswith("rhi_agree"):
+            return text
+        name = self.names.get((node, what), f"{node.local.name}_{what}")
+        self.line(f"let {name} = {text};", node.span)
+        return name
+
+    def _expression(self, node: Expression) -> str:
         match node:
             case tree.Member() | tree.Index() | tree.Swizzle() | tree.BindingRead():
                 declaration = _declaration_of(node)
@@ -225,7 +248,8 @@ class WgslWriter(TextWriter):
             case tree.Unary(operator=Operator.NEGATE, operand=operand) if _is_constant_expression(operand):
                 return f"(-{self.variable_value(operand, self.expression(operand))})"
             case tree.Call(function=function, arguments=arguments):
-                return f"{self.globals.get(function, function.name)}({', '.join(self.sequence(arguments))})"
+                texts = [*self.sequence(arguments), *(f"rhi_{name}" for name in self.group_inputs[function])]
+                return f"{self.globals.get(function, function.name)}({', '.join(texts)})"
         return super().expression(node)
 
     def path(self, node: Expression) -> str:
@@ -290,6 +314,8 @@ class WgslWriter(TextWriter):
     def operation(self, node: tree.Binary, left: str) -> str:
         if self.needs_statements(node.right):
             if node.operator in _CHOICES:
+                if node.left in self.agreed and isinstance(node.left, tree.Binary):  # a link of a chain
+                    left = self.agree(node.left, left)
                 name = self.hoist(node, left, "first")
                 both = node.operator is Operator.AND
                 selected = self.names.get((node, "selected"), "selected")
@@ -353,7 +379,7 @@ class WgslWriter(TextWriter):
         bits = name.replace("f32", "u32")
         zeros = (
             f"bitcast<{name}>((bitcast<{bits}>(y) & {bits}(0x80000000u)) | "
-            f"(bitcast<{bits}>(x) >> {bits}(31u)) * 0x40490FDBu)"
+            f"((bitcast<{bits}>(x) >> {bits}(31u)) * 0x40490FDBu))"
         )
         body = f"return select(atan2(y, x), {zeros}, (x == {name}()) & (y == {name}()));"
         return f"{self.helper('rhi_atan2', name, 'y x', body)}({', '.join(texts)})"
@@ -657,6 +683,7 @@ class WgslWriter(TextWriter):
                 parts += [f"{texture}: {self.type(local.type)}", f"{sampler}: {sampler_type(local.type)}"]
             else:
                 parts.append(f"{self._parameter_name(local)}: {self.type(local.type)}")
+        parts += [f"rhi_{name}: {INPUTS[name][0]}" for name in self.group_inputs[node]]
         result = "" if isinstance(node.result, VoidType) else f" -> {self.type(node.result)}"
         return f"fn {self.globals.get(node, node.name)}({', '.join(parts)}){result}"
 
@@ -711,6 +738,20 @@ def _discarding_functions(stage: tree.StageTree) -> set[tree.Function]:
             if isinstance(node, tree.Discard) or (isinstance(node, tree.Call) and node.function in functions):
                 functions.add(function)
     return functions
+
+
+def _list_group_inputs(stage: tree.StageTree) -> dict[tree.Function, list[str]]:
+    """Return the inputs that a work-group shares and each function needs, itself or for a call."""
+    inputs: dict[tree.Function, list[str]] = {}
+    for function in stage.functions:  # callees come first
+        names = {name for name in GROUP_INPUTS for native in function.native.values() if name in native.body}
+        for node in tree.walk(function.body):
+            if isinstance(node, tree.BuiltinCall) and node.builtin.name in GROUP_INPUTS:
+                names.add(node.builtin.name)
+            elif isinstance(node, tree.Call):
+                names.update(inputs[node.function])
+        inputs[function] = sorted(names)
+    return inputs
 
 
 def _is_variable(local: tree.Local) -> bool:

@@ -3,15 +3,11 @@ adds."""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import struct
 import subprocess
 
 import pytest
 
-import renderer
-import rhi.conformance
 import rhi.shading as sl
 from rhi import Format
 from rhi.contract.descriptors import Stage, StageText
@@ -211,43 +207,6 @@ def test_without_glslang_spirv_is_refused_and_the_text_is_not(monkeypatch):
         sl.compile_shader(Fresh).emit("spirv", Stage.VERTEX)
     assert "rhi[spirv]" in error.value.tip
     assert sl.compile_shader(Fresh).emit("vulkan", Stage.VERTEX).binary == b""
-
-
-def all_shaders():
-    for package in (renderer, rhi.conformance):
-        for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            if not module.name.endswith(("__main__", "conftest")):
-                importlib.import_module(module.name)
-    shaders, queue = [], [sl.Shader]
-    while queue:
-        for shader in queue.pop().__subclasses__():
-            queue.append(shader)
-            if shader.__module__.startswith(("renderer", "rhi.")):
-                shaders.append(shader)
-    return shaders
-
-
-def stages_of_all():
-    for shader in all_shaders():
-        try:
-            descriptor = sl.compile_shader(shader)
-        except ShaderError:
-            continue  # a base without stages, or a shader that a test has refused
-        for stage in descriptor.stages:
-            yield shader, descriptor, stage
-
-
-@pytest.mark.nightly
-@needs_glslang
-def test_every_stage_of_the_renderer_and_the_kit_is_valid_spirv(tmp_path):
-    checked = 0
-    for shader, descriptor, stage in stages_of_all():
-        try:
-            check(descriptor.emit("spirv", stage).binary, tmp_path / "stage.spv")
-        except (ShaderError, AssertionError) as error:
-            pytest.fail(f"{shader.__module__}.{shader.__qualname__}, {stage}: {error}")
-        checked += 1
-    assert checked > 150
 
 
 # -- languages of ports
