@@ -27,4 +27,4 @@ def select_lights_in_view(planes: Floats, positions: Floats, ranges: Floats) -> 
     reach = ranges + _MARGIN * (np.add.reduce(np.abs(positions), axis=1) + ranges)
     distance = positions @ planes[:, :3].T
     distance += offsets + _MARGIN * np.abs(offsets)
-    return np.logical_and.reduce(distance >= -reach[:, None], axis=1).nonzero()[0]
+    return np.asarray(np.logical_and.reduce(distance >= -reach[:, None], axis=1).nonzero()[0])

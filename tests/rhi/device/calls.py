@@ -21,6 +21,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -295,6 +296,7 @@ KINDS: Final[dict[str, tuple[Any, Takes]]] = {
     "int": (1, natural),
     "float": (0.5, number()),
     "str": ("name", text),
+    "Path": (Path("capture"), instance(Path)),
     "None": (None, lambda harness, value: value is None),
     **dict.fromkeys(("NDArray", "ArrayLike"), (np.arange(6, dtype="u2"), array("i8"))),
     "Sequence": ((), empty),
