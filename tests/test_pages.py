@@ -39,7 +39,7 @@ def test_a_whole_name_wins_over_the_beginning_of_others() -> None:
 @pytest.mark.parametrize(
     ("topic", "hint"), [("tracs", "traces"), ("back", "backends-gl"), ("../README", "lists"), ("", "lists")]
 )
-def test_what_is_no_page_is_one_line(topic: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_page_is_one_line(topic: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["docs", topic]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""

@@ -14,6 +14,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.errors.device_objects import DeviceObject
+
 TOO_LARGE: Final = 3.4028235677973366e38
 """Smallest magnitude that rounds to infinity in a 32-bit float."""
 _REAL_KINDS: Final = "fiub"
@@ -25,11 +27,14 @@ def to_array(value: Any) -> NDArray[Any]:
     """Return an array-like as an array, of any dtype.
 
     Raises:
-        TypeError, ValueError: it has a mask, no order or no shape.
+        TypeError, ValueError: it has a mask, no order or no shape; or it is a buffer or a texture, which would
+            be read here without the user's knowledge.
     """
     if value.__class__ is np.ndarray:
         array: NDArray[Any] = value
         return array
+    if isinstance(value, DeviceObject):
+        raise TypeError(f"a {type(value).__name__}: read() returns its contents, copy_to copies on the device")
     check_order(value)
     try:
         array = np.asarray(value)

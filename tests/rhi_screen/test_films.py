@@ -269,7 +269,7 @@ def test_frames_that_end_each_process_are_named_and_all_others_are_drawn(tmp_pat
 
 
 @pytest.mark.nightly
-def test_a_film_whose_frames_all_end_processes_is_given_up(tmp_path: Path) -> None:
+def test_a_film_whose_frames_all_end_processes_is_abandoned(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="film-killed"):
         film(partial(paint_or_die, fatal=tuple(range(100))), range(100), "processes:1", tmp_path / "%d.png")
     assert MAX_DEATHS**2 < 100
@@ -292,7 +292,7 @@ def test_any_executor_draws_films() -> None:
     assert film(Painter(), range(3), Own()).sources == ("a painter",)
 
 
-def test_what_cant_be_pickled_is_refused_for_processes() -> None:
+def test_functions_that_cant_be_pickled_are_refused_for_processes() -> None:
     lock = (frame for frame in range(3))
     with pytest.raises(ValidationError) as error:
         film(partial(map, lock), range(3), "processes:1")  # type: ignore[arg-type]
@@ -368,7 +368,7 @@ def test_a_bar_shows_the_progress_and_the_time_left(
         ("distributed", "dask", lambda folder: film(paint, range(2), "dask:tcp://nowhere:1")),
     ],
 )
-def test_what_is_missing_is_named_with_what_to_install(
+def test_missing_libraries_are_named_with_what_to_install(
     without: Callable[[str], None],
     tmp_path: Path,
     module: str,

@@ -447,7 +447,7 @@ def test_two_windows_show_the_images_of_their_own_devices(windows: Check, backen
 
 
 @pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
-def test_two_windows_show_what_their_one_device_draws(windows: Check, backend: str) -> None:
+def test_two_windows_show_the_images_of_their_one_device(windows: Check, backend: str) -> None:
     if not backend_works(backend):
         pytest.skip(f"no device of {backend} here")
     windows(check_two, backend, True)

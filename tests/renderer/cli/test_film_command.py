@@ -61,7 +61,7 @@ def test_images_are_written_and_reported(here: Path, capsys: pytest.CaptureFixtu
         assert len(image.getcolors(2000) or ()) > 20
 
 
-def test_the_same_command_draws_only_what_is_missing(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_same_command_draws_only_missing_frames(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ("--frames", "0:5", "--backend", "gl", "--output", "%d.png")
     run(*command)
     complete = {path.name: path.read_bytes() for path in here.iterdir()}

@@ -169,7 +169,7 @@ def test_layers_of_an_author_are_drawn_over_each_frame() -> None:
         assert np.array_equal(image[4:], other[4:])
 
 
-def test_what_measures_times_is_fixed() -> None:
+def test_algorithms_that_measure_times_are_replaced_by_fixed_ones() -> None:
     settings = make_repeatable(RenderSettings())
     assert (settings.technique.name, settings.algorithm, settings.animation_lag) == (
         "forward",
@@ -189,7 +189,7 @@ def test_frames_beyond_the_path_are_refused_before_anything_is_drawn(tmp_path: P
         film(scene, next(iter(scene.views.values())), backend="null")
 
 
-def test_a_camera_that_stays_shows_what_moves() -> None:
+def test_a_camera_that_stays_shows_moving_objects() -> None:
     scene = load_scene(SMALL)
     camera = Camera.look_at(
         (0.0, 2.0, 6.0), (0.0, 2.0, 0.0), projection=next(iter(scene.views.values())).projection

@@ -163,7 +163,7 @@ def test_another_device_is_refused(device: Device) -> None:
 
 
 @pytest.mark.parametrize("use", [np.asarray, np.from_dlpack])
-def test_what_is_destroyed_is_refused(device: Device, use: Any) -> None:
+def test_destroyed_objects_are_refused(device: Device, use: Any) -> None:
     resources = [
         device.buffer(np.zeros(4, np.float32)),
         device.storage(float, 4),

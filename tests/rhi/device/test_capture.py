@@ -144,6 +144,6 @@ def test_without_renderdoc_the_block_runs_and_a_warning_says_so(
 
 
 @pytest.mark.parametrize("path", [3, b"out", ["out"]])
-def test_what_is_no_path_is_refused(null_device: Device, path: Any) -> None:
+def test_an_argument_other_than_a_path_is_refused(null_device: Device, path: Any) -> None:
     with pytest.raises(rhi.ValidationError, match="device-argument"):
         null_device.capture(path)

@@ -137,7 +137,7 @@ def test_each_command_of_null_may_lose_the_device() -> None:
     assert lost > commands
 
 
-def test_a_device_that_is_lost_each_time_is_given_up() -> None:
+def test_a_device_that_is_lost_each_time_isnt_created_for_ever() -> None:
     with pytest.raises(AssertionError, match="again and again"):
         run(lambda losses: rhi.create_device("null", faults=Faults(loss=5)), never)
 

@@ -48,7 +48,7 @@ def test_each_kind_and_label_has_its_bytes(device: Device) -> None:
     assert device.memory().peak == after.total
 
 
-def test_what_is_destroyed_counts_until_the_device_has_finished(null_device: Device) -> None:
+def test_destroyed_resources_count_until_the_device_has_finished(null_device: Device) -> None:
     buffer = null_device.buffer(1000, label="old")
     total = null_device.memory().total
     buffer.destroy()
@@ -106,7 +106,7 @@ def test_a_closed_device_is_refused(null_device: Device) -> None:
         max_size=30,
     )
 )
-def test_the_total_is_the_sum_of_what_lives(steps: list[tuple[str, int]]) -> None:
+def test_the_total_is_the_sum_of_living_resources(steps: list[tuple[str, int]]) -> None:
     with rhi.create_device("null") as device:
         living: list[tuple[rhi.Buffer | rhi.Texture, int]] = []
         peak = total = device.memory().total

@@ -455,7 +455,7 @@ def test_a_saved_module_is_exchanged_by_update(device: rhi.Device, shaders: Any,
 
 
 @pytest.mark.parametrize("watched_as_link", [False, True])
-def test_a_module_that_is_a_link_shows_what_it_leads_to(
+def test_a_module_that_is_a_link_shows_its_target(
     device: rhi.Device, shaders: Any, tmp_path: Path, watched_as_link: bool
 ) -> None:
     """A file that becomes a link, a link that leads elsewhere, and an edit behind a link are saves."""

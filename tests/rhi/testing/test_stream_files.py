@@ -39,7 +39,7 @@ def expected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("backend", ["null", "gl", "cl", "wgpu"])
-def test_backends_record_what_one_file_holds(expected: Path, backend: str) -> None:
+def test_one_file_holds_the_stream_of_every_backend(expected: Path, backend: str) -> None:
     if not backend_works(backend):
         pytest.skip(f"no device of {backend} here")
     with rhi.create_device(backend, record=True) as device:

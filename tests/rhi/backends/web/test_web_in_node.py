@@ -134,7 +134,7 @@ print(json.dumps([results, [bool(each) for each in awaited]]))
 """
 
 
-def test_without_jspi_reads_are_awaited_and_what_would_block_is_refused(tmp_path: Path) -> None:
+def test_without_jspi_reads_are_awaited_and_blocking_calls_are_refused(tmp_path: Path) -> None:
     results, awaited = last_line(run_program(_WAITS, tmp_path, jspi=False))  # type: ignore[misc]
     assert results == [DEVICE_WAIT.id] * 3 + [DEVICE_LOST.id] * 5
     assert awaited == [True] * 7

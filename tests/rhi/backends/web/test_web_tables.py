@@ -26,7 +26,7 @@ CORE = PROFILES["webgpu"]
 TARGET = GpuTextureUsage.RENDER_ATTACHMENT
 
 
-def test_outside_of_a_page_the_backend_is_refused_and_says_what_to_use() -> None:
+def test_outside_of_a_page_the_backend_is_refused_and_names_another() -> None:
     with pytest.raises(DeviceError, match=r"^\[device-driver\]") as caught:
         rhi.create_device("web")
     assert caught.value.given == f"Python on {sys.platform}"
@@ -70,7 +70,7 @@ def test_without_features_formats_have_the_uses_of_the_core_profile() -> None:
     ("feature", "format"),
     [("depth32float-stencil8", Format.D32FS8), ("rg11b10ufloat-renderable", Format.R11G11B10F)],
 )
-def test_features_add_what_they_promise(feature: str, format: Format) -> None:
+def test_features_add_their_capabilities(feature: str, format: Format) -> None:
     without, with_it = SpecifiedFormats(frozenset()), SpecifiedFormats(frozenset({feature}))
     for samples in (1, 4):
         assert not without.usage(format, TextureKind.D2, samples) & TARGET

@@ -152,7 +152,7 @@ def assert_same_as_python(device: rhi.Device, cases: list[Case], twice: bool = T
 
 @pytest.mark.nightly_cases("*-1", "*-2", "*-3", reason=FEWER_CASES)
 @pytest.mark.parametrize("seed", range(4))
-def test_literals_give_what_variables_give(running_device: rhi.Device, seed: int) -> None:
+def test_literals_and_variables_have_the_same_results(running_device: rhi.Device, seed: int) -> None:
     cases = [case for case in operations(rotate_seed(seed)) if not is_refused(case)]
     assert len(cases) > COUNT // 2
     assert_same_as_python(running_device, cases)

@@ -115,7 +115,7 @@ def with_stages(texts: dict[str, str]) -> dict[str, tuple[Stage, str]]:
 # -- two shaders that use much of the language
 
 
-def test_tint_accepts_what_the_language_writes_and_refuses_a_broken_text() -> None:
+def test_tint_accepts_texts_of_the_language_and_refuses_a_broken_text() -> None:
     texts = texts_of("wgsl", Drawn, Summed)
     assert len(texts) == 3
     broken = {name: text.replace("f32", "missing", 1) for name, text in texts.items()}
@@ -125,7 +125,7 @@ def test_tint_accepts_what_the_language_writes_and_refuses_a_broken_text() -> No
     assert "missing" in refused["broken Summed compute"]
 
 
-def test_glslang_accepts_what_the_language_writes_and_refuses_a_broken_text() -> None:
+def test_glslang_accepts_texts_of_the_language_and_refuses_a_broken_text() -> None:
     texts = texts_of("glsl", Drawn, Summed)
     broken = {f"broken {name}": text.replace("float", "missing", 1) for name, text in texts.items()}
     assert check_with_glslang(with_stages(texts)) == {}

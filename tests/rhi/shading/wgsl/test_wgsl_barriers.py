@@ -154,7 +154,7 @@ def wgpu() -> Any:
     *(f"*-{condition}" for condition in CONDITIONS if condition != "written"), reason=FEWER_CASES
 )
 @pytest.mark.parametrize(("structure", "condition"), CASES, ids=map("-".join, CASES))
-def test_agreed_conditions_compute_what_python_does(structure: str, condition: str, wgpu: Any) -> None:
+def test_agreed_conditions_compute_the_results_of_python(structure: str, condition: str, wgpu: Any) -> None:
     shader = write_shader(structure, condition)
     expected = sl.run_compute(shader, 2, **INPUTS)["out"]
     buffers = {name: data if name == "limits" else wgpu.storage(int, data) for name, data in INPUTS.items()}
