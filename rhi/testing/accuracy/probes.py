@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import linecache
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,7 +52,7 @@ SMALLEST: Final = 1e-12
 """Smallest magnitude of arguments for built-ins that are made from others: products of three smaller numbers,
 as in a determinant, underflow."""
 
-_ANCHORS: Final = np.array([0.5, 1, 2, np.e, 10, 100])
+_ANCHORS: Final = np.array([0.5, 1, 2, math.e, 10, 100])
 _HARD_FLOATS: Final = np.array(
     [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 3.0, 0.1, -0.7, 7.0, 100.25, -100.75, 1e-7, -1e-20, 1e20, 8388609.0,
      65504.0, 65520.0, 6e-8, 2.0**31, -(2.0**31), 1e-45, -1e-40, 1.17549435e-38,
