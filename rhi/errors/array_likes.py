@@ -34,7 +34,9 @@ def to_array(value: Any) -> NDArray[Any]:
         array: NDArray[Any] = value
         return array
     if isinstance(value, DeviceObject):
-        raise TypeError(f"a {type(value).__name__}: read() returns its contents, copy_to copies on the device")
+        raise TypeError(
+            f"a {type(value).__name__}: read() returns its contents, copy_to copies on the device"
+        )
     check_order(value)
     try:
         array = np.asarray(value)
