@@ -32,7 +32,8 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-_BACKENDS: Final = ("cl", "gl", "null", "wgpu")
+_KITS: Final = {"cl": "cl", "gl": "gl", "null": "null", "wgpu": "wgpu", "webgpu": "wgpu"}
+"""The backend on which the kit examines the modules of a folder of `rhi/backends`. `web` needs a page."""
 
 _MAX_USERS: Final = 8
 """Of the files of tests elsewhere that use a module, so many are run."""
@@ -76,7 +77,8 @@ def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
     own = folder.relative_to(root).as_posix()
     stages = [(*(each.relative_to(root).as_posix() for each in named), own)]
     if path.parts[0] == "rhi":
-        backends = [path.parts[2]] if path.parts[1] == "backends" and path.parts[2] in _BACKENDS else []
+        is_examined = path.parts[1] == "backends" and path.parts[2] in _KITS
+        backends = [_KITS[path.parts[2]]] if is_examined else []
         if not backends:
             backends = ["gl", "cl"] if path.parts[1] == "shading" else ["null", "gl"]
         stages += _list_wider(root, path, own)
@@ -182,8 +184,8 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
             paths |= dict.fromkeys(_list_test_importers(root, path))
         elif path.parts[0] in ("rhi", "rhi_pytest", "rhi_screen", "renderer"):
             paths |= dict.fromkeys(_choose_near_tests(root, path))
-            if path.parts[:2] == ("rhi", "backends") and path.parts[2] in _BACKENDS:
-                kits[path.parts[2]] = None
+            if path.parts[:2] == ("rhi", "backends") and path.parts[2] in _KITS:
+                kits[_KITS[path.parts[2]]] = None
             if path.parts[:2] == ("rhi", "shading"):
                 languages |= dict.fromkeys(_DEVICES_OF_LANGUAGES.get(path.parts[2], _DEVICES_OF_PARSER))
         elif (root / "tests" / path.parts[0]).is_dir():
