@@ -1,4 +1,4 @@
-"""What a process holds after many distinct programs, devices, reloads and frames with edits.
+"""The memory, descriptors and threads of a process after many programs, devices, reloads and edited frames.
 
 Each row runs in a process of its own, which counts its resident memory, file descriptors, threads and memory maps
 after a tenth of the repetitions, after half of them, and at the end. So a row that goes on growing shows a second
@@ -79,7 +79,7 @@ class Drawing:
 
 
 def repeat_programs(backend: str) -> Iterator[Callable[[int], None]]:
-    """Yield what is repeated: a program of a text that is new."""
+    """Yield a step that is repeated: a program of a text that is new."""
     drawing = Drawing(backend)
     with drawing.device:
 
@@ -93,7 +93,7 @@ def repeat_programs(backend: str) -> Iterator[Callable[[int], None]]:
 
 
 def repeat_devices(backend: str) -> Iterator[Callable[[int], None]]:
-    """Yield what is repeated: a device that is opened, draws and is closed."""
+    """Yield a step that is repeated: a device that is opened, draws and is closed."""
     shader = from_source(write_text(0), "Scaled")
 
     def repeat(number: int) -> None:
@@ -117,7 +117,7 @@ def _load_module(folder: Path) -> ModuleType:
 
 
 def repeat_reloads(backend: str) -> Iterator[Callable[[int], None]]:
-    """Yield what is repeated: an edit of a module of shaders, and a frame with its program."""
+    """Yield a step that is repeated: an edit of a module of shaders, and a frame with its program."""
     drawing = Drawing(backend)
     with drawing.device, tempfile.TemporaryDirectory() as folder, rhi.Reloader(drawing.device) as reloader:
         module = _load_module(Path(folder))
@@ -133,7 +133,7 @@ def repeat_reloads(backend: str) -> Iterator[Callable[[int], None]]:
 
 
 def repeat_frames(backend: str) -> Iterator[Callable[[int], None]]:
-    """Yield what is repeated: a frame in which all that it draws with is edited."""
+    """Yield a step that is repeated: a frame in which all that it draws with is edited."""
     drawing = Drawing(backend)
     device = drawing.device
     with device, tempfile.TemporaryDirectory() as folder:
@@ -171,7 +171,7 @@ ROWS: Final[dict[str, tuple[int, Callable[[str], Iterator[Callable[[int], None]]
 
 
 def count_here() -> dict[str, float]:
-    """Return what this process holds."""
+    """Return the resources of this process."""
     gc.collect()
     own = Path("/proc/self")
     return {
@@ -183,7 +183,7 @@ def count_here() -> dict[str, float]:
 
 
 def measure_here(backend: str, row: str, scale: float) -> dict[str, list[float]]:
-    """Return what this process holds after a tenth, half and all of the repetitions, by its name."""
+    """Return the resources of this process after a tenth, half and all of the repetitions, by name."""
     count, make = ROWS[row]
     count = max(10, round(count * scale))
     counts: dict[str, list[float]] = {}
@@ -197,7 +197,7 @@ def measure_here(backend: str, row: str, scale: float) -> dict[str, list[float]]
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
-    """Yield what processes hold, each row of a backend in a process of its own."""
+    """Yield the resources of processes, each row of a backend in a process of its own."""
     for row in arguments.only or ROWS:
         for backend in arguments.backend or ["null", "gl", "cl", "wgpu"]:
             with ProcessPoolExecutor(1, get_context("spawn")) as alone:

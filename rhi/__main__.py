@@ -141,7 +141,7 @@ def _docs(arguments: Sequence[str]) -> int:
             text = "\n".join(f"{topic:<24}{title}" for topic, title in topics.items())
         else:
             text = pages.read_page(options.topic)
-    except pages.PageError as error:
+    except pages.UnknownPageError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if options.browser:

@@ -82,7 +82,7 @@ class LostCallError(BrokenExecutor):
 
 
 @dataclass(eq=False, slots=True)
-class _Call:
+class _SubmittedCall:
     """A call that waits for a process, or runs in one."""
 
     future: Future[Any]
@@ -117,7 +117,7 @@ class WorkerProcesses(Executor):
         """Begin a process for each group of CPUs, when there is a call for it."""
         self._idle = [_Worker(cpus) for cpus in reversed(cpu_groups)]
         self._workers = tuple(self._idle)
-        self._waiting: deque[_Call] = deque()
+        self._waiting: deque[_SubmittedCall] = deque()
         self._unfinished: set[Future[Any]] = set()
         self._lock = RLock()
         self._is_closed = self._is_killed = False
@@ -131,7 +131,7 @@ class WorkerProcesses(Executor):
         with self._lock:
             if self._is_closed:
                 raise RuntimeError("cannot schedule new futures after shutdown")
-            self._waiting.append(_Call(future, partial(fn, *args, **kwargs)))
+            self._waiting.append(_SubmittedCall(future, partial(fn, *args, **kwargs)))
             self._unfinished.add(future)
         self._feed()
         return future
@@ -154,7 +154,7 @@ class WorkerProcesses(Executor):
                     inner = worker.submit(call.run)
             inner.add_done_callback(partial(self._finish, worker, call))
 
-    def _finish(self, worker: _Worker, call: _Call, inner: Future[Any]) -> None:
+    def _finish(self, worker: _Worker, call: _SubmittedCall, inner: Future[Any]) -> None:
         """Hand over the result of a call, or run it again if its process has ended."""
         error = inner.exception()
         has_died = isinstance(error, BrokenExecutor)
@@ -267,12 +267,12 @@ def get_client(executor: Executor) -> Any | None:
 
 
 def is_lost(error: BaseException) -> bool:
-    """Whether a call raised this because the processes that ran it have ended."""
+    """True if a call raised this because the processes that ran it have ended."""
     return isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"
 
 
 def count_workers(executor: Executor) -> int:
-    """Return how many calls an executor runs at a time, now."""
+    """Return the number of calls that an executor runs at a time, now."""
     if isinstance(executor, SerialExecutor):
         return 1
     if isinstance(executor, WorkerProcesses):

@@ -58,7 +58,9 @@ def find_interpreter(version: str) -> str | None:
             candidates.append(str(folder / "bin" / "python"))
     for candidate in filter(None, candidates):
         ask = "import sys; print('%d.%d' % sys.version_info[:2] + ('t' if 't' in sys.abiflags else ''))"
-        done = subprocess.run([candidate, "-c", ask], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [candidate, "-c", ask], capture_output=True, text=True, encoding="utf-8", check=False
+        )
         if done.stdout.strip() == version:  # a shim of pyenv may have no interpreter behind it
             return candidate
     return None
@@ -94,7 +96,9 @@ def make_environment(version: str, numpy: str) -> Path:
             "--disable-pip-version-check",
             "--only-binary=:all:",
         ]
-        installed = subprocess.run([*command, *requirements], capture_output=True, text=True, check=False)
+        installed = subprocess.run(
+            [*command, *requirements], capture_output=True, text=True, encoding="utf-8", check=False
+        )
         if installed.returncode:
             raise MissingError(
                 f"pip can't install {' '.join(requirements)}: {installed.stderr.strip()[-300:]}"

@@ -69,7 +69,7 @@ def test_the_package_contains_the_pages(tmp_path: Path) -> None:
 def test_an_installed_package_finds_its_own_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed, checkout = tmp_path / "documentation", ROOT / "docs"
     monkeypatch.setattr(pages, "_FOLDERS", (installed, tmp_path / "none"))
-    with pytest.raises(pages.PageError, match="aren't installed"):
+    with pytest.raises(pages.UnknownPageError, match="aren't installed"):
         pages.list_topics()
     installed.mkdir()
     for name in ("contents.md", "null.md"):

@@ -82,7 +82,7 @@ class Lights(AllLightArrays):
         return shorter
 
     def _has_faint_lights(self) -> bool:
-        """Whether any light is so faint that it may make no difference."""
+        """True if any light is so faint that it may make no difference."""
         return any(
             bool((_strongest_irradiance(self.of_kind(kind)) < LEAST_LIGHT).any()) for kind in LIGHT_KINDS
         )

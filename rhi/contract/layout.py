@@ -309,7 +309,7 @@ def repack(expected: np.dtype[Any], array: NDArray[Any]) -> NDArray[Any] | None:
 
 
 def _agrees(expected: np.dtype[Any], actual: np.dtype[Any]) -> bool:
-    """Whether two dtypes have the same names and types, at any depth; offsets may differ."""
+    """True if two dtypes have the same names and types, at any depth; offsets may differ."""
     base, shape = expected.subdtype or (expected, ())
     actual_base, actual_shape = actual.subdtype or (actual, ())
     if shape != actual_shape:

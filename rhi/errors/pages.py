@@ -20,7 +20,7 @@ _HTML: Final = """\
 """
 
 
-class PageError(LookupError):
+class UnknownPageError(LookupError):
     """There is no such page; the message says which there are."""
 
     def __str__(self) -> str:
@@ -43,7 +43,7 @@ def read_page(topic: str) -> str:
         topic: the name of its file, or the beginning of one that no other has.
 
     Raises:
-        PageError: there is no such page, or several.
+        UnknownPageError: there is no such page, or several.
     """
     topics = list_topics()
     topic = topic.removeprefix("docs/").removesuffix(".md").lower()
@@ -51,7 +51,7 @@ def read_page(topic: str) -> str:
     if len(matches) != 1:
         close = matches or get_close_matches(topic, topics, 3)
         hint = f"did you mean {', '.join(close)}? " if close else ""
-        raise PageError(f"there is no page {topic!r}; {hint}`python -m rhi docs` lists the topics")
+        raise UnknownPageError(f"there is no page {topic!r}; {hint}`python -m rhi docs` lists the topics")
     return (_folder() / f"{matches[0]}.md").read_text(encoding="utf-8")
 
 
@@ -67,4 +67,6 @@ def _folder() -> Path:
     for folder in _FOLDERS:
         if (folder / "contents.md").is_file():
             return folder
-    raise PageError("the pages aren't installed: install rhi from its wheel or its source distribution")
+    raise UnknownPageError(
+        "the pages aren't installed: install rhi from its wheel or its source distribution"
+    )

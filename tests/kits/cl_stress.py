@@ -54,7 +54,7 @@ _FACTORS: Final = 40
 
 @dataclass
 class Result:
-    """What the processes did.
+    """Counts of starts, ends and frames of the processes.
 
     Attributes:
         ends: how many processes ended with each status; those that were killed count as `killed`.

@@ -232,7 +232,7 @@ def _keep_backtraces(folder: Path, temporary: Path) -> str:
 
 
 def is_core(path: Path) -> bool:
-    """Whether a file is the core file of a process."""
+    """True if a file is the core file of a process."""
     try:
         with path.open("rb") as file:
             head = file.read(18)

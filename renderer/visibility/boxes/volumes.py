@@ -55,7 +55,7 @@ def _measure(planes: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floa
 
 
 def _is_outside(before: Floats, reach: Floats, margin: Floats) -> NDArray[np.bool_]:
-    """Whether each box (n,) that was measured lies outside of one of its planes."""
+    """A mask (n,) of the measured boxes that lie outside of one of their planes."""
     return np.asarray(np.logical_or.reduce(before + reach < -margin, axis=1))
 
 

@@ -356,7 +356,7 @@ class PageMappings:
         return self._latest
 
     def is_done(self, ticket: int) -> bool:
-        """Whether the buffer is mapped."""
+        """True if the buffer is mapped."""
         return bool(self._mappings[ticket].done)
 
     def end(self, ticket: int, buffer: GpuObject, offset: int, size: int) -> bytes:

@@ -124,7 +124,7 @@ class Mappings(Protocol):
         """Begin to map the first bytes of a buffer after all submitted work; return a ticket."""
 
     def is_done(self, ticket: int) -> bool:
-        """Whether the buffer is mapped."""
+        """True if the buffer is mapped."""
 
     def end(self, ticket: int, buffer: GpuObject, offset: int, size: int) -> bytes:
         """Return a range of a mapped buffer, and unmap it. Offset and size are multiples of 8 and 4."""
@@ -143,13 +143,13 @@ class FormatUses(Protocol):
         """Return all usages (`GpuTextureUsage`) of textures like this, 0 if they can't exist."""
 
     def blends(self, format: Format) -> bool:
-        """Whether draws can blend with a format; True for integers, which never blend."""
+        """True if draws can blend with a format, and for integers, which never blend."""
 
     def resolves(self, format: Format) -> bool:
-        """Whether four samples of a format can be resolved."""
+        """True if four samples of a format can be resolved."""
 
     def is_image(self, format: Format, access: str) -> bool:
-        """Whether images of a format allow this access (`GPUStorageTextureAccess`)."""
+        """True if images of a format allow this access (`GPUStorageTextureAccess`)."""
 
 
 class Implementation(Protocol):

@@ -43,15 +43,15 @@ class SpecifiedFormats:
         return int(usage | (GpuTextureUsage.STORAGE_BINDING if stored else 0))
 
     def blends(self, format: Format) -> bool:
-        """Whether draws can blend with a format; True for integers, which never blend."""
+        """True if draws can blend with a format, and for integers, which never blend."""
         return format not in self._unblendable
 
     def resolves(self, format: Format) -> bool:
-        """Whether four samples of a format can be resolved."""
+        """True if four samples of a format can be resolved."""
         return format not in webgpu_formats.UNRESOLVABLE
 
     def is_image(self, format: Format, access: str) -> bool:
-        """Whether images of a format allow this access."""
+        """True if images of a format allow this access."""
         absent = (
             webgpu_formats.UNLOADABLE if access == "read-write" else webgpu_formats.UNSTORABLE
         ) | self._unsupported

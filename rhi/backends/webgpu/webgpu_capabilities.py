@@ -40,7 +40,7 @@ _cached: Final[dict[object, Capabilities]] = {}
 
 
 def _is_target(formats: FormatUses, format: Format, samples: int) -> bool:
-    """Whether textures of a format and a number of samples can be targets."""
+    """True if textures of a format and a number of samples can be targets."""
     return bool(formats.usage(format, TextureKind.D2, samples) & GpuTextureUsage.RENDER_ATTACHMENT)
 
 

@@ -70,7 +70,7 @@ class TriedFormats:
         return self._usages[key]
 
     def blends(self, format: Format) -> bool:
-        """Whether draws can blend with a format; True for integers, which never blend."""
+        """True if draws can blend with a format, and for integers, which never blend."""
         return format.is_integer or format in _ALWAYS_BLEND or self._works(lambda: self._blend(format))
 
     def _blend(self, format: Format) -> None:
@@ -85,7 +85,7 @@ class TriedFormats:
         )
 
     def resolves(self, format: Format) -> bool:
-        """Whether four samples of a format can be resolved."""
+        """True if four samples of a format can be resolved."""
         always = format.kind in (ChannelKind.UNORM, ChannelKind.SRGB)
         return always or self._works(lambda: self._resolve(format))
 
@@ -109,7 +109,7 @@ class TriedFormats:
         self._device.queue.submit([encoder.finish()])  # wgpu-native keeps commands that aren't submitted
 
     def is_image(self, format: Format, access: str) -> bool:
-        """Whether images of a format allow this access."""
+        """True if images of a format allow this access."""
         if not self.usage(format, TextureKind.D2, 1) & GpuTextureUsage.STORAGE_BINDING:
             return False
         image = {"access": access, "format": FORMATS[format], "view_dimension": "2d"}

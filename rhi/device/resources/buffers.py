@@ -238,7 +238,7 @@ class Buffer(ArrayExchange, Resource):
         self.core.check_usable(self, call)
 
     def _fits(self, data: object, first: object) -> bool:
-        """Whether an array can be uploaded as it is. It is the usual case, in a quarter of the calls that
+        """True if an array can be uploaded as it is: the usual case, in a quarter of the calls that
         `_match` and `_range` take."""
         return (
             data.__class__ is np.ndarray

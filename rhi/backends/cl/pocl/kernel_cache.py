@@ -380,7 +380,7 @@ class KernelCache:
                 self._code_path(key).unlink()
 
     def is_recorded(self, key: str) -> bool:
-        """Whether a program that was looked up is still there. Once it is held, it stays."""
+        """True if a program that was looked up is still there. Once it is leased, it stays."""
         return self._folder is not None and (self._folder / _RECORDS / key).exists()
 
     def forget(self, key: str) -> None:
@@ -588,7 +588,7 @@ def _list_newest(folder: Path) -> list[Path]:
 
 
 def _contains(program: Path, name: bytes) -> bool:
-    """Whether a program in the driver's folder has a function of this name."""
+    """True if a program in the driver's folder has a function of this name."""
     try:
         return name in (program / _PROGRAM).read_bytes()
     except OSError:

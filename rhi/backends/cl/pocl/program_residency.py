@@ -167,7 +167,7 @@ class ProgramResidency:
 
     @property
     def is_crowded(self) -> bool:
-        """Whether the driver may look for machine code at any launch: it remembers that of so many kernels,
+        """True if the driver may look for machine code at any launch: it remembers that of so many kernels,
         whichever device they are of."""
         return COUNTER.kernels > _REMEMBERED
 

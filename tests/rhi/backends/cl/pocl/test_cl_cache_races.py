@@ -231,7 +231,7 @@ def _watch(original: Callable[..., Any], steps: Steps) -> Callable[..., Any]:
 def interleave(
     root: Path, monkeypatch: pytest.MonkeyPatch, action: Callable[[Process], None], number: int, filled: bool
 ) -> int:
-    """Let a process live, with the other's action before one of its steps; return how many steps it took.
+    """Run a process with the other's action before one of its steps; return the number of its steps.
 
     Afterwards the folder must be sound: a third process builds and launches, and the next finds the program.
     """
