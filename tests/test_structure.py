@@ -32,6 +32,12 @@ PROGRAMS = [
     for path in sorted((ROOT / folder).rglob("*.py*"))
     if path.suffix in (".py", ".pyi")
 ]
+MODULES_WITH_LOGGERS = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in PROGRAMS
+    if path.relative_to(ROOT).parts[0] in ("rhi", "rhi_screen", "renderer")
+    and "LOGGER: Final = logging.getLogger(" in path.read_text(encoding="utf-8")
+]
 TICKED = re.compile(r"`([^`\n]+)`")
 DOTTED = re.compile(r"(?:rhi_screen|rhi_pytest|rhi|renderer)(?:\.\w+)+")
 FILE = re.compile(
@@ -102,7 +108,8 @@ def test_every_dotted_path_in_back_ticks_resolves(folder: str) -> None:
     mentions = [
         (path, *mention) for path in paths for mention in list_mentions(path, DOTTED) if not path.match(MOVED)
     ]
-    importlib.import_module("rhi.backends.cl.builds")  # it makes the logger that the docs name
+    for module in MODULES_WITH_LOGGERS:  # pages name loggers, which exist once their module is imported
+        importlib.import_module(module)
     resolved = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
     assert [describe(*mention) for mention in mentions if not resolved[mention[2]]] == []
 
