@@ -18,7 +18,7 @@ import rhi
 from rhi.device import registry
 
 ROOT = Path(__file__).parents[1]
-BACKENDS = ["gl", "cl", "wgpu", "null"]
+BACKENDS = ["gl", "cl", "wgpu", "web", "null"]
 SHADERS = """
 import rhi.shading as sl
 

@@ -64,6 +64,8 @@ class ParticleVarying(sl.Struct):
 class ParticleShader(ViewRayShader):
     """Draws particles as soft sprites that face the eye."""
 
+    lean = True  # `rays` are for parallel projections alone
+
     view: sl.Uniform[ViewConstants]
     particles: sl.Storage[Particle]
     radius: sl.Uniform[float]
@@ -78,13 +80,11 @@ class ParticleShader(ViewRayShader):
         if sl.dot(along, along) < 1e-12:
             along = sl.vec3(0.0, 1e-6, 0.0)
         along = along / sl.length(along)
-        toward = -particle.centre
-        if self.has_parallel_rays:
-            toward = self.direction_to_eye(particle.centre)
+        toward = self.direction_to_eye(particle.centre)
         aside = sl.cross(toward, along)
         aside = aside / sl.max(sl.length(aside), 1e-6)
         offset = along * (self.radius * x) + particle.displacement * (0.5 * x) + aside * (self.radius * y)
-        offset += toward * (self.radius / sl.max(sl.length(toward), 1e-6))  # before the drop itself
+        offset += toward * self.radius  # before the drop itself
         return ParticleVarying(
             clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0),
             quad_position=sl.vec2(x, y),

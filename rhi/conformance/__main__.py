@@ -13,8 +13,10 @@ def main(arguments: list[str] | None = None) -> int:
         line = "error: pytest is missing; install it with: pip install pytest"
         print(line, file=sys.stderr)
         return 2
-    given = sys.argv[1:] if arguments is None else arguments
-    return int(pytest.main(["--pyargs", "rhi.conformance", *given]))
+    options = sys.argv[1:] if arguments is None else arguments
+    # `python -m` has imported rhi, so pytest can't rewrite its assertions; the kit's modules are still to come.
+    quiet = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
+    return int(pytest.main([*quiet, "--pyargs", "rhi.conformance", *options]))
 
 
 if __name__ == "__main__":

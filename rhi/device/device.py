@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Awaitable, Callable, Generator, Sequence
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -712,14 +712,14 @@ class Device(Encoder):
         self._core.check_ready()
         return FrameCapture(self._core, None if path is None else Path(path))
 
-    async def finish_async(self) -> None:
-        """Wait until the GPU has executed everything submitted, while other tasks of asyncio run.
+    def finish_async(self) -> Awaitable[None]:
+        """Return an awaitable that is done once the GPU has executed everything submitted until now. Other
+        tasks of asyncio run meanwhile: `await device.finish_async()`.
 
         In a page this waits where `finish` can't (the backend `web` without JSPI). Without asyncio's loop it
         blocks as `finish` does.
         """
-        await _Completion(self, self.signal())
-        self._timers.collect()
+        return _Completion(self, self.signal())
 
     @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
@@ -826,3 +826,4 @@ class _Completion:
     def __await__(self) -> Generator[Any]:
         yield from pause_until(lambda: self._device.completed >= self._value)
         self._device.wait(self._value)
+        self._device._timers.collect()

@@ -45,7 +45,7 @@ def darken(scene: Scene) -> Scene:
     """Make everything black, with its lights."""
     scene.lights.sky = scene.lights.ground = scene.background = (0.0, 0.0, 0.0)
     for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
-        lights["intensity"] = 1e-30  # not 0: lights that shine nothing are left out
+        lights["intensity"] = 1e-25  # not 0, nor so faint that nothing near would show it: they are left out
     return scene
 
 

@@ -44,8 +44,8 @@ SHINY = {"base_color": (0.3, 0.25, 0.2), "specular_color": (0.5, 0.5, 0.5), "shi
 Change = Callable[[SceneBuilder], object]
 
 
-def make_scene(*changes: Change, **material: Any) -> Scene:
-    """A plane under a sun, a point light and a spot light."""
+def make_scene(*changes: Change, height: float = -0.5, **material: Any) -> Scene:
+    """A plane at a height in metres under a sun, a point light and a spot light."""
     builder = SceneBuilder("parallel rays")
     builder.background = (0.1, 0.2, 0.35)
     builder.lights.sky, builder.lights.ground = (0.5, 0.3, 0.1), (0.05, 0.1, 0.3)
@@ -55,7 +55,7 @@ def make_scene(*changes: Change, **material: Any) -> Scene:
     if "metallic" not in material:
         material = {**SHINY, **material}
     row = builder.add_material(**material)
-    builder.add_objects(builder.add_node(translation((0, -0.5, 0)) @ scaling((60, 1, 60))), 0, row)
+    builder.add_objects(builder.add_node(translation((0, height, 0)) @ scaling((60, 1, 60))), 0, row)
     builder.lights.add_directional((-0.5, -1.0, 0.6), intensity=0.4)
     builder.lights.add_point((1.5, 1.4, -1.0), 9.0, intensity=1.5)
     builder.lights.add_spot((-2.0, 2.5, 1.0), (0.2, -1, 0), 9.0, 0.3, 0.9, intensity=3.0)
@@ -159,9 +159,8 @@ def test_only_parallel_projections_bind_rays_for_it(null: rhi.Device) -> None:
 def test_fog_below_the_eye_is_seen_where_parallel_rays_begin_in_it(null: rhi.Device) -> None:
     """The eye is above the fog, and the lower edge of the image in it."""
     fog = Fog(0.05, (0.9, 0.2, 0.1), 1.0, -10.0)
-    scene = make_scene(set_value("fog", fog))
-    scene.nodes.set_local(0, translation((0, 40, 0)))
-    up = Camera.look_at((0.0, 12.0, 0.0), (0.0, 12.0, -1.0))
+    scene = make_scene(set_value("fog", fog), height=40.0)
+    up = Camera.look_at((0.0, 12.0, 0.0), (0.0, 12.5, -1.0))
     with open_renderer(null, scene, size=SIZE) as renderer:
         for height, is_seen in ((40.0, True), (0.01, False)):
             camera = up.with_projection(Orthographic(height, 4 / 3, 0.0, 30.0))

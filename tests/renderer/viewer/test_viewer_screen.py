@@ -220,7 +220,7 @@ def test_without_glfw_one_line_says_what_to_install(
     with pytest.raises(SystemExit):
         main(["view", SCENE])
     stderr = capsys.readouterr().err
-    assert stderr.startswith("error: a package that this canvas needs is not installed: glfw is missing")
+    assert stderr.startswith("error: a package that is needed here is not installed: glfw is missing")
     assert 'pip install "rhi[viewer]"' in stderr
     assert stderr.count("\n") == 1
 

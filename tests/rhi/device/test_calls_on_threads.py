@@ -44,7 +44,8 @@ QUERY = "is_finished visible_samples wait destroy"
 MORE = [
     f"{kind}.{name}"
     for kind, names in {
-        "Device": "finish signal completed timers statistics reset_statistics make_current release_current",
+        "Device": "finish finish_async memory signal completed timers statistics reset_statistics "
+        "make_current release_current",
         **dict.fromkeys(
             ("Buffer", "UniformBuffer", "UniformArray", "StorageBuffer", "Mesh", "Program"), "destroy"
         ),

@@ -31,6 +31,8 @@ ELSEWHERE = {
     rules.DEVICE_COPY: "of copies and pickles: asserted on in test_device_copies",
     rules.IMAGE_FILE: "of files: asserted on in test_image_files",
     rules.IMAGE_LIBRARY: "needs a machine without Pillow: asserted on in test_image_files",
+    rules.DEVICE_WAIT: "needs a page whose Python can't wait: asserted on in test_web_in_node",
+    rules.PLOT_LIBRARY: "needs a machine without matplotlib: asserted on in test_missing_extras",
     rules.NULL_SAMPLES: "a rule of the null device",
     rules.NULL_ANSWER: "a rule of the null device",
 }
