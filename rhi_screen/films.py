@@ -346,7 +346,8 @@ class _Drawing:
                 self._submit(self._queue.popleft())
             done, _ = wait_for(self._running, timeout=_CHECK_SECONDS, return_when=FIRST_COMPLETED)
             watch.ask()
-            for future in done:
+            # Frames that are drawn come before errors, which end the film: so they are stored.
+            for future in sorted(done, key=lambda future: future.exception() is not None):
                 number = self._running.pop(future)
                 frame = self._receive(future, number)
                 if frame is not None:
@@ -358,8 +359,8 @@ class _Drawing:
         if self._lost:
             others = f", and {len(self._lost) - _LISTED} more" if len(self._lost) > _LISTED else ""
             numbers = ", ".join(str(number) for number in sorted(self._lost)[:_LISTED])
-            what = "frame" if len(self._lost) == 1 else "frames"
-            raise DeviceError(FILM_KILLED, _CALL, f"{what} {numbers}{others}")
+            noun = "frame" if len(self._lost) == 1 else "frames"
+            raise DeviceError(FILM_KILLED, _CALL, f"{noun} {numbers}{others}")
 
     def _draw_alone(self) -> Iterator[tuple[int, DrawnFrame]]:
         """Draw lost frames again, one at a time: Dask doesn't tell which of a worker's frames has ended it."""
