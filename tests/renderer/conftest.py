@@ -6,26 +6,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
+from tested_devices import open_device
 
 import rhi
 from renderer.content import load_scene
 from renderer.scene import Scene
-
-
-@contextmanager
-def open_device(name: str, **options: Any) -> Iterator[rhi.Device]:
-    """Create a device of a backend; the test is skipped where there is none."""
-    try:
-        device = rhi.create_device(name, **options)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
-    with device:
-        yield device
 
 
 def run_with_quick_kernels(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import open_device
 from frames import open_renderer
 from neutral_parameters import (
     BLOOM_FIELDS,
@@ -34,6 +33,7 @@ from neutral_parameters import (
 )
 from nightly_reasons import FEWER_CASES
 from nights import rotate_seed
+from tested_devices import open_device
 
 import rhi
 from renderer.frame import Effect

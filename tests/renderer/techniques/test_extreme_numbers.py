@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import open_device
 from frames import open_renderer
 from lighting_reference import encode
 from nightly_reasons import FEWER_CASES
 from numpy.typing import NDArray
+from tested_devices import open_device
 
 import rhi
 from renderer.scene import (

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import open_device
 from frames import open_renderer
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
+from tested_devices import open_device
 
 import rhi
 from renderer.content import BUILT_IN
