@@ -64,10 +64,12 @@ def is_sky_fogged(scene: Scene, camera: Camera) -> bool:
         scene, _LEAST_LINEAR
     ):
         return False
-    threshold, start = _threshold(scene, LEAST_LIGHT / _BRIGHTEST_FOG), _lowest_start(camera)
+    threshold, density = _threshold(scene, LEAST_LIGHT / _BRIGHTEST_FOG), _density(fog, _lowest_start(camera))
+    if fog.falloff <= 0.0 or -np.expm1(-density / fog.falloff) > threshold:
+        return True  # even straight up, which needs no look at the view's rays
     # Light from infinitely far away gets through where rays leave the fog upwards.
     rise = fog.falloff * _least_rise(camera)
-    return bool(rise <= 0.0 or -np.expm1(-_density(fog, start) / rise) > threshold)
+    return bool(rise <= 0.0 or -np.expm1(-density / rise) > threshold)
 
 
 def _threshold(scene: Scene, share: float) -> float:

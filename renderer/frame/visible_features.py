@@ -34,7 +34,6 @@ class VisibleFeatures:
         self._version = -1
         self._object_indices: Mapping[str, Indices] = {}
         self._witness: dict[str, int] = {}  # an object of each feature, the one seen last
-        self._witnesses: Indices | None = None  # those of `_witness`, once each; None if they have changed
         self._feature_sets: list[frozenset[str]] = [frozenset()]
         self._shader_features: frozenset[str] = frozenset()
         self._last: frozenset[str] | None = None
@@ -55,7 +54,6 @@ class VisibleFeatures:
         ):
             self._object_indices = object_indices
             self._witness = {name: int(indices[0]) for name, indices in object_indices.items()}
-            self._witnesses = None
             self._shader_features = frozenset(object_indices)
             self._feature_sets = [self._shader_features]
             self._last = None
@@ -65,9 +63,8 @@ class VisibleFeatures:
         """The features of the objects in view."""
         scene = self._scene
         self._refresh()
-        if self._witnesses is None:
-            self._witnesses = np.array(sorted(set(self._witness.values())), np.int64)
-        in_view = set(select_in_view(scene, camera, self._witnesses).tolist())
+        witnesses = np.array(sorted({*self._witness.values()}), np.int64)
+        in_view = set(select_in_view(scene, camera, witnesses).tolist())
         unseen = []
         for name, object_index in self._witness.items():
             if object_index in in_view or len(self._object_indices[name]) > _MAX_OBJECTS:
@@ -75,7 +72,6 @@ class VisibleFeatures:
             visible = select_in_view(scene, camera, self._object_indices[name])
             if len(visible):
                 self._witness[name] = int(visible[0])
-                self._witnesses = None
             else:
                 unseen.append(name)
         return frozenset(self._object_indices).difference(unseen)

@@ -143,6 +143,7 @@ def live(seed: int, seconds: float, limit: int) -> None:
     import numpy as np
 
     import rhi
+    from rhi.backends.cl.cl_backend import ClBackend
     from rhi.backends.cl.pocl import kernel_cache
     from rhi.conformance.shapes import corners, rectangle
     from rhi.shading import from_source
@@ -154,7 +155,7 @@ def live(seed: int, seconds: float, limit: int) -> None:
     while time.monotonic() < until:
         with rhi.create_device("cl") as device:
             counts["devices"] += 1
-            counts["uncached"] += not device.backend_as(object).context.cache.works  # type: ignore[attr-defined]
+            counts["uncached"] += not device.backend_as(ClBackend).context.cache.works
             programs: list[tuple[float, rhi.Program]] = []
             end = min(until, time.monotonic() + chance.uniform(2.0, 25.0))
             size = [chance.randint(8, 200), chance.randint(8, 200)]

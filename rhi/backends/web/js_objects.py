@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, Final
 
-from js import Object  # type: ignore[import-not-found]
-from pyodide.ffi import JsProxy, to_js  # type: ignore[import-not-found]
+from js import Object
+from pyodide.ffi import JsProxy, to_js
 
 _VERBATIM: Final = "constants"
 """The member whose keys are names of the user's, not of WebGPU."""

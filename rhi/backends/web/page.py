@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-import js  # type: ignore[import-not-found]
-from pyodide.code import run_js  # type: ignore[import-not-found]
-from pyodide.ffi import JsException, can_run_sync, run_sync, to_js  # type: ignore[import-not-found]
+import js
+from pyodide.code import run_js
+from pyodide.ffi import JsException, can_run_sync, run_sync, to_js
 
 from rhi.backends.web.javascript import FUNCTIONS
 from rhi.backends.web.js_objects import WebObject, to_camel_case
@@ -68,9 +68,19 @@ def wait_for(promise: Any, call: str) -> Any:
     Raises:
         DeviceError: `device-wait` if Python can't wait here.
     """
-    if not can_run_sync():
-        raise DeviceError(DEVICE_WAIT, call, "an engine without JSPI, or a call from a synchronous function")
+    check_wait(call)
     return run_sync(promise)
+
+
+def check_wait(call: str, tip: str = "") -> None:
+    """Refuse a wait where Python can't wait for the page.
+
+    Raises:
+        DeviceError: `device-wait`.
+    """
+    if not can_run_sync():
+        given = "an engine without JSPI, or a call from a synchronous function"
+        raise DeviceError(DEVICE_WAIT, call, given, "", tip)
 
 
 async def request() -> Any:
@@ -105,9 +115,7 @@ def open_host(page: WebPage, device: Any = None) -> Host:
         DeviceError: `device-driver`; `device-wait` if Python can't wait here.
     """
     if device is None:
-        if not can_run_sync():
-            given = "an engine without JSPI, or a call from a synchronous function"
-            raise DeviceError(DEVICE_WAIT, _CALL, given, "", _TIP)
+        check_wait(_CALL, _TIP)
         device = run_sync(request())
     info = getattr(device, "adapterInfo", None)
     names = {

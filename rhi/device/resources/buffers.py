@@ -442,9 +442,6 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
     def write(self, values: ArrayLike, first: int = 0) -> None:
         """Replace elements from `first` on. `values` is an array as for `Device.storage`; `layout-mismatch`
         for anything else."""
-        if values.__class__ is np.ndarray and values.dtype == self.dtype:
-            self._typed().write(values, first)
-            return
         call = "StorageBuffer.write"
         self._typed().write(match_layout(self.owner.core, values, self.dtype, call, self.type), first)
 
@@ -546,36 +543,38 @@ def match_layout(
     """Return an array as one of the expected dtype; refuse another layout, showing both side by side.
 
     Numbers outside of structs are converted: whole ones exactly or not at all, floats rounded as a mesh's
-    are. Vectors of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4). Structs
-    whose padding NumPy has dropped are padded again.
+    are. Vectors of three components take the place of four: if these are the `element`s, (n, 3) becomes
+    (n, 4). Structs whose padding NumPy has dropped are padded again.
     """
-    given = ArgumentChecker(call, core.refuse).array("array", array)
+    if array.__class__ is np.ndarray and array.dtype == expected:  # the usual case, and the fastest
+        return array
+    values = ArgumentChecker(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
-    kind = given.dtype.kind
-    if base.names is None and given.dtype != base and (kind in "iu" or kind == base.kind == "f"):
-        given = _convert(core, given, base, call)
-    if shape == (4,) and given.shape[-1:] == (3,) and given.dtype == base and element in _VECTORS_OF_3:
-        given = np.concatenate([given, np.zeros_like(given[..., :1])], axis=-1)
-    if not accepts(base, given.dtype):
-        repacked = repack(base, given)
+    kind = values.dtype.kind
+    if base.names is None and values.dtype != base and (kind in "iu" or kind == base.kind == "f"):
+        values = _convert(core, values, base, call)
+    if shape == (4,) and values.shape[-1:] == (3,) and values.dtype == base and element in _VECTORS_OF_3:
+        values = np.concatenate([values, np.zeros_like(values[..., :1])], axis=-1)
+    if not accepts(base, values.dtype):
+        repacked = repack(base, values)
         if repacked is not None:
             return repacked
         core.refuse(
             rules.LAYOUT_MISMATCH,
             call,
-            f"shape {given.shape} of\n{compare_layouts(base, given.dtype)}",
+            f"shape {values.shape} of\n{compare_layouts(base, values.dtype)}",
             str(shape or ""),
         )
-    if shape and given.shape[-len(shape) :] != shape:
+    if shape and values.shape[-len(shape) :] != shape:
         allowed = f"(n, {', '.join(map(str, shape))}) of {base}"
         core.refuse(
             rules.LAYOUT_MISMATCH,
             call,
-            f"shape {given.shape} of {given.dtype}",
+            f"shape {values.shape} of {values.dtype}",
             allowed,
             "give an array of this shape",
         )
-    return given if given.dtype == base else np.ascontiguousarray(given).view(base)
+    return values if values.dtype == base else np.ascontiguousarray(values).view(base)
 
 
 def _convert(core: Core, numbers: NDArray[Any], dtype: np.dtype[Any], call: str) -> NDArray[Any]:
