@@ -8,8 +8,9 @@
 - A frame is a **pure function of its number**: `render` must draw the same whoever calls it, and whatever was
   drawn before. So the bytes of a film don't depend on the number of workers, on their order or on
   interruptions.
-- `render` travels to each worker once. If it is a context manager, a worker enters its copy before its first
-  frame, to open a device, and leaves it after the last.
+- `render` travels to each worker once, and each has a copy of its own; only plain functions are shared by
+  threads. If it is a context manager, a worker enters its copy before its first frame, to open a device, and
+  leaves it after the last.
 - Workers return image files as bytes, and only the calling process writes: workers need no common folder.
 - Frames that exist aren't drawn again. So what was interrupted goes on where it stopped.
 - A worker that dies gives its frame to another. A frame that ends three is reported by its number.
@@ -103,9 +104,10 @@ def film(
     """Draw the frames of a film on the workers of an executor.
 
     Args:
-        render: draws a frame. It is called on a worker, and must be picklable unless `executor` is serial or
-            threads. If it is a context manager, each worker enters a copy, and calls what that returns. An
-            attribute `description` of it, such as the device's name, is collected in the result.
+        render: draws a frame. It is called on a worker. For threads it must be copyable (`copy.deepcopy`), for
+            processes and clusters picklable. If it is a context manager, each worker enters a copy, and calls
+            what that returns. An attribute `description` of it, such as the device's name, is collected in
+            the result.
         frames: the numbers of the frames, 0 or more, in the order of the video.
         executor: one of `rhi_screen.executors.KINDS`, an open executor, or a client of Dask.
         output: the file of a video (`turn.mp4`), or the name of images with the number's place in it
@@ -472,10 +474,20 @@ def _open(task: FilmTask) -> Any:
         if render is None:
             render = pickle.loads(_contents.get(task.token) or Path(task.path).read_bytes())
         elif not task.is_shared:
-            render = copy.copy(render)
+            render = _copy(render)
         opened = render.__enter__() if hasattr(type(render), "__enter__") else render
         _opened[key] = render, opened
     return _opened[key][1]
+
+
+def _copy(render: FrameFunction) -> FrameFunction:
+    """Return a copy for a thread that shares nothing with others: scenes, for one, change with each frame."""
+    try:
+        return copy.deepcopy(render)
+    except Exception as error:
+        raise ValidationError(
+            FILM_PICKLE, f"{_CALL}(render=...)", f"{type(error).__name__}: {error}"
+        ) from error
 
 
 def close_film(token: str) -> None:

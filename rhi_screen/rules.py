@@ -50,8 +50,8 @@ FILM_OUTPUT: Final = Rule(
 )
 FILM_PICKLE: Final = Rule(
     "film-pickle",
-    "what draws frames in other processes must be picklable",
-    "a function of a module, or an object of a class of one; serial and threads take any",
+    "what draws frames in other processes must be picklable, and on threads copyable",
+    "a function of a module, or an object of a class of one; serial takes any",
 )
 FILM_FRAME: Final = Rule(
     "film-frame", "a frame of a film can't be drawn", "the frames that were finished before are stored"

@@ -18,11 +18,16 @@ EXEMPT = {__file__}
 """Files whose functions aren't interrupted: those of tests."""
 _CALLS = {"CALL", "CALL_FUNCTION_EX"}
 _BACK = {"JUMP_BACKWARD", "JUMP_BACKWARD_NO_INTERRUPT"}
+# Python prints the exceptions of these and goes on. pytest keeps such an exception until the test's end, and
+# with it the frames that the collector has interrupted, with all of their variables.
 _DESTRUCTORS = {
     "DrawSlot.__del__",
     "GPUObjectBase.__del__",
     "IndexList.__del__",
     "PollToken.__del__",
+    "WeakKeyDictionary.__init__.<locals>.remove",
+    "WeakSet.__init__.<locals>._remove",
+    "WeakValueDictionary.__init__.<locals>.remove",
     "_CounterPage.__del__",
     "finalize.__call__",
 }
@@ -63,7 +68,7 @@ class Interrupt:
             return None
         caller = frame.f_back
         if code.co_qualname in _DESTRUCTORS or (caller is not None and id(caller) in self._destructors):
-            self._destructors.add(id(frame))  # Python prints their exceptions and goes on
+            self._destructors.add(id(frame))
             return self._leaving
         if caller is not None and self._last.get(id(caller)) == "CALL" and code.co_name not in _FROM_C:
             self._last[id(caller)] = (

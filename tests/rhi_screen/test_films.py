@@ -11,6 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Lock
+from time import sleep
 from typing import Any, Self
 
 import numpy as np
@@ -42,6 +44,13 @@ def paint_or_die(frame: int, *, fatal: tuple[int, ...], once: Path | None = None
                 mark.touch()
             os._exit(1)
     return paint(frame)
+
+
+class SharedLog(list[str]):
+    """A list that all copies of a painter write into."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self
 
 
 class Painter:
@@ -148,7 +157,7 @@ def test_only_frames_without_a_complete_file_are_drawn(
     film(paint, range(5), output=output)
     complete = read_all(tmp_path)
     damage(tmp_path / "3.png")
-    log: list[str] = []
+    log = SharedLog()
     result = film(Painter(log), range(5), output=output)
     assert [text for text in log if text.startswith("draw")] == ["draw 3"] * is_drawn
     assert (result.drawn, result.reused) == (is_drawn, 5 - is_drawn)
@@ -209,7 +218,7 @@ def test_a_file_is_complete_or_not_there(tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("executor", ["serial", "threads:1", "threads:3"])
 def test_each_worker_enters_a_context_manager_once(executor: str) -> None:
-    log: list[str] = []
+    log = SharedLog()
     result = film(Painter(log), range(12), executor)
     counts = Counter(text.partition(" ")[0] for text in log)
     workers = int(executor.partition(":")[2] or 1)
@@ -218,8 +227,42 @@ def test_each_worker_enters_a_context_manager_once(executor: str) -> None:
     assert result.sources == ("a painter",)
 
 
+class Flicker:
+    """Draws the number that it stored a moment before: of two threads that shared it, one would be wrong."""
+
+    def __init__(self) -> None:
+        self.state = np.zeros(1, np.int64)
+
+    def __call__(self, frame: int) -> np.ndarray:
+        self.state[0] = frame
+        sleep(0.002)
+        return np.full((2, 2, 3), self.state[0], np.uint8)
+
+
+def test_threads_share_no_state_of_the_object_that_draws() -> None:
+    images = film(Flicker(), range(60), "threads:4").images
+    assert [int(image[0, 0, 0]) for image in images] == list(range(60))
+
+
+class LockedPainter:
+    """A painter that can't be copied."""
+
+    def __init__(self) -> None:
+        self.lock = Lock()
+
+    def __call__(self, frame: int) -> np.ndarray:
+        with self.lock:
+            return paint(frame)
+
+
+def test_an_object_that_cant_be_copied_is_refused_on_threads_and_drawn_by_one_worker() -> None:
+    assert len(film(LockedPainter(), range(2)).images) == 2
+    with pytest.raises(ValidationError, match=r"film-pickle.*lock"):
+        film(LockedPainter(), range(2), "threads:2")
+
+
 def test_a_context_manager_is_left_after_an_error() -> None:
-    log: list[str] = []
+    log = SharedLog()
 
     class Clumsy(Painter):
         def __call__(self, frame: int) -> np.ndarray:
@@ -321,7 +364,7 @@ def test_frames_that_are_none_are_refused(frames: Any) -> None:
 def test_outputs_that_cant_be_written_are_refused_before_a_frame_is_drawn(
     tmp_path: Path, name: str, rule: str
 ) -> None:
-    log: list[str] = []
+    log = SharedLog()
     with pytest.raises(ValidationError) as error:
         film(Painter(log), range(3), output=tmp_path / name)
     assert error.value.rule.id == rule

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -172,7 +171,6 @@ def _make_grey_boxes(object_positions: ArrayLike, sizes: ArrayLike) -> Scene:
 _TANGENT_RADII: Final = [0.25 * (1.0 + ulps * 2.0**-52) for ulps in (-1, 0, 1)]
 
 
-@cache
 def make_views() -> dict[str, tuple[Scene, Camera]]:
     """Make scenes of a few boxes, each with the camera that looks at it."""
     return {
@@ -259,9 +257,8 @@ class CullingScenario:
     size: tuple[int, int] = SIZE
 
 
-@cache
 def make_city() -> Scene:
-    """Make a small city."""
+    """Make a small city. Each case has a scene of its own: threads may run others."""
     return load_scene("city:blocks=8,detail=2")
 
 
