@@ -103,17 +103,37 @@ def token_of(page: Any) -> str:
     return str(page.address.split("/")[3])
 
 
-def test_the_address_shows_the_image_in_the_size_and_with_the_title() -> None:
+def test_the_page_has_the_size_and_the_title_of_the_canvas() -> None:
     async def visit(page: Any) -> None:
         status, text = await fetch(page, f"/{token_of(page)}/")
         assert status == 200
         assert "<title>a &lt;b&gt;</title>" in text
         assert "width:24.0px; height:10.0px" in text
+
+    show(visit)
+
+
+def test_the_page_gets_its_scripts_and_no_other_file() -> None:
+    async def visit(page: Any) -> None:
         for name in ("renderview.js", "renderview-client.js", "renderview.css"):
             assert (await fetch(page, f"/{token_of(page)}/{name}"))[0] == 200
         assert (await fetch(page, f"/{token_of(page)}/__init__.py"))[0] == 404
-        for header in ("Cache-Control: no-store", "Referrer-Policy: no-referrer", "X-Frame-Options: DENY"):
-            assert header in text
+
+    show(visit)
+
+
+@pytest.mark.parametrize(
+    "header", ["Cache-Control: no-store", "Referrer-Policy: no-referrer", "X-Frame-Options: DENY"]
+)
+def test_the_page_is_sent_with_headers_that_keep_it_private(header: str) -> None:
+    async def visit(page: Any) -> None:
+        assert header in (await fetch(page, f"/{token_of(page)}/"))[1]
+
+    show(visit)
+
+
+def test_a_visitor_gets_the_title_and_images_of_the_size_that_it_asks_for() -> None:
+    async def visit(page: Any) -> None:
         await asyncio.sleep(0.1)  # a frame was asked for before anybody looked
         async with enter(page) as client:
             assert json.loads(await client.recv()) == {"type": "title", "value": "a <b>"}
@@ -122,20 +142,21 @@ def test_the_address_shows_the_image_in_the_size_and_with_the_title() -> None:
             await client.send(json.dumps(RESIZE))
             while image.shape[:2] != (20, 30):
                 image = await receive_frame(client, 9)
-            await client.send(json.dumps(KEY | {"type": "unknown"}))  # is passed over
+
+    assert {SIZE, (30, 20)} <= set(show(visit).sizes)
+
+
+def test_keys_of_a_visitor_arrive_and_unknown_events_are_passed_over() -> None:
+    pressed = asyncio.Event()
+
+    async def visit(page: Any) -> None:
+        page.add_event_handler(lambda event: pressed.set(), "key_down")
+        async with enter(page) as client:
+            await client.send(json.dumps(KEY | {"type": "unknown"}))
             await client.send(json.dumps(KEY))
-            while not seen_keys:
-                await asyncio.sleep(0.01)
+            await pressed.wait()
 
-    seen_keys: list[str] = []
-
-    async def visit_and_listen(page: Any) -> None:
-        page.add_event_handler(lambda event: seen_keys.append(event["key"]), "key_down")
-        await visit(page)
-
-    record = show(visit_and_listen)
-    assert {SIZE, (30, 20)} <= set(record.sizes)
-    assert record.keys == ["x"]
+    assert show(visit).keys == ["x"]
 
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://127.0.0.1:1", "null", "file://", None])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -96,48 +98,83 @@ def test_one_eye_has_no_distance(capsys: pytest.CaptureFixture[str], arguments: 
     assert main(["render", CITY, "--backend", "null", "--size", "64x36", "--stereo", "grey", *arguments]) == 0
 
 
-def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    report = run(
-        capsys,
-        "compare",
-        "stereo",
-        CITY,
+OUTPUTS = ("mono", "dubois", "side_by_side", "color_reprojected")
+
+
+@pytest.fixture(scope="module")
+def matrix() -> list[dict[str, Any]]:
+    """Rows of two sizes, without shadows and with them, of each output."""
+    options = [
         "--backend",
         "null",
+        "--frames",
+        "2",
+        "--json",
         "--sizes",
         "32x18,64x36",
         "--shadows",
         "off,on",
-        "--stereo",
-        "dubois,side_by_side,color_reprojected",
-        "--frames",
-        "2",
-        "--json",
-    )
-    rows = report["rows"]
-    names = ["mono", "dubois", "side_by_side", "color_reprojected"]
-    assert [(row["stereo"], row["shadows"], tuple(row["size"])) for row in rows] == [
-        (name, shadows, size) for size in ((32, 18), (64, 36)) for shadows in (False, True) for name in names
     ]
-    assert all(row["milliseconds"] > 0 and row["ratio"] > 0 for row in rows)
-    for mono, dubois, halves, moved in zip(*(rows[i::4] for i in range(4)), strict=True):
-        assert mono["ratio"] == mono["processor_ratio"] == 1.0
-        assert dubois["draws"] == halves["draws"] == 2 * moved["draws"] >= 2 * mono["draws"] > 0
-        assert dubois["maps_drawn"] == moved["maps_drawn"] >= halves["maps_drawn"], (
-            "smaller images, fewer maps"
-        )
-        more = dubois["maps_drawn"] - mono["maps_drawn"]
-        assert abs(more) <= 1, "once for both eyes, which see a little more than one"
-        assert (mono["maps_drawn"] > 0) == mono["shadows"]
-        if not mono["shadows"]:
-            scene = mono["calls"]
-            light_calls = 2  # a kernel places the point lights for both eyes, another the spot lights
-            assert halves["calls"] == 2 * scene + light_calls
-            assert dubois["calls"] == halves["calls"] + 1, "a kernel mixes the colours"
-            assert moved["calls"] == mono["calls"] + 3, "two kernels move pixels, and one mixes the colours"
-            assert 0 < dubois["upload_bytes"] < 1.15 * mono["upload_bytes"] + 1000
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        assert main(["compare", "stereo", CITY, *options, "--stereo", ",".join(OUTPUTS[1:])]) == 0
+    rows: list[dict[str, Any]] = json.loads(printed.getvalue())["rows"]
+    return rows
+
+
+def list_cases(matrix: list[dict[str, Any]]) -> list[dict[str, dict[str, Any]]]:
+    """The rows of each size, without shadows and with them, by their output."""
+    return [dict(zip(OUTPUTS, matrix[i : i + 4], strict=True)) for i in range(0, len(matrix), 4)]
+
+
+def test_the_matrix_has_a_row_for_each_size_shadow_and_output(matrix: list[dict[str, Any]]) -> None:
+    assert [(row["stereo"], row["shadows"], tuple(row["size"])) for row in matrix] == [
+        (name, shadows, size)
+        for size in ((32, 18), (64, 36))
+        for shadows in (False, True)
+        for name in OUTPUTS
+    ]
+
+
+def test_times_of_the_matrix_are_ratios_to_one_eye(matrix: list[dict[str, Any]]) -> None:
+    assert all(row["milliseconds"] > 0 and row["ratio"] > 0 for row in matrix)
+    assert all(case["mono"]["ratio"] == case["mono"]["processor_ratio"] == 1.0 for case in list_cases(matrix))
+
+
+def test_two_eyes_of_the_matrix_draw_twice_unless_one_is_reprojected(matrix: list[dict[str, Any]]) -> None:
+    for case in list_cases(matrix):
+        draws = {name: row["draws"] for name, row in case.items()}
+        assert draws["dubois"] == draws["side_by_side"] == 2 * draws["color_reprojected"]
+        assert draws["dubois"] >= 2 * draws["mono"] > 0
+
+
+def test_shadow_maps_of_the_matrix_are_drawn_once_for_both_eyes(matrix: list[dict[str, Any]]) -> None:
+    for case in list_cases(matrix):
+        maps = {name: row["maps_drawn"] for name, row in case.items()}
+        assert (maps["mono"] > 0) == case["mono"]["shadows"]
+        assert abs(maps["dubois"] - maps["mono"]) <= 1  # two eyes see a little more than one
+        assert (
+            maps["dubois"] == maps["color_reprojected"] >= maps["side_by_side"]
+        )  # smaller images, fewer maps
+
+
+def test_two_eyes_of_the_matrix_make_no_more_calls_than_their_kernels_need(
+    matrix: list[dict[str, Any]],
+) -> None:
+    for case in list_cases(matrix):
+        calls = {name: row["calls"] for name, row in case.items()}
+        if case["mono"]["shadows"]:
+            continue
+        light_kernels = 2  # one places the point lights for both eyes, the other the spot lights
+        assert calls["side_by_side"] == 2 * calls["mono"] + light_kernels
+        assert calls["dubois"] == calls["side_by_side"] + 1  # a kernel mixes the colours
+        assert calls["color_reprojected"] == calls["mono"] + 3  # two kernels move pixels, and one mixes
+
+
+def test_two_eyes_of_the_matrix_upload_little_more_than_one(matrix: list[dict[str, Any]]) -> None:
+    for case in list_cases(matrix):
+        if not case["mono"]["shadows"]:
+            assert 0 < case["dubois"]["upload_bytes"] < 1.15 * case["mono"]["upload_bytes"] + 1000
 
 
 def test_the_matrix_is_printed_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:

@@ -232,44 +232,55 @@ def test_the_same_content_is_loaded_once_across_files(tmp_path):
 # -- materials -----------------------------------------------------------------------------------------------
 
 
-def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
-    material = {
-        "pbrMetallicRoughness": {
-            "baseColorFactor": [0.5, 0.25, 1, 0.75],
-            "metallicFactor": 0.25,
-            "roughnessFactor": 0.5,
-            "baseColorTexture": {"index": 0},
-            "metallicRoughnessTexture": {"index": 0},
-        },
-        "normalTexture": {"index": 0, "scale": 2},
-        "occlusionTexture": {"index": 0, "strength": 0.5},
-        "emissiveTexture": {"index": 0},
-        "emissiveFactor": [1, 0.5, 0],
-        "alphaMode": "MASK",
-        "alphaCutoff": 0.25,
-        "doubleSided": True,
-        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}},
-    }
-    scene = load(with_image(**material), tmp_path)
-    read_material = scene.materials[0]
-    assert read_material["model"] == ShadingModel.METALLIC_ROUGHNESS
-    assert read_material["base_color"].tolist() == [0.5, 0.25, 1, 0.75]
-    assert (read_material["metallic"], read_material["roughness"]) == (0.25, 0.5)
-    assert (read_material["normal_scale"], read_material["occlusion_strength"]) == (2, 0.5)
-    assert read_material["emissive"].tolist() == [8, 4, 0]
-    assert (read_material["alpha_mode"], read_material["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
-    assert read_material["double_sided"] == 1
-    names = (
-        "texture",
-        "metallic_roughness_texture",
-        "normal_texture",
-        "occlusion_texture",
-        "emissive_texture",
-    )
-    rows = [int(read_material[name]) for name in names]
+FULL_MATERIAL = {
+    "pbrMetallicRoughness": {
+        "baseColorFactor": [0.5, 0.25, 1, 0.75],
+        "metallicFactor": 0.25,
+        "roughnessFactor": 0.5,
+        "baseColorTexture": {"index": 0},
+        "metallicRoughnessTexture": {"index": 0},
+    },
+    "normalTexture": {"index": 0, "scale": 2},
+    "occlusionTexture": {"index": 0, "strength": 0.5},
+    "emissiveTexture": {"index": 0},
+    "emissiveFactor": [1, 0.5, 0],
+    "alphaMode": "MASK",
+    "alphaCutoff": 0.25,
+    "doubleSided": True,
+    "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}},
+}
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("model", ShadingModel.METALLIC_ROUGHNESS),
+        ("base_color", [0.5, 0.25, 1, 0.75]),
+        ("metallic", 0.25),
+        ("roughness", 0.5),
+        ("normal_scale", 2),
+        ("occlusion_strength", 0.5),
+        ("emissive", [8, 4, 0]),
+        ("alpha_mode", AlphaMode.MASK),
+        ("alpha_cutoff", 0.25),
+        ("double_sided", 1),
+    ],
+)
+def test_a_material_is_read_with_its_factors(tmp_path, field, value):
+    scene = load(with_image(**FULL_MATERIAL), tmp_path)
+    assert scene.materials[0][field].tolist() == value
+
+
+def test_a_material_is_read_with_its_textures(tmp_path):
+    scene = load(with_image(**FULL_MATERIAL), tmp_path)
+    maps = ("metallic_roughness_texture", "normal_texture", "occlusion_texture")
+    rows = [int(scene.materials[0][name]) for name in ("texture", *maps, "emissive_texture")]
     assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
     assert scene.textures["image"][rows].tolist() == [0] * 5
-    assert left_out(scene) == {}
+
+
+def test_nothing_of_a_full_material_is_left_out(tmp_path):
+    assert left_out(load(with_image(**FULL_MATERIAL), tmp_path)) == {}
 
 
 def test_a_primitive_without_a_material_gets_the_default_one(tmp_path):

@@ -6,7 +6,9 @@ import io
 import itertools
 import json
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ from renderer.lab.visibility_comparison import (
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
+from tests.renderer.conftest import open_device
 
 ROW = [
     "algorithm",
@@ -47,26 +50,53 @@ ROW = [
 COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3"]
 
 
-@pytest.mark.usefixtures("gl")
-def test_rows_have_the_costs_of_each_algorithm(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    delay_query_results(monkeypatch, 1)  # so that who waits for answers has something to wait for
-    assert main([*COMMAND, "--camera-path", "sky", "--backend", "gl", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["backend"] == "gl"
-    assert report["camera_path"] == "sky"
-    assert report["frames"] == 3
-    rows = {row["algorithm"]: row for row in report["rows"]}
-    assert list(rows) == list(ALGORITHMS)
-    assert all(list(row) == ROW for row in rows.values())
-    assert rows["none"]["ratio"] == 1.0
-    assert all(row["wrong_pixels"] == 0 for row in rows.values())
-    assert rows["none"]["queries"] == rows["frustum"]["queries"] == 0
-    assert rows["stop_and_wait"]["queries"] > rows["chc_plus_plus"]["queries"] > 0
-    assert rows["stop_and_wait"]["stalled_milliseconds"] > 0 == rows["none"]["stalled_milliseconds"]
-    # Boxes are counted: those that stop-and-wait asks for, and nothing hides the whole city.
-    assert rows["stop_and_wait"]["draws"] > rows["stop_and_wait"]["queries"]
+@pytest.fixture(scope="module")
+def sky_report() -> dict[str, Any]:
+    """The comparison of all algorithms along the sky path. Answers of queries take a frame, so that who waits
+    for them waits."""
+    printed = io.StringIO()
+    with open_device("gl"), pytest.MonkeyPatch.context() as monkeypatch, redirect_stdout(printed):
+        delay_query_results(monkeypatch, 1)
+        assert main([*COMMAND, "--camera-path", "sky", "--backend", "gl", "--json"]) == 0
+    report: dict[str, Any] = json.loads(printed.getvalue())
+    return report
+
+
+@pytest.fixture(scope="module")
+def sky_rows(sky_report: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {row["algorithm"]: row for row in sky_report["rows"]}
+
+
+def test_a_comparison_says_on_what_it_was_measured(sky_report: dict[str, Any]) -> None:
+    measured_on = (sky_report["backend"], sky_report["camera_path"], sky_report["frames"])
+    assert measured_on == ("gl", "sky", 3)
+
+
+def test_each_algorithm_has_a_row_of_all_columns(sky_rows: dict[str, dict[str, Any]]) -> None:
+    assert list(sky_rows) == list(ALGORITHMS)
+    assert all(list(row) == ROW for row in sky_rows.values())
+
+
+def test_times_are_ratios_to_drawing_everything(sky_rows: dict[str, dict[str, Any]]) -> None:
+    assert sky_rows["none"]["ratio"] == 1.0
+
+
+def test_no_algorithm_draws_wrong_pixels(sky_rows: dict[str, dict[str, Any]]) -> None:
+    assert all(row["wrong_pixels"] == 0 for row in sky_rows.values())
+
+
+def test_only_algorithms_that_ask_have_queries(sky_rows: dict[str, dict[str, Any]]) -> None:
+    assert sky_rows["none"]["queries"] == sky_rows["frustum"]["queries"] == 0
+    assert sky_rows["stop_and_wait"]["queries"] > sky_rows["chc_plus_plus"]["queries"] > 0
+
+
+def test_stop_and_wait_waits_for_its_answers(sky_rows: dict[str, dict[str, Any]]) -> None:
+    assert sky_rows["stop_and_wait"]["stalled_milliseconds"] > 0 == sky_rows["none"]["stalled_milliseconds"]
+
+
+def test_boxes_of_queries_are_counted_as_draws(sky_rows: dict[str, dict[str, Any]]) -> None:
+    # Nothing hides the whole city, so objects are drawn beside the boxes.
+    assert sky_rows["stop_and_wait"]["draws"] > sky_rows["stop_and_wait"]["queries"]
 
 
 @pytest.mark.parametrize(("teleport", "frames"), [

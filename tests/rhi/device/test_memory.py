@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -22,30 +23,54 @@ def device(request: pytest.FixtureRequest) -> Iterator[Device]:
         yield opened
 
 
-def test_each_kind_and_label_has_its_bytes(device: Device) -> None:
-    before = device.memory()
+TEXELS: Final = sum(max(16 >> i, 1) * max(8 >> i, 1) for i in range(5))
+"""Texels of all levels of the image."""
+
+
+def create_resources(device: Device) -> list[Any]:
+    """Create two buffers of 800 bytes together, a stream of 64 bytes, and an image with its levels."""
     buffers = [device.buffer(100, np.float32, label="positions") for _ in range(2)]
     stream = device.buffer(64, usage=BufferUsage.STREAM, label="ring")
-    image = device.texture((16, 8), Format.RGBA8, levels=None, label="image")
+    return [*buffers, stream, device.texture((16, 8), Format.RGBA8, levels=None, label="image")]
+
+
+def test_each_label_has_the_bytes_of_its_resources(device: Device) -> None:
+    create_resources(device)
+    labels = device.memory().labels
+    assert labels["buffers", "positions"] == 800
+    assert labels["streams", "ring"] == 64
+    assert labels["textures", "image"] == 4 * TEXELS
+
+
+def test_kinds_and_labels_add_up_to_the_total(device: Device) -> None:
+    before = device.memory().total
+    create_resources(device)
     memory = device.memory()
-    texels = sum(max(16 >> i, 1) * max(8 >> i, 1) for i in range(5))
-    assert memory.backend == device.backend_name
-    assert memory.total - before.total == 800 + 64 + 4 * texels
-    assert memory.labels["buffers", "positions"] == 800
-    assert memory.labels["streams", "ring"] == 64
-    assert memory.labels["textures", "image"] == 4 * texels == memory.kinds["textures"]
+    assert memory.total - before == 800 + 64 + 4 * TEXELS
     assert sum(memory.kinds.values()) == sum(memory.labels.values()) == memory.total
-    text = str(memory)
+    assert memory.kinds["textures"] == 4 * TEXELS
+
+
+def test_the_text_shows_labels_with_their_bytes(device: Device) -> None:
+    create_resources(device)
+    text = str(device.memory())
+    assert device.backend_name in text
     assert "positions" in text
     assert "800 bytes" in text
-    for resource in (*buffers, stream, image):
+
+
+def test_the_peak_stays_until_statistics_are_reset(device: Device) -> None:
+    before = device.memory().total
+    resources = create_resources(device)
+    total = device.memory().total
+    for resource in resources:
         resource.destroy()
     device.finish()
-    after = device.memory()
-    assert after.total == before.total
-    assert after.peak >= memory.total
+    memory = device.memory()
+    assert memory.total == before
+    assert memory.peak >= total
     device.reset_statistics()
-    assert device.memory().peak == after.total
+    assert device.memory().peak == memory.total
 
 
 def test_destroyed_resources_count_until_the_device_has_finished(null_device: Device) -> None:

@@ -3,13 +3,16 @@ them."""
 
 from __future__ import annotations
 
+import io
 import json
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import chdir, redirect_stdout
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -341,65 +344,92 @@ def test_results_of_a_job_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert load_sample(tmp_path / "other.json") is None
 
 
+SMALL_CITY = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
+SWEEP = ["accuracy", *SMALL_CITY, "--views", "2", "--rounds", "2", "--output", "out", "--json"]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A folder in which the command has measured two quality settings, and what it has printed."""
+    folder, printed = tmp_path_factory.mktemp("swept"), io.StringIO()
+    measured = ["--quality-setting", "precision", "--quality-setting", "fxaa", "--plot", "charts.png"]
+    with open_device("gl"), chdir(folder), redirect_stdout(printed):
+        assert main([*SWEEP, *measured, "--max-error", "200"]) == 0
+    return folder, json.loads(printed.getvalue())
+
+
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
-@pytest.mark.usefixtures("gl")
-def test_the_command_writes_a_page_and_settings_that_render_reads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_the_command_measures_the_named_quality_settings(swept: tuple[Path, dict[str, Any]]) -> None:
+    assert [setting["setting"] for setting in swept[1]["quality_settings"]] == ["precision", "fxaa"]
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+def test_the_command_checks_its_choice_and_measures_it_along_other_views(
+    swept: tuple[Path, dict[str, Any]],
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    scene = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
-    sweep = [
-        "accuracy",
-        *scene,
-        "--views",
-        "2",
-        "--rounds",
-        "2",
-        "--quality-setting",
-        "precision",
-        "--quality-setting",
-        "fxaa",
-    ]
-    sweep += ["--output", "out", "--plot", "charts.png", "--json"]
-    assert main([*sweep, "--max-error", "200"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert [setting["setting"] for setting in report["quality_settings"]] == ["precision", "fxaa"]
-    chosen_point = report["choice"]
+    chosen_point = swept[1]["choice"]
     assert 0.0 < chosen_point["checked_error"] <= chosen_point["expected_error"] <= 200.0
     assert chosen_point["held_out_error"] > 0.0
     assert chosen_point["held_out_views"] == 20
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+def test_the_command_chooses_the_fastest_point_of_the_front(swept: tuple[Path, dict[str, Any]]) -> None:
+    report = swept[1]
     assert report["choice"]["milliseconds"] == min(point["milliseconds"] for point in report["pareto_front"])
-    page = (tmp_path / "out/report.html").read_text()
-    assert (
-        page.count("data:image/png;base64,") >= 4
-    )  # two charts, and the worst places of two quality settings
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+def test_the_page_holds_its_images(swept: tuple[Path, dict[str, Any]]) -> None:
+    page = (swept[0] / "out/report.html").read_text()
+    # Two charts, and the worst pixels of two quality settings.
+    assert page.count("data:image/png;base64,") >= 4
     assert 'src="http' not in page
-    assert (tmp_path / "charts.png").stat().st_size > 1000
-    assert (tmp_path / "out/images/images.png").is_file()
-    settings = RenderSettings.load(tmp_path / "out/settings.json")
-    assert settings.technique.fxaa is (report["choice"]["values"]["fxaa"] == "on")
-    render = ["render", *scene, "--settings", "out/settings.json", "--output", "a.png", "--json"]
-    assert main(render) == 0
-    assert json.loads(capsys.readouterr().out)["technique"] == "forward"
-    assert main([*render, "--technique", "deferred"]) == 0  # an argument counts more than the file
-    assert json.loads(capsys.readouterr().out)["technique"] == "deferred"
-    (tmp_path / "out/accuracy.json").unlink()
-    with pytest.raises(SystemExit):
-        main(
-            [
-                *sweep[: sweep.index("--quality-setting")],
-                *sweep[sweep.index("--quality-setting") + 2 :],
-                "--budget-ms",
-                "1e-3",
-            ]
-        )
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+def test_the_command_writes_charts_and_images(swept: tuple[Path, dict[str, Any]]) -> None:
+    assert (swept[0] / "charts.png").stat().st_size > 1000
+    assert (swept[0] / "out/images/images.png").is_file()
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+def test_the_written_settings_are_those_of_the_choice(swept: tuple[Path, dict[str, Any]]) -> None:
+    settings = RenderSettings.load(swept[0] / "out/settings.json")
+    assert settings.technique.fxaa is (swept[1]["choice"]["values"]["fxaa"] == "on")
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+@pytest.mark.parametrize(
+    ("arguments", "technique"), [([], "forward"), (["--technique", "deferred"], "deferred")]
+)
+def test_render_reads_the_written_settings_and_arguments_override_them(
+    swept: tuple[Path, dict[str, Any]],
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    technique: str,
+) -> None:
+    with chdir(swept[0]):
+        render = ["render", *SMALL_CITY, "--settings", "out/settings.json", "--output", "a.png", "--json"]
+        assert main([*render, *arguments]) == 0
+    assert json.loads(capsys.readouterr().out)["technique"] == technique
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+def test_a_budget_out_of_reach_removes_earlier_settings_and_shows_measurements(
+    swept: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(swept[0], tmp_path / "again")
+    (folder / "out/accuracy.json").unlink()
+    with chdir(folder), pytest.raises(SystemExit):
+        main([*SWEEP, "--quality-setting", "fxaa", "--budget-ms", "1e-3"])
     captured = capsys.readouterr()
     assert "as that: 0.001 ms (allowed: " in captured.err
     assert "accuracy-out-of-reach" in captured.err
-    assert json.loads(captured.out)["choice"] is None  # what was measured is shown all the same
-    assert "removed out/settings.json" in captured.err
-    assert not (tmp_path / "out/settings.json").exists()  # it isn't the answer to this question
-    assert (tmp_path / "out/accuracy.json").is_file()
+    assert json.loads(captured.out)["choice"] is None
+    assert "removed out/settings.json" in captured.err  # it doesn't answer this question
+    assert not (folder / "out/settings.json").exists()
+    assert (folder / "out/accuracy.json").is_file()
 
 
 def test_existing_settings_files_are_not_overwritten_without_asking(

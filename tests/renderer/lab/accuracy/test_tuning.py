@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import subprocess
 import sys
 from concurrent.futures import Executor, Future
+from contextlib import chdir, redirect_stdout
 from dataclasses import asdict
 from math import log
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +27,7 @@ from renderer.content import load_scene
 from renderer.lab.accuracy.tuning import ParameterPair, PathFrames, Trial, search, select_best, try_pairs
 from renderer.visibility import VisibilitySettings
 from rhi_screen.executors import make_executor
+from tests.renderer.conftest import open_device
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
 
@@ -81,29 +85,64 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.usefixtures("gl")
-def test_render_and_compare_read_the_settings_that_tune_writes(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*COMMAND, "--backend", "gl", "--rounds", "2", "--output", "new/tuned", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    with (here / "new/tuned/trials.csv").open() as file:
-        rows = list(csv.DictReader(file))
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A folder with the files that `tune` has written, and what it has printed."""
+    folder, printed = tmp_path_factory.mktemp("tuned"), io.StringIO()
+    with open_device("gl"), chdir(folder), redirect_stdout(printed):
+        assert main([*COMMAND, "--backend", "gl", "--rounds", "2", "--output", "new/tuned", "--json"]) == 0
+    return folder / "new/tuned", json.loads(printed.getvalue())
+
+
+def read_trials(folder: Path) -> list[dict[str, str]]:
+    with (folder / "trials.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_tune_writes_a_row_for_each_trial(tuned: tuple[Path, dict[str, Any]]) -> None:
+    rows = read_trials(tuned[0])
     assert {int(row["batch"]) for row in rows} >= {1, 2, 4, 8}
     assert {int(row["persistence"]) for row in rows} == {2}
     assert all(float(row["ratio"]) > 0.0 and int(row["queries"]) > 0 for row in rows)
-    assert np.asarray(Image.open(here / "new/tuned/trials.png")).std() > 10
-    settings = VisibilitySettings.load(here / "new/tuned/settings.json")
-    assert report["visibility"]["batch"] == settings.batch
+
+
+def test_tune_plots_its_trials(tuned: tuple[Path, dict[str, Any]]) -> None:
+    assert np.asarray(Image.open(tuned[0] / "trials.png")).std() > 10
+
+
+def test_tune_writes_the_best_of_its_finals(tuned: tuple[Path, dict[str, Any]]) -> None:
+    folder, report = tuned
+    assert report["visibility"]["batch"] == VisibilitySettings.load(folder / "settings.json").batch
     assert report["ratio"] <= 1.0
-    assert {final["batch"] for final in report["finals"]} <= {int(row["batch"]) for row in rows}
-    shared = ["city:blocks=4,detail=2", "--size", "64x36", "--settings", "new/tuned/settings.json", "--json"]
-    assert main(["compare", "visibility", *shared, "--frames", "1", "--algorithms", "chc_plus_plus"]) == 0
+    assert {final["batch"] for final in report["finals"]} <= {
+        int(row["batch"]) for row in read_trials(folder)
+    }
+
+
+def test_compare_reads_the_settings_that_tune_writes(
+    tuned: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--frames", "1", "--algorithms", "chc_plus_plus"]
+    assert main(["compare", "visibility", *share_settings(tuned[0]), *arguments]) == 0
     compared = json.loads(capsys.readouterr().out)
     assert compared["settings"] == asdict(VisibilitySettings())
-    assert compared["optimized"] == report["visibility"]
+    assert compared["optimized"] == tuned[1]["visibility"]
     assert [row["algorithm"] for row in compared["rows"]] == ["chc_plus_plus", "optimized_chc_plus_plus"]
-    assert main(["render", *shared, "--visibility", "chc_plus_plus"]) == 0
+
+
+def test_render_reads_the_settings_that_tune_writes(tuned: tuple[Path, dict[str, Any]]) -> None:
+    assert main(["render", *share_settings(tuned[0]), "--visibility", "chc_plus_plus"]) == 0
+
+
+def share_settings(folder: Path) -> list[str]:
+    return [
+        "city:blocks=4,detail=2",
+        "--size",
+        "64x36",
+        "--settings",
+        str(folder / "settings.json"),
+        "--json",
+    ]
 
 
 @pytest.mark.usefixtures("gl")

@@ -146,19 +146,26 @@ def test_calls_are_counted_without_those_of_the_garbage_collector() -> None:
     assert phases, "the control: outside of the block, garbage is collected"
 
 
-def test_a_row_lists_the_work_that_a_step_adds_to_the_step_before() -> None:
+def test_without_names_all_steps_are_listed() -> None:
     assert list_steps_named([]) == list(range(len(EFFECT_STEPS)))
+
+
+def test_glass_adds_one_pass_and_one_draw() -> None:
     (glass,) = count_effect_costs(list_steps_named(["glass"]))
-    assert glass.passes == ("transparency",)
-    assert glass.replaced == ()
-    assert glass.added["draws"] == 1
-    assert glass.added["images"] == 0
+    assert (glass.passes, glass.replaced) == (("transparency",), ())
+    assert (glass.added["draws"], glass.added["images"]) == (1, 0)
     assert glass.leftovers is not None
+
+
+def test_a_shadow_adds_a_pass_and_the_bytes_of_its_map() -> None:
     (shadow,) = count_effect_costs(list_steps_named(["shadow"]))
     assert shadow.passes == ("shadow maps",)
     assert shadow.added["images"] == 2048**2 * 4
+
+
+def test_marble_adds_one_draw_because_shadow_maps_draw_it_with_other_objects() -> None:
     (marble,) = count_effect_costs(list_steps_named(["marble"]))
-    assert marble.added["draws"] == 1, "shadow maps draw it with the others"
+    assert marble.added["draws"] == 1
 
 
 def test_an_empty_scene_draws_nothing_and_clears_its_image() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
+from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,36 +20,62 @@ from renderer.lab.deferred_plus_comparison import TECHNIQUES
 from renderer.renderer import Renderer
 from renderer.techniques import Clustered, Forward
 from renderer.visibility import NoCulling, TwoPassCulling
+from tests.renderer.conftest import open_device
 
 SMALL = ["--size", "48x32", "--frames", "2", "--backend", "gl"]
 
 
-def test_the_report_has_the_steps_of_all_techniques_and_of_culling(
-    gl: rhi.Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "buffers.png"
-    assert main(["compare", "deferred-plus", "hall:lights=4", *SMALL, "--json", "--output", str(path)]) == 0
-    report = json.loads(capsys.readouterr().out)
-    rows = {(row["technique"], row["culling"]): row for row in report["rows"]}
-    assert set(rows) == {(name, culling) for name in TECHNIQUES for culling in (True, False)}
+@pytest.fixture(scope="module")
+def image_and_report(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    path, printed = tmp_path_factory.mktemp("deferred-plus") / "buffers.png", io.StringIO()
+    arguments = ["hall:lights=4", *SMALL, "--json", "--output", str(path)]
+    with open_device("gl"), redirect_stdout(printed):
+        assert main(["compare", "deferred-plus", *arguments]) == 0
+    return path, json.loads(printed.getvalue())
+
+
+@pytest.fixture(scope="module")
+def rows(image_and_report: tuple[Path, dict[str, Any]]) -> dict[tuple[str, bool], dict[str, Any]]:
+    return {(row["technique"], row["culling"]): row for row in image_and_report[1]["rows"]}
+
+
+@pytest.fixture(scope="module")
+def culling(image_and_report: tuple[Path, dict[str, Any]]) -> dict[str, Any]:
+    report: dict[str, Any] = image_and_report[1]["culling"]
+    return report
+
+
+def test_each_technique_has_a_row_with_culling_and_without(rows: dict[Any, dict[str, Any]]) -> None:
+    assert set(rows) == {(name, is_culled) for name in TECHNIQUES for is_culled in (True, False)}
     assert all(row["wrong_pixels"] == 0 for row in rows.values())
+
+
+def test_rows_have_the_steps_of_their_technique(rows: dict[Any, dict[str, Any]]) -> None:
     assert list(rows["deferred+", True]["steps"]) == ["geometry", "light lists", "shading"]
     assert "rectangles" in rows["deferred+, multi-pass", False]["steps"]
     assert {"bins", "resolve"} <= set(rows["deferred+, binned", True]["steps"])
     assert "depth" in rows["clustered forward, depth first", True]["steps"]
-    culling = report["culling"]
+
+
+def test_instances_of_both_passes_of_culling_add_up(culling: dict[str, Any]) -> None:
     assert culling["instances"] >= culling["visible"] == culling["first"] + culling["second"] > 0
     assert culling["missed"] == pytest.approx(100.0 * culling["second"] / culling["instances"])
     assert culling["culled"] == pytest.approx(100.0 * (1.0 - culling["visible"] / culling["instances"]))
-    names = [
+
+
+def test_each_step_of_culling_has_a_time(culling: dict[str, Any]) -> None:
+    steps = [
         "likely: test boxes",
         "likely: list draws",
         "missed: test boxes",
         "missed: list draws",
         "remember",
     ]
-    assert [name for name in names if culling["steps"].get(name, 0.0) > 0.0] == names
-    with Image.open(path) as image:
+    assert [name for name in steps if culling["steps"].get(name, 0.0) > 0.0] == steps
+
+
+def test_the_image_shows_six_buffers(image_and_report: tuple[Path, dict[str, Any]]) -> None:
+    with Image.open(image_and_report[0]) as image:
         assert image.size == (3 * 48, 2 * 32)
 
 
