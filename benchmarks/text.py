@@ -27,14 +27,15 @@ TEXTS: Final = {"line": LINE.rstrip(), "page": LINE * 40}
 
 
 OPTIONS: Final = (
-    options.option("--backends", "backends to measure", ",".join(rhi.backend_names())),
+    options.option("--backends", "backends to measure", None, "all that work here"),
     options.rounds("rounds", 41),
 )
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the glyphs in a millisecond of each step and text on each device."""
-    for backend in arguments.backends.split(","):
+    usable = [each.name for each in rhi.report() if each.usable]
+    for backend in arguments.backends.split(",") if arguments.backends else usable:
         with rhi.create_device(backend) as device:
             yield from measure_device(device, arguments.rounds)
 

@@ -275,6 +275,59 @@ def test_no_two_files_of_tests_have_one_name() -> None:
     assert len(names) > 100
 
 
+def list_unreachable_imports(root: Path, reachable: set[Path]) -> list[str]:
+    """Imports in tests that only work if pytest has collected another folder before.
+
+    A test file reaches modules in its folder, beside a `conftest.py` above it, and in `reachable` folders. The
+    `conftest.py` of a folder is for the files below it: what it imports may be beside it.
+    """
+    files = sorted((root / "tests").rglob("*.py"))
+    folders: dict[str, set[Path]] = {}
+    for file in files:
+        folders.setdefault(file.stem, set()).add(file.parent)
+    wrong = []
+    for file in files:
+        reached = {
+            file.parent,
+            *(each for each in file.parents if (each / "conftest.py").exists()),
+        } | reachable
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            else:
+                modules = [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            for module in modules:
+                *path, name = module.split(".")
+                if path[:1] == ["tests"]:
+                    lacks = name == "conftest" and root.joinpath(*path) not in file.parents
+                else:
+                    lacks = not path and name in folders and not folders[name] & reached
+                if lacks:
+                    wrong.append(f"{file.relative_to(root).as_posix()}:{node.lineno}: {module}")
+    return wrong
+
+
+def test_each_file_of_tests_can_be_collected_alone() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]
+    reachable = {ROOT / folder for folder in options["ini_options"]["pythonpath"]}
+    assert list_unreachable_imports(ROOT, reachable) == []
+
+
+def test_an_import_that_needs_another_folder_is_detected(tmp_path: Path) -> None:
+    files = {
+        "tests/kits/kit.py": "",
+        "tests/a/conftest.py": "import beside",
+        "tests/a/beside.py": "",
+        "tests/a/deep/test_right.py": "import beside\nimport kit\nfrom tests.a.conftest import x\nimport ast",
+        "tests/b/test_wrong.py": "import kit\nimport beside\nfrom tests.a.conftest import x",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    wrong = list_unreachable_imports(tmp_path, {tmp_path / "tests/kits"})
+    assert wrong == ["tests/b/test_wrong.py:2: beside", "tests/b/test_wrong.py:3: tests.a.conftest"]
+
+
 def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> None:
     for path in sorted((ROOT / "examples/numpy_backend/rhi_numpy").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):

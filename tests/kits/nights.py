@@ -27,7 +27,8 @@ Each run of a test has the next seed: hypothesis takes it, and so does a test th
 `--hypothesis-seed` repeats a run with the seed in the record.
 
 `overdue` collects the nightly tests, prints those that haven't passed on one of the last ten commits of
-`main`, and fails if there are any.
+`main`, and fails if there are any. It counts those that have been skipped since: what a backend declares missing can't
+pass.
 """
 
 from __future__ import annotations
@@ -236,10 +237,26 @@ def order_tests(
     return [test for _, group in ordered for test in sorted(group, key=last_run)]
 
 
-def list_overdue(tests: Iterable[str], record: Mapping[str, Row], recent: Collection[str]) -> list[str]:
-    """Return tests that haven't passed on one of the recent commits, each with its line of the record."""
+def list_skipped(tests: Iterable[str], record: Mapping[str, Row], since: str) -> list[str]:
+    """Return tests that were skipped, by name, when they last ran, at `since` or later.
+
+    Some are always skipped: a backend that lacks a capability has nothing to show there.
+    """
+    rows = (record[test] for test in sorted(set(tests)) if test in record)
+    return [row.test for row in rows if row.outcome == "skipped" and row.ran >= since]
+
+
+def list_overdue(
+    tests: Iterable[str], record: Mapping[str, Row], recent: Collection[str], since: str
+) -> list[str]:
+    """Return tests that have neither passed on one of the recent commits nor been skipped, each with its row.
+
+    Args:
+        since: when the oldest of the recent commits was made, in UTC.
+    """
+    skipped = set(list_skipped(tests, record, since))
     overdue = []
-    for test in sorted(set(tests)):
+    for test in sorted(set(tests) - skipped):
         row = record.get(test)
         if row is None:
             overdue.append(f"{test}: never run")
@@ -396,7 +413,14 @@ def _is_nightly(item: pytest.Item) -> bool:
 
 
 def _git(*arguments: str) -> str | None:
-    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["git", *arguments],
+        cwd=ROOT,
+        env=os.environ | {"TZ": "UTC"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return done.stdout if done.returncode == 0 else None
 
 
@@ -405,6 +429,14 @@ def _name_commit() -> str:
     commit = (_git("rev-parse", "HEAD") or "-").strip()
     own = RECORD.relative_to(ROOT).as_posix()
     return commit + ("+" if _git("status", "--porcelain", "--", ".", f":!{own}") else "")
+
+
+def _list_recent_commits() -> tuple[list[str], str]:
+    """Return the last commits of `main`, and when the oldest of them was made, in UTC."""
+    newest = ("log", "-n", str(_RECENT_COMMITS), "--first-parent", "--format=%H %cd")
+    lines = (_git(*newest, "--date=format-local:%Y-%m-%dT%H:%M:%SZ", "main") or "").splitlines()
+    commits = [line.split() for line in lines]
+    return [commit for commit, _ in commits], min((date for _, date in commits), default="")
 
 
 def _list_changed(record: Mapping[str, Row]) -> dict[str, list[str]]:
@@ -478,9 +510,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = int(pytest.main(["--collect-only", "-qq", *every], plugins=[night]))
         if status not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
             return status
-        log = _git("rev-list", "-n", str(_RECENT_COMMITS), "--first-parent", "main") or ""
-        overdue = list_overdue(night.tests, record, log.split())
-        print("\n".join([*overdue, f"{len(overdue)} of {len(night.tests)} nightly tests are overdue"]))
+        recent, since = _list_recent_commits()
+        overdue = list_overdue(night.tests, record, recent, since)
+        skipped = len(list_skipped(night.tests, record, since))
+        counts = f"{len(overdue)} of {len(night.tests)} nightly tests are overdue, {skipped} were skipped"
+        print("\n".join([*overdue, counts]))
         return 1 if overdue else 0
     budget = None if options.minutes is None else 60.0 * options.minutes
     if options.command == "run":

@@ -28,6 +28,7 @@ import re
 import subprocess
 from collections import Counter
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -52,6 +53,19 @@ _MEASURING: Final = ("lab", "cli")
 
 _ALWAYS: Final = ("tests/test_structure.py", "tests/test_words.py")
 _DOCUMENTATION: Final = ("tests/test_docs.py", "tests/test_project.py")
+
+
+@cache
+def _read(path: Path) -> str:
+    """Return a file's text, read once: a night asks about hundreds of modules."""
+    return path.read_text(encoding="utf-8")
+
+
+@cache
+def _list_test_files(root: Path) -> tuple[tuple[str, Path], ...]:
+    """Return the test files of a project, each with its name from the root."""
+    files = sorted((root / "tests").rglob("test_*.py"))
+    return tuple((file.relative_to(root).as_posix(), file) for file in files)
 
 
 def list_files(root: Path) -> list[str]:
@@ -106,7 +120,8 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path, *, inside: bool =
     """Return the files of tests outside a folder that import a module's package and name most of what it
     defines; or `inside` the folder, whatever they import, with the constants that it defines."""
     module = path.with_suffix("").as_posix().replace("/", ".")
-    package = re.compile(rf"\b{re.escape('.'.join(path.with_suffix('').parts[:2]))}\b")
+    package = ".".join(path.with_suffix("").parts[:2])
+    named = re.compile(rf"\b{re.escape(package)}\b")
     tree = ast.parse((root / path).read_text())
     names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
     if inside:
@@ -116,11 +131,12 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path, *, inside: bool =
         "|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_"))
     )
     counts = Counter[str]()
-    for each in sorted((root / "tests").rglob("test_*.py")):
-        if each.is_relative_to(folder) == inside:
-            text = each.read_text()
-            if inside or package.search(text):
-                counts[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
+    within = f"{folder.relative_to(root).as_posix()}/"
+    for file, full_path in _list_test_files(root):
+        if file.startswith(within) == inside:
+            text = _read(full_path)
+            if inside or (package in text and named.search(text)):
+                counts[file] = len(set(words.findall(text)))
     return [file for file, count in counts.most_common(_MAX_USERS) if count]
 
 
@@ -142,7 +158,10 @@ def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
     counts = Counter[str]()
     for file in sorted((root / path.parts[0]).rglob("*.py")):
         own = file.relative_to(root).parts
-        if len(own) > 2 and own[1] not in (path.parts[1], *_MEASURING) and imports.search(file.read_text()):
+        if len(own) <= 2 or own[1] in (path.parts[1], *_MEASURING):
+            continue
+        text = _read(file)
+        if f"from {package}" in text and imports.search(text):
             counts["/".join(("tests", *own[:2]))] += 1
     return [folder for folder, _ in counts.most_common() if (root / folder).is_dir()]
 
@@ -222,12 +241,12 @@ def _list_readers(root: Path, path: PurePosixPath) -> list[str]:
     """Return the tests of what names a file of data: files of tests, and modules in its folder."""
     readers: list[str] = []
     for file in sorted((root / path.parent).glob("*.py")):
-        if path.name in file.read_text():
+        if path.name in _read(file):
             module = PurePosixPath(file.relative_to(root).as_posix())
             is_shared = module.parts[0] == "tests"
             readers += _list_test_importers(root, module) if is_shared else _choose_near_tests(root, module)
-    tests = sorted((root / "tests").rglob("test_*.py")) if path.parent.parts else []
-    return readers + [each.relative_to(root).as_posix() for each in tests if path.name in each.read_text()]
+    tests = _list_test_files(root) if path.parent.parts else ()
+    return readers + [test for test, full_path in tests if path.name in _read(full_path)]
 
 
 def _list_test_importers(root: Path, path: PurePosixPath) -> list[str]:
@@ -235,8 +254,8 @@ def _list_test_importers(root: Path, path: PurePosixPath) -> list[str]:
     imports = re.compile(
         rf"^(?:from {re.escape(path.stem)} import|import {re.escape(path.stem)}\b)", re.MULTILINE
     )
-    tests = sorted((root / "tests").rglob("test_*.py"))
-    return [each.relative_to(root).as_posix() for each in tests if imports.search(each.read_text())]
+    texts = ((test, _read(full_path)) for test, full_path in _list_test_files(root))
+    return [test for test, text in texts if path.stem in text and imports.search(text)]
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from nights import (
     choose_shard,
     format_record,
     list_overdue,
+    list_skipped,
     main,
     merge_records,
     order_tests,
@@ -126,17 +127,22 @@ def test_tests_without_a_recent_pass_are_overdue() -> None:
             row("a.py::old", commit="old", passed="2020-01-01T00:00:00Z"),
             row("a.py::differs", commit="new+", passed="2020-01-02T00:00:00Z"),
             row("a.py::failed", "failed"),
+            row("a.py::skipped", "skipped", "2020-01-03T00:00:00Z"),
+            row("a.py::skipped_long_ago", "skipped", "2020-01-01T00:00:00Z"),
         ]
     }
-    overdue = list_overdue([*record, "a.py::unknown"], record, ["new"])
+    since = "2020-01-02T00:00:00Z"
+    overdue = list_overdue([*record, "a.py::unknown"], record, ["new"], since)
     assert [each.partition(":")[2].partition(": ")[0] for each in overdue] == [
         ":differs",
         ":failed",
         ":old",
+        ":skipped_long_ago",
         ":unknown",
     ]
     assert overdue[-1].endswith("never run")
-    assert list_overdue(["a.py::recent"], record, ["new"]) == []
+    assert list_overdue(["a.py::recent"], record, ["new"], since) == []
+    assert list_skipped([*record, "a.py::unknown"], record, since) == ["a.py::skipped"]
 
 
 # -- shards and order ----------------------------------------------------------------------------------------

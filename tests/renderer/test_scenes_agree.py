@@ -128,7 +128,7 @@ def test_gl_and_cl_cover_the_same_pixels_of_a_scene(
 def test_gl_and_cl_cover_the_same_pixels_along_all_paths(
     devices: tuple[Device, Device], scene: Scene, path: str, frame: int
 ) -> None:
-    check_depth(devices, scene, path, frame, (1280, 720))
+    check_depth(devices, scene, path, frame, (1024, 576))  # WIDER times as wide is the most that PoCL draws
 
 
 @pytest.mark.nightly_cases("*-900", "city-sky-0", reason=FEWER_CASES)

@@ -449,6 +449,7 @@ from pathlib import Path
 import numpy as np
 from distributed import LocalCluster
 import rhi_screen
+import rhi_screen.executors
 
 def render(frame):
     time.sleep(0.02)
@@ -458,6 +459,7 @@ def deadly(frame):
     return render(frame) if frame != 7 else os._exit(1)
 
 if __name__ == "__main__":
+    rhi_screen.executors.NO_WORKER_SECONDS = 900.0  # a busy machine takes minutes to start a worker again
     folder = Path(sys.argv[1])
     rhi_screen.film(render, range(60), output=folder / "serial" / "%d.png")
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:

@@ -130,11 +130,12 @@ class _NumpyWriter:
     # -- statements
 
     def block(self, block: lanes.Block, depth: int) -> None:
-        """Write a block, `pass` if it is empty."""
-        if not block:
-            self.add(depth, "pass")
+        """Write a block, `pass` if none of its statements has a text, such as a barrier alone."""
+        count = len(self.lines)
         for statement in block:
             self.statement(statement, depth)
+        if len(self.lines) == count:
+            self.add(depth, "pass")
 
     def statement(self, node: lanes.Statement, depth: int) -> None:
         match node:

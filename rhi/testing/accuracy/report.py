@@ -188,18 +188,24 @@ def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) 
     height, width = levels[0].shape[1:3]
     with (
         device.texture((width, height), probe.format, levels=len(levels)) as image,
-        device.storage(four, inputs) as at,
+        device.storage(four, inputs) as coordinates,
         device.storage(four, SAMPLES) as results,
     ):
         for level, texels in enumerate(levels):
             image.write(texels, level)
         programs: list[Program[...]] = [device.program(shader) for shader in SHADERS[precision]]
         once, often, idle = programs
-        device.dispatch(once, SAMPLES // WORK_GROUP, image=image, at=at, results=results)
+        device.dispatch(once, SAMPLES // WORK_GROUP, image=image, coordinates=coordinates, results=results)
         once_results = results.read()
 
         def run(program: Program[...]) -> None:
-            device.dispatch(program, SAMPLES // ITERATIONS // WORK_GROUP, image=image, at=at, results=results)
+            device.dispatch(
+                program,
+                SAMPLES // ITERATIONS // WORK_GROUP,
+                image=image,
+                coordinates=coordinates,
+                results=results,
+            )
             device.finish()
 
         sampled, read = _shortest_times([partial(run, often), partial(run, idle)])

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from nightly_reasons import CHEAPER_TEST
 
+import rhi
 from rhi.contract.formats import Format
 from rhi.shading.language.builtins import BUILTINS, ErrorBound
 from rhi.testing.accuracy import report as accuracy
-from rhi.testing.accuracy.sample_probes import SAMPLE_PROBES
+from rhi.testing.accuracy.sample_probes import SAMPLE_PROBES, SHADERS
 
 
 def test_a_row_has_the_error_the_bound_and_the_time_of_a_builtin_on_a_backend():
@@ -47,6 +48,14 @@ def test_samples_of_textures_have_rows_and_fast_ones_a_cheaper_curve():
     assert 100 * exact.max_ulp < fast.max_ulp
     assert rows["sample_lod(R32F)", "exact"].max_ulp == rows["sample_lod(R32F)", "fast"].max_ulp
     assert all(row.is_within_bound for row in rows.values())
+
+
+@pytest.mark.parametrize("precision", SHADERS)
+def test_samples_are_dispatched_with_the_bindings_of_their_shaders(precision):
+    with rhi.create_device("null") as device:
+        for probe in SAMPLE_PROBES:
+            inputs, results, _ = accuracy._sample_on_device(device, probe, precision)
+            assert inputs.shape == results.shape
 
 
 def test_a_sample_is_compared_with_float64_in_units_of_float32_s_step_at_1():

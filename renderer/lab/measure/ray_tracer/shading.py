@@ -176,10 +176,13 @@ def optical_depth(fog: Fog, eye: Floats, height: Floats, length: Floats) -> Floa
     """The integral of a fog's density along rays (k,) from the heights `eye` that rise by `height` on their
     `length`, which may be infinite."""
     thins = fog.falloff * height
-    here = fog.density * np.exp(np.minimum(-fog.falloff * (eye - fog.base), 60.0))
+    # Seen from the end at which the air is denser: from the other one, 0 may be multiplied by infinity.
+    exponent = np.minimum(-fog.falloff * (eye - fog.base), 60.0) + np.maximum(-thins, 0.0)
+    densest = fog.density * np.exp(np.minimum(exponent, 700.0))
+    thins = np.abs(thins)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = np.where(np.abs(thins) < 1e-12, 1.0, -np.expm1(-thins) / thins)
-        return np.asarray(here * length * share)
+        share = np.where(thins < 1e-12, 1.0, -np.expm1(-thins) / thins)
+        return np.asarray(densest * length * share)
 
 
 def _take(seen: Surfaces, rows: NDArray[Any]) -> Surfaces:

@@ -167,6 +167,25 @@ def test_fog_is_as_thick_as_its_density_added_up(falloff: float, rise: float) ->
     assert np.exp(-thickness[0]) == pytest.approx(integrate_fog(fog, 2.0, ray), rel=1e-9)
 
 
+@pytest.mark.parametrize("density", [1e-300, 1e-30, 1.0])
+@pytest.mark.parametrize("heights", [(80.0, -80.0), (80.0, 0.0), (3.0, -60.0), (-60.0, 3.0), (5.0, 5.0)])
+def test_fog_that_is_far_thinner_at_one_end_has_a_finite_depth(
+    density: float, heights: tuple[float, float]
+) -> None:
+    """The reference adds logarithms of the integral's factors, which neither overflow nor vanish."""
+    falloff = 10.0
+    eye, end = heights
+    depth = optical_depth(
+        Fog(density, falloff=falloff), np.array([eye]), np.array([end - eye]), np.array([7.0])
+    )
+    lowest, highest = min(heights), max(heights)
+    span = falloff * (highest - lowest)
+    share = -np.expm1(-span) / span if span else 1.0
+    exponent = min(-falloff * eye, 60.0) + max(falloff * (eye - end), 0.0)
+    expected = np.log(density) + exponent + np.log(7.0 * share)
+    assert np.exp(-depth[0]) == pytest.approx(np.exp(-np.exp(min(expected, 700.0))), rel=1e-9, abs=1e-12)
+
+
 def test_tones_and_srgb_have_their_published_values() -> None:
     assert encode_srgb(np.array([0.0, 0.002, 0.2140411, 1.0])) == pytest.approx(
         [0.0, 0.02584, 0.5, 1.0], abs=1e-6

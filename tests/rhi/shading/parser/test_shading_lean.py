@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tested_devices import open_device
 
 import rhi
 import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.errors import ShaderError
-from tests.renderer.conftest import open_device
 
 
 class Sums(sl.Shader):
