@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,12 @@ from renderer.frame import (
     TextureSettings,
     View,
     VisibleFeatures,
+    are_effects_same,
     collect_frame_effects,
     make_plan,
 )
 from renderer.frame.scene_images import SceneImages
-from renderer.scene import Camera, Scene, Simulator
+from renderer.scene import Camera, Projection, Scene, Simulator
 from renderer.scene.catch_up import count_steps
 from renderer.scene.finite import check_finite, check_time
 from renderer.shadows import ShadowMaps, shadow_passes
@@ -48,10 +49,29 @@ from renderer.techniques.parts.scaling import scale_image
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Format, Texture
+from rhi.math import is_parallel
 from rhi.shading import Precision
 
-_COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
-"""The device's counters that are part of a frame's statistics."""
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _SteadyFrame:
+    """What the next frame has in common with the last one, if only the camera moves.
+
+    Attributes:
+        settings: those of the renderer.
+        projection: that of the camera.
+        effects: those of the frame.
+        plan: the plan of these effects.
+        values: the `Frame.values`.
+    """
+
+    settings: tuple[object, ...]
+    projection: Projection
+    effects: FrameEffects
+    plan: Plan[Frame]
+    values: dict[object, Any]
+
+
 ANIMATION_LAG: Final = 0.5
 """The lag allowed for small objects, in pixels, unless one says otherwise."""
 
@@ -181,6 +201,9 @@ class Renderer:
         self._widest_blended = Format.RGBA32F if blends_singles else Format.RGBA16F
         self._planned_technique: Technique | None = None
         self._last_plan: Plan[Frame] | None = None  # the plan of the last frame
+        self._steady: _SteadyFrame | None = None  # None if the last frame has nothing that can be kept
+        self._snapshot: tuple[object, ...] | None = None  # of the scene, when the last frame began
+        self._may_be_steady = not (scene.simulated or scene.height_fields)
         self._size, self._scale = size, 1.0
         self._pair: EyePair | None = None
         with ExitStack() as stack:
@@ -233,7 +256,7 @@ class Renderer:
     @light_cutoff.setter
     def light_cutoff(self, cutoff: float) -> None:
         rules.check_non_negative(rules.BAD_CUTOFF, "Renderer.light_cutoff = …", cutoff)
-        self._resources.light_cutoff = cutoff
+        self._resources.light_cutoff, self._steady = cutoff, None
 
     @property
     def view(self) -> View:
@@ -301,7 +324,7 @@ class Renderer:
             raise
         if self._pair is not None:
             self._pair.destroy()
-        self._size, self._pair, self._scale = size, pair, scale
+        self._size, self._pair, self._scale, self._steady = size, pair, scale, None
 
     @property
     def shadows(self) -> ShadowMaps:
@@ -377,30 +400,20 @@ class Renderer:
         before = device.statistics
         check_finite("render", position=camera.position, rotation=camera.rotation)
         check_time("render", seconds)
-        self.scene.check_numbers("render")
-        around = self._aim(camera)
-        if self._animation_step:
-            seconds = count_steps(seconds, self._animation_step) * self._animation_step
-        self.scene.seconds = seconds
-        simulator = resources.simulator
-        expected = simulator.drawn_objects
-        simulator.begin_frame(seconds)
-        self.scene.refresh()
-        simulator.slow_down(around, self._targets.size[1], self._animation_lag)
-        eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
-        resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
-        resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
-        resources.simulate_expected(around, expected, simulator.diverging if self.simulates_hidden else None)
-        effects = self._collect_effects(around, self._recent_features.choose_shader_features(around))
-        plan = self._plan(effects)
-        if plan is not self._last_plan:
-            self._last_plan = plan
-            if not effects.has_shadow_casters:
-                resources.release(ShadowMaps)
-        left = Frame(device, self._view, resources, self._targets, effects, precision=self.precision)
+        steady = self._begin_steady(camera, seconds) or self._begin(camera, seconds)
+        effects, plan, values = steady.effects, steady.plan, steady.values
+        left = Frame(
+            device,
+            self._view,
+            resources,
+            self._targets,
+            effects,
+            precision=self.precision,
+            values=values,
+        )
         frames = [left]
         self._run(plan, left)
-        if left.statistics is not None:
+        if resources.hidden.is_tracking and left.statistics is not None:
             left.draw_result.record_hidden()
         if pair is not None:
             right = Frame(device, pair.view, resources, pair.targets, effects, left, self.precision)
@@ -413,26 +426,118 @@ class Renderer:
                 self._run(moved or plan, right)
         after = device.statistics
         for frame in frames:
-            inside: list[Layer] = [layer for layer in self.layers if isinstance(layer, SceneLayer)]
-            for layer in inside:
-                layer.render(device, frame)
-            scale_image(frame)
             for layer in self.layers:
-                if layer not in inside:
+                if isinstance(layer, SceneLayer):
+                    layer.render(device, frame)
+            if frame.targets.output_image is not None:
+                scale_image(frame, frame.targets.output_image)
+            for layer in self.layers:
+                if not isinstance(layer, SceneLayer):
                     layer.render(device, frame)
         image = left.targets.image
         if pair is not None:
             with device.event("both eyes"):
                 image = pair.show(*frames)
         self.show(image)
-        counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS} | {
+        simulator = resources.simulator
+        counters = {
+            "queries": after.queries - before.queries,
+            "software_state_changes": after.software_state_changes - before.software_state_changes,
+            "hardware_state_changes": after.hardware_state_changes - before.hardware_state_changes,
+            "upload_bytes": after.upload_bytes - before.upload_bytes,
             "simulation_steps": simulator.steps,
-            "skipped_simulations": len(simulator) - simulator.drawn_count,
+            "skipped_simulations": len(simulator) - simulator.drawn_count if len(simulator.objects) else 0,
         }
         result = FrameResult(
             image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
         )
         return result, effects
+
+    def _begin_steady(self, camera: Camera, seconds: float) -> _SteadyFrame | None:
+        """Begin a frame in which only the camera differs from the last one's, so that most of what `_begin`
+        does would change nothing. Return None, and leave the rest to `_begin`, if anything else differs."""
+        steady, before = self._steady, self._snapshot
+        scene, resources = self.scene, self._resources
+        self._steady = None
+        self._snapshot = scene.snapshot() if self._may_be_steady and scene.nodes.is_current else None
+        if (
+            steady is None
+            or self._snapshot is None
+            or self._snapshot != before
+            or steady.settings != self._settings()
+        ):
+            return None
+        camera = self._fit(camera)
+        projection = camera.projection
+        if projection is not steady.projection and (is_parallel(projection), projection.depth) != (
+            is_parallel(steady.projection),
+            steady.projection.depth,
+        ):
+            return None
+        if not are_effects_same(
+            steady.effects,
+            scene,
+            camera,
+            self._recent_features.choose_shader_features(camera),
+            resources.reaching,
+        ):
+            self._recent_features.reconsider()
+            return None
+        self._view.aim(camera)
+        self._set_time(seconds)
+        scene.skip_refresh()
+        resources.follow(camera)
+        self._steady = steady
+        return steady
+
+    def _begin(self, camera: Camera, seconds: float) -> _SteadyFrame:
+        """Bring everything on the device up to date with the scene, and plan the frame."""
+        resources, pair = self._resources, self._pair
+        self.scene.check_numbers("render")
+        around = self._aim(camera)
+        simulator = resources.simulator
+        expected = simulator.drawn_objects
+        simulator.begin_frame(self._set_time(seconds))
+        self.scene.refresh()
+        simulator.slow_down(around, self._targets.size[1], self._animation_lag)
+        eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
+        resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
+        resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
+        resources.simulate_expected(around, expected, simulator.diverging if self.simulates_hidden else None)
+        effects = self._collect_effects(around, self._recent_features.choose_shader_features(around))
+        plan = self._plan(effects)
+        if plan is not self._last_plan:
+            self._last_plan = plan
+            if not effects.has_shadow_casters:
+                resources.release(ShadowMaps)
+        steady = _SteadyFrame(self._settings(), around.projection, effects, plan, {})
+        if (
+            self._snapshot is not None
+            and pair is None
+            and not (effects.has_shadow_casters or any(texture.has_history for texture in plan.textures))
+        ):
+            self._steady = steady
+        return steady
+
+    def _settings(self) -> tuple[object, ...]:
+        """The settings of a frame that may be exchanged between two frames, but for those that forget
+        `_steady`."""
+        technique = self.technique
+        return (
+            technique.current if isinstance(technique, AutoTechnique) else technique,
+            self._view.visibility,
+            self.blending,
+            self.precision,
+            self.bloom,
+            self._resources.simulator,
+        )
+
+    def _set_time(self, seconds: float) -> float:
+        """Set the time of the scene; return the time that its animations have."""
+        if self._animation_step:
+            seconds = count_steps(seconds, self._animation_step) * self._animation_step
+        self.scene.seconds = seconds
+        return seconds
 
     def _aim(self, camera: Camera) -> Camera:
         """Aim the views of a frame through `camera`; return a camera that sees all that they see."""

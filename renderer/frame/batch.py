@@ -97,16 +97,19 @@ class FrameBatch:
             self._buffer = self._device.buffer(room, DRAW, label="batch")
             self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
         if parts is not self._written:  # other passes and the second eye draw the same
-            self._counts = [-(-len(part) // _STEP) * _STEP for part in parts]
-            *self._starts, count = accumulate(self._counts, initial=0)
-            object_indices = np.full(count, len(draws))
+            counts = self._counts = []
+            for part in parts:
+                counts.append(-(-len(part) // _STEP) * _STEP)
+            *self._starts, count = accumulate(counts, initial=0)
+            object_indices = np.empty(count, np.int64)
+            object_indices.fill(len(draws))  # a draw of nothing
             for part, start in zip(parts, self._starts, strict=True):
                 object_indices[start : start + len(part)] = part
             if object_indices.tobytes() != self._rows.tobytes():
                 self._buffer.write(self._with_nothing[object_indices])
                 self._rows = object_indices
             self._written = parts
-        buffer, counts, starts = self._buffer, self._counts, self._starts
+        buffer, counts, starts = self._buffer, self._counts, self._starts  # other passes may change these
 
         def issue_batch(encoder: Encoder) -> None:
             arguments = [

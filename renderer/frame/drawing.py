@@ -209,8 +209,8 @@ class TechniqueDrawer:
         self._color = color
         self._clear = clear
         not_behind = NOT_BEHIND[view.camera.projection.depth]
-        defaults: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, not_behind)
-        self._states = tuple({type(state): state for state in (*defaults, *states)}.values())
+        merged: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, not_behind, *states)
+        self._states = tuple(dict(zip(map(type, merged), merged, strict=True)).values())
         self._clears = clears
         self.was_opened = False
         self._has_all_in_view = False
@@ -229,7 +229,10 @@ class TechniqueDrawer:
     def key(self) -> tuple[object, ...]:
         """The values that the pass's commands depend on, besides the objects."""
         color = self._color
-        programs = [value for bound in self._programs for value in (bound.program, *bound.bindings.values())]
+        programs: list[object] = []
+        for program, bindings in self._programs:
+            programs.append(program)
+            programs.extend(bindings.values())
         return (
             *programs,
             *(color if isinstance(color, list) else (color,)),
@@ -296,7 +299,8 @@ class TechniqueDrawer:
     def draw_alone(self, object_indices: NDArray[np.int64]) -> None:
         """Draw the objects `object_indices` (k,) in a pass of their own. Commands are recorded when they
         repeat, and only submitted from then on; see `FrameBatch`."""
-        self.close()
+        if self._scopes is not None:
+            self.close()
         resources = self._resources
         resources.simulate(object_indices)
         if self._has_transparent:
@@ -312,6 +316,8 @@ class TechniqueDrawer:
 
         def arrange() -> list[NDArray[np.int64]]:
             ordered = self._sort(others)
+            if len(resources.groups) == 1:
+                return [ordered]
             return [ordered[resources.select_group(ordered, group)] for group in resources.groups]
 
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:

@@ -358,48 +358,14 @@ def collect_frame_effects(
         scene.lights.refresh()
         lights = scene.lights.without_dark(scene.strongest_response())
     sources = _collect_effect_sources(scene, lights, None if last is None else last.sources)
-    in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
-    in_view |= {
-        effect: select_lights_in_view(camera.frustum.planes, *spheres)
-        if reached and len(spheres[0])
-        else _NONE
-        for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True)
-    }
-    height_fields = sources.height_fields
-    if len(height_fields):
-        casts = scene.objects.casts_shadow[height_fields] & any(
-            sources.counts[effect] for effect in SHADOW_EFFECTS
-        )
-        if casts.any():  # shadows fall on something in view, or there are no maps
-            casts &= bool(len(select_in_view(scene, camera, np.arange(len(scene.objects)))))
-        height_fields = np.union1d(height_fields[casts], select_in_view(scene, camera, height_fields))
-    in_view[Effect.HEIGHT_FIELDS] = height_fields
-    visible_features = (
-        VisibleFeatures(scene).collect(camera) if visible_features is None else visible_features
-    )
-    air = frozenset(
-        [
-            effect
-            for effect, is_seen in ((Effect.HAZE, is_haze_seen), (Effect.FOG, is_fog_seen))
-            if sources.counts[effect] and not is_seen(scene, camera)
-        ]
-    )
-    has_fogged_sky = bool(sources.counts[Effect.FOG]) and Effect.FOG not in air
-    has_fogged_sky = has_fogged_sky and is_sky_fogged(scene, camera)
-    same = (sources, blending, bloom, visible_features, air, has_fogged_sky)
+    if visible_features is None:
+        visible_features = VisibleFeatures(scene).collect(camera)
+    in_view, air, has_fogged_sky = _look(scene, camera, sources, reaches)
     if (
         last is not None
-        and same
-        == (
-            last.sources,
-            last.blending,
-            last.bloom,
-            last.visible_features,
-            last.unseen_air,
-            last.has_fogged_sky,
-        )
-        and [indices.tobytes() for indices in in_view.values()]
-        == [last.in_view[effect].tobytes() for effect in in_view]
+        and (sources, blending, bloom, visible_features)
+        == (last.sources, last.blending, last.bloom, last.visible_features)
+        and _shows_same(last, in_view, air, has_fogged_sky)
     ):
         return last
     for effect, row in LOCAL_LIGHTS.items():
@@ -433,6 +399,56 @@ def collect_frame_effects(
         has_fogged_sky,
         _layers_format(sources, in_view[Effect.TRANSPARENCY], blending, image, widest),
     )
+
+
+def are_effects_same(
+    last: FrameEffects,
+    scene: Scene,
+    camera: Camera,
+    visible_features: frozenset[str],
+    reaches: Sequence[bool],
+) -> bool:
+    """Return whether a frame of `camera` needs what the `last` one needed, if scene and settings are as they
+    were then; see `collect_frame_effects`."""
+    return visible_features == last.visible_features and _shows_same(
+        last, *_look(scene, camera, last.sources, reaches)
+    )
+
+
+def _look(
+    scene: Scene, camera: Camera, sources: EffectSources, reaches: Sequence[bool]
+) -> tuple[dict[Effect, Indices], frozenset[Effect], bool]:
+    """Return what depends on the view: of each effect the rows that are in it, the air that can't be seen, and
+    whether fog changes the background."""
+    in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
+    planes, counts = camera.frustum.planes, sources.counts
+    for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True):
+        in_view[effect] = select_lights_in_view(planes, *spheres) if reached and len(spheres[0]) else _NONE
+    height_fields = sources.height_fields
+    if len(height_fields):
+        casts = scene.objects.casts_shadow[height_fields] & any(counts[effect] for effect in SHADOW_EFFECTS)
+        if casts.any():  # shadows fall on something in view, or there are no maps
+            casts &= bool(len(select_in_view(scene, camera, np.arange(len(scene.objects)))))
+        height_fields = np.union1d(height_fields[casts], select_in_view(scene, camera, height_fields))
+    in_view[Effect.HEIGHT_FIELDS] = height_fields
+    unseen = set()
+    if counts[Effect.HAZE] and not is_haze_seen(scene, camera):
+        unseen.add(Effect.HAZE)
+    if counts[Effect.FOG] and not is_fog_seen(scene, camera):
+        unseen.add(Effect.FOG)
+    has_fogged_sky = counts[Effect.FOG] > 0 and Effect.FOG not in unseen and is_sky_fogged(scene, camera)
+    return in_view, frozenset(unseen), has_fogged_sky
+
+
+def _shows_same(
+    last: FrameEffects, in_view: Mapping[Effect, Indices], air: frozenset[Effect], has_fogged_sky: bool
+) -> bool:
+    """Return whether what depends on the view is the same as in the last frame."""
+    if (air, has_fogged_sky) != (last.unseen_air, last.has_fogged_sky):
+        return False
+    return [indices.tobytes() for indices in in_view.values()] == [
+        last.in_view[effect].tobytes() for effect in in_view
+    ]
 
 
 def _layers_format(

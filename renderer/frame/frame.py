@@ -41,6 +41,8 @@ class Frame:
         effects: the effects of this frame.
         first: the frame of the left eye, drawn before, if this is the right eye's.
         precision: that of the shaders which are FAST by themselves.
+        values: what passes derive from the scene, settings, targets and effects alone; frames in which only
+            the camera moves share it.
     """
 
     device: Device
@@ -50,6 +52,7 @@ class Frame:
     effects: FrameEffects
     first: Frame | None = None
     precision: Precision = Precision.FAST
+    values: dict[object, Any] = field(default_factory=dict)
     _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
     @property
@@ -87,7 +90,10 @@ class Frame:
 
     def program(self, shader: type[Shader]) -> Program[...]:
         """The program of a technique's shader, in the frame's precision."""
-        return self.device.program(with_precision(shader, self.precision))
+        program: Program[...] | None = self.values.get(shader)
+        if program is None or program.destroyed:
+            program = self.values[shader] = self.device.program(with_precision(shader, self.precision))
+        return program
 
     def draw_transparent(
         self, scene_drawer: TechniqueDrawer, view: View | None = None, *, in_order: bool = True
@@ -118,7 +124,9 @@ class Frame:
         same objects again, and so does the right eye if the left one's were found by the frustum around both.
         """
         view = view or self.view
-        seen = self._seen.get(view) or self._shared_record(view)
+        seen = self._seen.get(view)
+        if seen is None and self.first is not None:
+            seen = self._shared_record(view)
         with scene_drawer:
             if seen is not None:
                 seen.draw_result.draw_again(scene_drawer)

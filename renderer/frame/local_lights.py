@@ -176,10 +176,23 @@ class LocalLightBuffers:
                 self._run(views, is_new=is_new)
         else:
             for eye in moved:
-                for kind in self._kinds:
-                    if len(kind.packed) or is_new:
-                        kind.packed["position"] = relative_positions(kind.split, eyes[eye])
-                        kind.by_eye[eye].write(kind.packed)
+                self._move(eye, eyes[eye], is_new=is_new)
+
+    def follow(self, position: Floats) -> None:
+        """Make the lights relative to the position (3,) of the only eye, all else being as in the last
+        `update`."""
+        if self._placed.get(0) != position.tobytes():
+            self._placed[0] = position.tobytes()
+            self._move(0, position)
+
+    def _move(self, eye: int, position: Floats, *, is_new: bool = False) -> None:
+        """Upload the lights relative to the position of an eye."""
+        eye_high, eye_low = split_doubles(position)
+        for kind in self._kinds:
+            if len(kind.packed) or is_new:
+                high, low = kind.split
+                kind.packed["position"] = (high - eye_high) + (low - eye_low)
+                kind.by_eye[eye].write(kind.packed)
 
     def _stop_kernels(self) -> None:
         """Destroy what two eyes need and one doesn't."""

@@ -57,7 +57,7 @@ class MirroredArray(Generic[T]):
             return
         if indices is not None and not len(indices) and len(array) == len(self):
             return
-        rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
+        rows = np.frombuffer(np.ascontiguousarray(array), np.uint8).reshape(len(array), -1)
         if self.buffer is None or rows.shape != self._rows.shape:
             self.destroy()
             buffer = self._device.storage(self._element, len(array), label=self._label)
@@ -65,11 +65,14 @@ class MirroredArray(Generic[T]):
             self._rows, self.buffer = rows.copy(), buffer  # once both are made
             return
         if indices is None:
-            changed = (rows != self._rows).any(1).nonzero()[0]
+            changed = np.logical_or.reduce(rows != self._rows, axis=1).nonzero()[0]
         else:
             changed = indices[(rows[indices] != self._rows[indices]).any(1)]
         if len(changed) == len(rows):  # such as lights, when the eye has moved
-            self._upload(self.buffer, rows, 0)
+            if array.dtype == self.buffer.dtype:
+                self.buffer.write(array)
+            else:
+                self._upload(self.buffer, rows, 0)
             self._rows[:] = rows
             return
         for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):
@@ -79,7 +82,7 @@ class MirroredArray(Generic[T]):
     @staticmethod
     def _upload(buffer: StorageBuffer[T], rows: NDArray[np.uint8], first: int) -> None:
         base, shape = buffer.dtype.subdtype or (buffer.dtype, ())
-        buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
+        buffer.write(np.frombuffer(rows, base).reshape(-1, *shape), first)
 
     def destroy(self) -> None:
         """Destroy the buffer."""
@@ -158,9 +161,9 @@ class Workspaces:
 
     def get_or_create(self, kind: Callable[[Device], R]) -> R:
         """The object that `kind(device)` created on first use."""
-        if kind not in self._workspaces:
-            self._workspaces[kind] = kind(self._device)
-        workspace: R = self._workspaces[kind]
+        workspace: R | None = self._workspaces.get(kind)
+        if workspace is None:
+            workspace = self._workspaces[kind] = kind(self._device)
         return workspace
 
     def mirror(self, value: S) -> UniformBuffer[S]:

@@ -115,6 +115,7 @@ class SceneResources:
     def __init__(self, device: Device, scene: Scene, textures: TextureSettings = SAMPLER_DEFAULTS) -> None:
         """Upload a scene, with these settings of its textures. If anything can't be created, nothing is
         left on the device."""
+        self._may_simulate = bool(scene.simulated or scene.height_fields)
         with ExitStack() as stack:
             self._stack = stack
             self._make(device, scene, textures)
@@ -304,6 +305,8 @@ class SceneResources:
         Args:
             leave: ends a render pass that may be open; called if the device computes vertices.
         """
+        if not self._may_simulate:
+            return
         if is_drawn and (paused := object_indices[self.hidden.paused[object_indices]]).size:
             if leave is not None:
                 leave()
@@ -467,6 +470,10 @@ class SceneResources:
         self._local_lights.update(lights, self._reaching, [eye.position for eye in eyes], views)
         self.look_from(0)
         self.ambient.write(_ambient(scene))
+
+    def follow(self, eye: Camera) -> None:
+        """Make lights relative to the only eye of a frame, all else being as in the last `update`."""
+        self._local_lights.follow(eye.position)
 
     def look_from(self, eye: int) -> None:
         """Select the eye that `local_lights` are relative to."""

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
@@ -29,7 +27,13 @@ class View:
         batch: the draws of its first pass, if these are one batch.
         commands: those that draw the batch, pass by pass.
         around: a camera that sees all that the frame's views see, this one's camera if there is only one.
+        camera: the camera of this frame. A view must be aimed before it is used.
+        buffer: the camera's constants for shaders.
     """
+
+    around: Camera
+    camera: Camera
+    buffer: UniformBuffer[shaders.ViewConstants]
 
     def __init__(
         self, device: Device, name: str, visibility: VisibilityAlgorithm, batch: FrameBatch | None = None
@@ -41,19 +45,11 @@ class View:
         self.commands = BatchCommands(device)
         self._owns_batch = batch is None
         self._workspaces = Workspaces(device)
-        self._camera: Camera | None = None
-        self._constants = MirroredValue(device, _constants(np.eye(4), np.zeros(3)))
-
-    @property
-    def camera(self) -> Camera:
-        """The camera of this frame."""
-        assert self._camera is not None, "a view must be aimed before it is used"
-        return self._camera
-
-    @property
-    def buffer(self) -> UniformBuffer[shaders.ViewConstants]:
-        """The camera's constants for shaders."""
-        return self._constants.buffer
+        constants = shaders.ViewConstants(
+            relative_view_projection=np.eye(4), eye_high=np.zeros(3), eye_low=np.zeros(3)
+        )
+        self._constants = MirroredValue(device, constants)
+        self.buffer = self._constants.buffer
 
     def mirror(self, value: S) -> UniformBuffer[S]:
         """The uniform buffer for this type of struct, written if the value has changed."""
@@ -71,12 +67,16 @@ class View:
             around: a camera that sees at least as much, with which objects are sought for several views at
                 once.
         """
-        self._camera = camera
+        self.camera = camera
         self.around = around or camera
         self.commands.begin_frame()
         if self._owns_batch:
             self.batch.begin_frame()
-        self._constants.write(_constants(camera.relative_view_projection, camera.position))
+        high, low = split_doubles(camera.position)
+        matrix = camera.relative_view_projection
+        self._constants.write(
+            shaders.ViewConstants(relative_view_projection=matrix, eye_high=high, eye_low=low)
+        )
 
     def destroy(self) -> None:
         """Destroy the buffers and workspaces. The algorithm is not destroyed."""
@@ -84,8 +84,3 @@ class View:
             self.batch.destroy()
         self._workspaces.destroy()
         self._constants.destroy()
-
-
-def _constants(matrix: NDArray[Any], eye: NDArray[np.float64]) -> shaders.ViewConstants:
-    high, low = split_doubles(eye)
-    return shaders.ViewConstants(relative_view_projection=matrix, eye_high=high, eye_low=low)

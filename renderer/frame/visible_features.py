@@ -61,8 +61,11 @@ class VisibleFeatures:
 
     def collect(self, camera: Camera) -> frozenset[str]:
         """The features of the objects in view."""
-        scene = self._scene
         self._refresh()
+        return self._collect(camera)
+
+    def _collect(self, camera: Camera) -> frozenset[str]:
+        scene = self._scene
         witnesses = np.array(sorted({*self._witness.values()}), np.int64)
         in_view = set(select_in_view(scene, camera, witnesses).tolist())
         unseen = []
@@ -76,13 +79,17 @@ class VisibleFeatures:
                 unseen.append(name)
         return frozenset(self._object_indices).difference(unseen)
 
+    def reconsider(self) -> None:
+        """Take back a `choose_shader_features`, which the same frame calls again."""
+        self._frame -= 1
+
     def choose_shader_features(self, camera: Camera) -> frozenset[str]:
         """The features that a frame's shaders have: those of `collect`, or for a while more."""
         self._refresh()
         self._frame += 1
         if self._shader_features == self._feature_sets[0] and self._frame % _STRIDE != 1:
             return self._shader_features
-        seen = self.collect(camera)
+        seen = self._collect(camera)
         if seen != self._last:
             self._last, self._changed = seen, self._frame
         if (
@@ -91,7 +98,6 @@ class VisibleFeatures:
             and len(self._feature_sets) < _MAX_SETS
         ):
             self._feature_sets.append(seen)
-        self._shader_features = min(
-            [features for features in self._feature_sets if features >= seen], key=len
-        )
+        fitting = [features for features in self._feature_sets if features >= seen]
+        self._shader_features = min(fitting, key=len)
         return self._shader_features

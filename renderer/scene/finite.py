@@ -8,6 +8,7 @@ else has happened.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import isfinite
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -23,6 +24,8 @@ _LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, a
 def check_finite(call: str, **values: ArrayLike) -> None:
     """Refuse values that aren't finite: `scene-not-finite`."""
     for name, value in values.items():
+        if value.__class__ is float and isfinite(value):
+            continue
         if not np.logical_and.reduce(np.isfinite(value), axis=None):
             refuse(rules.NOT_FINITE, f"{call}: {name}", value, "finite numbers")
 
@@ -30,7 +33,8 @@ def check_finite(call: str, **values: ArrayLike) -> None:
 def check_time(call: str, seconds: float) -> None:
     """Refuse a time that isn't finite (`scene-not-finite`), or too far from 0 to count steps to it
     (`animation-time`)."""
-    check_finite(call, seconds=seconds)
+    if not (seconds.__class__ is float and isfinite(seconds)):
+        check_finite(call, seconds=seconds)
     if abs(seconds) > _LONGEST_TIME:
         refuse(rules.BAD_TIME, f"{call}: seconds", seconds, f"{-_LONGEST_TIME:g} to {_LONGEST_TIME:g}")
 

@@ -44,6 +44,7 @@ class Nodes:
         index_of_id: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
         last_writer: the simulator that has last set transforms; None if something else has.
+        version: a number that grows when an `update` has changed transforms.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Nodes:
         self._hidden: NDArray[np.bool_] = np.zeros(count, bool)
         self._has_hidden = False  # or shown, since the last update
         self.last_writer: object = None
+        self.version = 0
         for level in self._levels()[1:]:
             self.dynamic[level] |= self.dynamic[self.parents[level]]
         for array in (self.dynamic, self.index_of_id):
@@ -179,9 +181,11 @@ class Nodes:
             ValidationError: `scene-bad-transform`; then no transform has changed, and the next update raises it
                 again unless the node has been mended.
         """
+        if not np.logical_or.reduce(self._dirty):
+            return np.zeros(len(self._dirty), bool)
         changed, replaced = self._dirty.copy(), []
         try:
-            for number, level in enumerate(self._levels() if changed.any() else ()):
+            for number, level in enumerate(self._levels()):
                 if number:
                     changed[level] |= changed[self.parents[level]]
                 moved = level[changed[level]]
@@ -198,7 +202,13 @@ class Nodes:
                 self._world[moved] = transforms
             raise
         self._dirty = np.zeros(len(self), bool)
+        self.version += 1
         return changed
+
+    @property
+    def is_current(self) -> bool:
+        """True if nodes are neither moved, hidden nor shown since the last `update` and `update_hidden`."""
+        return not (self._has_hidden or np.logical_or.reduce(self._dirty))
 
     def _levels(self) -> list[NDArray[np.int64]]:
         """Return the rows of each level."""

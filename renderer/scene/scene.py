@@ -224,6 +224,31 @@ class Scene:
         self.objects.refresh_bounds(self.nodes, np.flatnonzero(moved[boxes] & (boxes >= 0)))
         return np.flatnonzero(moved[self.objects.node])
 
+    def snapshot(self) -> tuple[object, ...]:
+        """Return all values of the scene that frames depend on, as of now: equal ones look the same. Moves that
+        aren't updated yet aren't among them (`Nodes.is_current`)."""
+        lights, objects = self.lights, self.objects
+        arrays = [
+            np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64),
+            self.materials,
+            *self.parameters,
+            *map(lights.__getattribute__, KIND_NAMES),
+        ]
+        return (
+            self.nodes.version,
+            self._features.version,
+            self._edits,
+            *map(np.ndarray.tobytes, arrays),
+            objects.casts_shadow.tobytes(),
+            self.fog,
+            self.bloom,
+            tuple(self.height_fields),
+        )
+
+    def skip_refresh(self) -> None:
+        """Count a `refresh` that would change nothing."""
+        self._refreshes += 1
+
     def _flag_unseen(self, moved: NDArray[np.bool_] | None) -> bool:
         """Find the objects that cover nothing, whatever the view, and return whether others may than before.
 

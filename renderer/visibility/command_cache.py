@@ -52,7 +52,10 @@ class CommandCache:
             for program, groups, bindings in work:
                 encoder.dispatch(program, groups, **bindings)
 
-        self.execute(tuple(part for *ran, resources in work for part in (*ran, *resources.values())), issue)
+        key: list[object] = []
+        for program, groups, bindings in work:
+            key += (program, groups, *bindings.values())
+        self.execute(tuple(key), issue)
 
     def forget(self) -> None:
         """Drop what was recorded, since the resources that it uses may be destroyed."""

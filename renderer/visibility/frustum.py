@@ -78,7 +78,7 @@ class FrustumCulling(DevicelessCulling):
         if len(visible):
             scene_drawer.draw_alone(visible)
         return VisibilityStatistics(
-            objects=len(objects),
+            objects=len(objects.node),
             visible=len(visible),
             batches=int(len(visible) > 0),
             nodes_tested=counts.nodes,

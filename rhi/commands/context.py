@@ -127,5 +127,15 @@ _CHANGES: Final[tuple[_Change | None, ...]] = tuple(
     StreamContext.create if op in CREATIONS else getattr(StreamContext, op.method, None) for op in Op
 )
 
+BOUND_KINDS: Final[tuple[BindingKind | None, ...]] = tuple(
+    {
+        Op.BIND_UNIFORM: _UNIFORM,
+        Op.BIND_STORAGE: _STORAGE,
+        Op.BIND_TEXTURE: _TEXTURE,
+        Op.BIND_IMAGE: _IMAGE,
+    }.get(op)
+    for op in Op
+)
+"""The kind of binding that each op sets, None for ops that bind nothing."""
 CONTEXT_OPS: Final = frozenset(op for op in Op if _CHANGES[op] is not None)
 """The ops that change a `StreamContext`."""

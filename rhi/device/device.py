@@ -17,6 +17,7 @@ from collections.abc import Awaitable, Callable, Generator, Sequence
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
+from threading import get_ident
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, cast, overload
 
 import numpy as np
@@ -230,8 +231,10 @@ class Device(Encoder):
     @property
     def statistics(self) -> Statistics:
         """A snapshot of the counters since creation or the last `reset_statistics`."""
-        self._core.check_thread("device.statistics")
-        return self._core.statistics()
+        core = self._core
+        if get_ident() != core.thread:
+            core.check_thread("device.statistics")
+        return core.statistics()
 
     def memory(self) -> MemoryUse:
         """Return the memory of the buffers and textures on this device, in bytes by kind and label, and the
@@ -659,7 +662,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_ready()
-        if core.has_open_pass():
+        if core.render_pass is not None and core.has_open_pass():
             core.refuse(rules.PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
@@ -773,22 +776,25 @@ class Device(Encoder):
         """
         core = self._core
         core.check_ready()
-        if core.has_open_pass():
+        if core.render_pass is not None and core.has_open_pass():
             core.refuse(rules.PASS_OPEN, "device.present", "an open render pass")
         scopes = core.scopes
         if scopes._index or scopes._cut:  # seldom
             scopes.refuse_open("device.present")
         if image is not None:
-            check = ArgumentChecker("device.present", core.refuse)
-            check.instance("image", image, Texture, "a Texture, or None")
-            core.check_usable(image, check.call)
+            if image.__class__ is not Texture:
+                ArgumentChecker("device.present", core.refuse).instance(
+                    "image", image, Texture, "a Texture, or None"
+                )
+            core.check_usable(image, "device.present")
         core.backend.present(image.id if image is not None else 0)
         self._timers.end_frame()
         self._frames.append(core.end_frame())
         if len(self._frames) > self._frames_in_flight:
             core.timeline.wait(self._frames.popleft())
             core.timeline.collect()
-        core.hand_back()
+        if core._context is not None:
+            core.hand_back()
         waited, core.timeline.waited = core.timeline.waited, 0.0
         if waited > SLOW_WAIT and self._frames_until_precision_log:
             self._log_precision(waited)

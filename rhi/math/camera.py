@@ -55,11 +55,7 @@ class Frustum:
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, depth: Depth = Depth.REVERSED) -> Frustum:
         """Extract the planes of a clip matrix (4, 4) from its rows (Gribb and Hartmann, 2001)."""
-        rows = _FACES[depth] @ read_floats("Frustum.from_matrix(matrix=...)", matrix, 4, 4)
-        length = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
-        if not length.all():  # an infinite far plane has no normal
-            rows, length = rows[length > 0.0], length[length > 0.0]
-        return cls(rows / length[:, None])
+        return cls(_extract_planes(read_floats("Frustum.from_matrix(matrix=...)", matrix, 4, 4), depth))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +125,22 @@ class Camera:
     def relative_view_projection(self) -> NDArray[np.float32]:
         """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip
         space."""
-        return freeze((self.projection.matrix @ self._rotation_matrix()).astype(np.float32))
+        matrix = self._relative_matrix.astype(np.float32)
+        matrix.setflags(write=False)
+        return matrix
 
     @cached_property
     def frustum(self) -> Frustum:
         """The visible volume in world space."""
-        planes = Frustum.from_matrix(
-            self.projection.matrix @ self._rotation_matrix(), self.projection.depth
-        ).planes
+        planes = _extract_planes(self._relative_matrix, self.projection.depth)
         planes[:, 3] -= planes[:, :3] @ self.position  # after normalising: no loss far from the origin
-        return Frustum(freeze(planes))
+        planes.setflags(write=False)
+        return Frustum(planes)
+
+    @cached_property
+    def _relative_matrix(self) -> Floats:
+        """`relative_view_projection` in float64."""
+        return self.projection.matrix @ self._rotation_matrix()
 
     def _rotation_matrix(self) -> Floats:
         m = np.zeros((4, 4))
@@ -154,6 +156,16 @@ class Camera:
         """Return the same camera for an image of width / height = `aspect`."""
         projection = self.projection.with_aspect(aspect)
         return self if projection is self.projection else self.with_projection(projection)
+
+
+def _extract_planes(matrix: Floats, depth: Depth) -> Floats:
+    """Return the planes of a clip matrix (4, 4), as `Frustum` has them."""
+    rows = _FACES[depth] @ matrix
+    length = np.sqrt(np.add.reduce(rows[:, :3] ** 2, axis=1))
+    if not np.logical_and.reduce(length):  # an infinite far plane has no normal
+        rows, length = rows[length > 0.0], length[length > 0.0]
+    planes: Floats = rows / length[:, None]
+    return planes
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> Floats:

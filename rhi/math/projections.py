@@ -27,6 +27,8 @@ class Depth(Enum):
     STANDARD = "standard"
     """Near 0, far 1. Test with LESS."""
 
+    __hash__ = object.__hash__  # Enum's own is a Python function, which each frame would call many times
+
 
 class Projection(Protocol):
     """The projection of a camera, an immutable value."""

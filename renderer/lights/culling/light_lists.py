@@ -30,7 +30,7 @@ from renderer.lights.culling.volumes import WORD
 from renderer.scene import Camera, Lights
 from renderer.shaders.prefix_sum import PrefixSum
 from rhi import Device, Encoder, Program, Readback, StorageBuffer, Texture, UniformBuffer
-from rhi.shading import uint
+from rhi.shading import Shader, uint
 
 _START: Final = 64
 """Number of lights for each cell that lists have room for at first."""
@@ -133,6 +133,7 @@ class LightLists:
         self._pending: Readback | None = None
         self._room = 0  # the capacity of the frame whose need is pending
         self._unasked: int | None = None  # that of the last frame, if its need isn't asked for yet
+        self._programs: dict[type[Shader], Program[...]] = {}
 
     @property
     def layout(self) -> ClusterGrid:
@@ -220,7 +221,11 @@ class LightLists:
             (WriteLists, self.cells // GROUP + 1, {**results, "sums": buffers["counts"]}),
         ]
         self._unasked = self.capacity
-        return [(self.device.program(shader), groups, bindings) for shader, groups, bindings in work]
+        programs = self._programs
+        for shader, _, _ in work:
+            if shader not in programs or programs[shader].destroyed:
+                programs[shader] = self.device.program(shader)
+        return [(programs[shader], groups, bindings) for shader, groups, bindings in work]
 
     def read(self) -> LightListData:
         """Return the lists of the last frame. Waits for the device."""

@@ -34,7 +34,7 @@ class BufferSet:
     def fit(self, name: str, element: type[Any], count: int) -> StorageBuffer[Any]:
         """Return a buffer with `count` elements; it is created again if it has another number."""
         buffer = self._buffers.get(name)
-        if buffer is None or len(buffer) != count:
+        if buffer is None or buffer.count != count:
             old = buffer
             buffer = self._device.storage(element, count, label=f"{self._label}: {name}")
             self._buffers[name] = buffer
@@ -54,6 +54,7 @@ class LightUploads:
 
     Attributes:
         layout: the grid.
+        count: the columns, rows and slices of the grid.
         has_cones: whether some lights have a cone.
         word_ends: the words with a bit for each light: behind which those of each kind end.
     """
@@ -64,6 +65,7 @@ class LightUploads:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.layout: ClusterGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)
+        self.count = (1, 1, slices)
         self.word_ends = (0,) * len(LOCAL_LIGHT_KINDS)
         self.parameters: UniformBuffer[ClusterGrid] = device.uniform(self.layout)
         self.counts: UniformBuffer[LightMaskSize] = device.uniform(_mask_size(self.word_ends))
@@ -74,12 +76,6 @@ class LightUploads:
     def words(self) -> int:
         """The number of words with a bit for each light."""
         return self.word_ends[-1]
-
-    @property
-    def count(self) -> tuple[int, int, int]:
-        """The columns, rows and slices of the grid."""
-        columns, rows, slices = self.layout.count
-        return columns, rows, slices
 
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
         """Upload an image's grid, of `size` pixels, and the volumes of all lights with a position."""
@@ -95,6 +91,8 @@ class LightUploads:
             first_slice=self.first_slice,
             reach=volumes.reach,
         )
+        width, height = size
+        self.count = -(-width // self.tile), -(-height // self.tile), self.slices
         self.parameters.write(self.layout)
         spheres = self._buffers.fit("spheres", vec4, round_up(len(volumes.spheres)))
         if len(volumes.spheres):

@@ -291,5 +291,8 @@ def _collect_bindings() -> dict[str, Callable[[FrameBindings], Any]]:
     } | {f"{kind.name}_lights": partial(_read_local_lights, kind=kind) for kind in LOCAL_LIGHT_KINDS}
 
 
+FOLLOW_CAMERA: Final = frozenset({"fog", "rays"})
+"""The bindings whose constants depend on the camera, and are uploaded for each frame; those of `view` are
+uploaded by the view itself."""
 BINDINGS: Final = _collect_bindings()
 """How each binding is read, by its name: the attributes of `FrameBindings`, and the kinds of local lights."""

@@ -10,6 +10,7 @@ import rhi.shading as sl
 from renderer.frame import Frame
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
+from rhi import Texture
 
 
 class OutputSize(sl.Struct):
@@ -29,10 +30,8 @@ class ScalingShader(BackgroundScreen):
         return self.source.sample_lod(sl.fragment_coordinate().xy / self.output_size.size, 0.0)
 
 
-def scale_image(frame: Frame) -> None:
-    """Draw the frame's image to the output image, if that has another size."""
-    targets = frame.targets
-    if targets.output_image is not None:
-        output_size = frame.view.mirror(OutputSize(size=targets.output_image.size))
-        bindings = {"source": targets["image"], "output_size": output_size}
-        draw_full_screen(frame, ScalingShader, targets.output_image, bindings)
+def scale_image(frame: Frame, output_image: Texture) -> None:
+    """Draw the frame's image to the output image, which has another size."""
+    output_size = frame.view.mirror(OutputSize(size=output_image.size))
+    bindings = {"source": frame.targets["image"], "output_size": output_size}
+    draw_full_screen(frame, ScalingShader, output_image, bindings)

@@ -26,7 +26,7 @@ from renderer.frame import (
 )
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
-from renderer.techniques.parts.frame_bindings import FrameBindings
+from renderer.techniques.parts.frame_bindings import FOLLOW_CAMERA, FrameBindings
 from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Program, State, Texture
@@ -74,6 +74,14 @@ def combine(bases: tuple[type[Any], ...], constants: tuple[tuple[str, Any], ...]
 def shader_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     """The shader with these bases and the switches of the frame's effects; `fixed` switches don't depend
     on the frame."""
+    key = (shader_variant, bases, *fixed.items())
+    variant = frame.values.get(key)
+    if variant is None:
+        variant = frame.values[key] = _make_variant(frame, bases, fixed)
+    return variant
+
+
+def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str, Any]) -> type[Any]:
     effects, images = frame.effects, frame.resources.images
     is_own = any(base in effects.shaders for base in bases)
     if not effects.enabled.isdisjoint(SHADOW_EFFECTS) and any(
@@ -135,9 +143,26 @@ def _list_switches(bases: tuple[type[Any], ...], names: tuple[str, ...]) -> list
 
 def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[str, Any]:
     """Bindings of a program: its `own`, and for all other names those of `FrameBindings`."""
-    bindings = FrameBindings(frame)
-    names = [binding.name for binding in program.descriptor.bindings]
-    return {name: own[name] if name in own else bindings[name] for name in names}
+    key, descriptor = (bind, program, *own), program.descriptor
+    last = frame.values.get(key)
+    if last is None or last[0] is not descriptor:
+        bindings = FrameBindings(frame)
+        names = [binding.name for binding in descriptor.bindings]
+        moving = [name for name in names if name in FOLLOW_CAMERA and name not in own]
+        bound = {name: own[name] if name in own else bindings[name] for name in names}
+        frame.values[key] = descriptor, moving, bound
+        return bound
+    _, moving, bound = last
+    if moving:
+        bindings = FrameBindings(frame)
+        for name in moving:
+            bindings[name]
+    if own:
+        bound = bound.copy()
+        for name, resource in own.items():
+            if name in bound:
+                bound[name] = resource
+    return bound
 
 
 def bind_programs(
@@ -148,11 +173,11 @@ def bind_programs(
     program: Program[...] = frame.program(shader_variant(frame, *bases, **switches))
     bound = [BoundProgram(program, bind(frame, program, own))]
     enabled = frame.effects.enabled
+    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in enabled):
+        return bound
     reads_materials = any(issubclass(base, SceneShader) and not base.is_coverage for base in bases)
     cuts = issubclass(bases[-1], SceneShader) and switches.get("has_masks", Effect.MASKS in enabled)
-    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in enabled) or not (
-        reads_materials or cuts
-    ):
+    if not (reads_materials or cuts):
         return bound
     bound *= 1 + len(frame.effects.shaders)
     for number, shader, parameters in list_shaders(frame)[1:]:
@@ -260,14 +285,19 @@ def draw_lit(
     frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1
 ) -> None:
     """Draw the visible objects lit; see `lit_pass`."""
+    key = draw_lit, samples
+    targets = frame.values.get(key)
+    if targets is None:
+        color, depth = name_samples(frame.effects.image.name, samples), name_samples("depth", samples)
+        targets = frame.values[key] = frame.targets[color], frame.targets[depth], frame.background
     lit = make_scene_drawer(
         frame,
         *lighting.bases,
         own=lighting.bind(frame),
         switches=lighting.switches,
-        color=frame.targets[name_samples(frame.effects.image.name, samples)],
-        depth=frame.targets[name_samples("depth", samples)],
-        clear=frame.background,
+        color=targets[0],
+        depth=targets[1],
+        clear=targets[2],
         # Not EQUAL: nothing is nearer than what was drawn, and a test of order lets rasterisers skip what is
         # hidden.
         states=(DepthWrite.OFF,) if after_depth else (),

@@ -10,12 +10,13 @@ does both for each object's tightest box.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, Depth, FrustumPlane
+from renderer.scene import Camera, Depth, FrustumPlane, Projection
 from renderer.scene.arrays import Floats, Indices
 from renderer.visibility.boxes.volumes import RotatedBoxes
 from rhi.math import is_parallel
@@ -137,9 +138,14 @@ def near_mask(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDAr
 def near_radius(camera: Camera) -> float:
     """Return the distance in metres from a perspective camera to the farthest corner of its near
     rectangle."""
-    depth = 1.0 if camera.projection.depth is Depth.REVERSED else 0.0
+    return _near_radius(camera.projection)
+
+
+@lru_cache(maxsize=16)
+def _near_radius(projection: Projection) -> float:
+    depth = 1.0 if projection.depth is Depth.REVERSED else 0.0
     corners = np.array([(x, y, depth, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
-    points = corners @ np.linalg.inv(camera.projection.matrix).T
+    points = corners @ np.linalg.inv(projection.matrix).T
     return float(np.linalg.norm(points[:, :3] / points[:, 3:], axis=1).max())
 
 

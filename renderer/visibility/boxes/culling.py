@@ -67,7 +67,8 @@ def select_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.b
 
     Fastest when each column is contiguous, as in the transpose of a (3, n) array.
     """
-    visible = np.ones(len(lower), bool)
+    visible = np.empty(len(lower), bool)
+    visible.fill(True)
     below, above = lower.T, upper.T
     for x, y, z, d in planes.tolist():
         distance = (above if x > 0.0 else below)[0] * x

@@ -48,8 +48,11 @@ def _measure(planes: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floa
     """Return the signed distance of the centre of each box from each plane (n, p), the box's reach along the
     normal, and the margin of both."""
     normals, offsets = planes[..., :3], planes[..., 3]
-    before = _project(normals, 0.5 * lower + 0.5 * upper) + offsets
-    reach = _project(np.abs(normals), 0.5 * upper - 0.5 * lower)
+    centre, half, extents = 0.5 * lower + 0.5 * upper, 0.5 * upper - 0.5 * lower, np.abs(normals)
+    if normals.ndim == 2:
+        before, reach = centre @ normals.T + offsets, half @ extents.T
+    else:
+        before, reach = _project(normals, centre) + offsets, _project(extents, half)
     scale = np.add.reduce(np.maximum(np.abs(lower), np.abs(upper)), axis=1)
     return before, reach, _MARGIN * (scale[:, None] + reach + np.abs(offsets))
 
@@ -60,7 +63,7 @@ def _is_outside(before: Floats, reach: Floats, margin: Floats) -> NDArray[np.boo
 
 
 def _project(normals: Floats, vectors: Floats) -> Floats:
-    return vectors @ normals.T if normals.ndim == 2 else (normals @ vectors[:, :, None])[..., 0]
+    return np.asarray((normals @ vectors[:, :, None])[..., 0])
 
 
 def select_in_view(scene: Scene, camera: Camera, object_indices: Indices) -> Indices:

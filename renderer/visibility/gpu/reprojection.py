@@ -129,6 +129,7 @@ class ReprojectedDepth:
         self._motion = device.uniform(Motion(matrix=np.eye(4), pixels=(1.0, 1.0), texels=(1, 1)))
         self._resources: _SizedResources | None = None
         self._camera: Camera | None = None  # the camera of the depth that is kept
+        self._last_matrix: Floats = np.eye(4)  # and its `_matrix`
         self._is_valid = False  # whether that depth is of use for the present camera
 
     def aim(self, camera: Camera, size: tuple[int, int]) -> tuple[Floats, tuple[object, ...]]:
@@ -139,13 +140,14 @@ class ReprojectedDepth:
         """
         sized, last, direction = self._fit(size), self._camera, camera.projection.depth
         self._is_valid = last is not None and last.projection.depth is direction
+        matrix, last_matrix = _matrix(camera), self._last_matrix
         if self._is_valid:
             assert last is not None
             moved = np.eye(4)
             moved[:3, 3] = last.position - camera.position
-            self._motion.write(sized.motion(_matrix(camera) @ moved @ np.linalg.inv(_matrix(last))))
-        self._camera = camera
-        return sized.to_texels @ _matrix(camera), (sized, self._is_valid)
+            self._motion.write(sized.motion(matrix @ moved @ np.linalg.inv(last_matrix)))
+        self._camera, self._last_matrix = camera, matrix
+        return sized.to_texels @ matrix, (sized, self._is_valid)
 
     def store(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Keep `depth`, which was drawn with the camera of `aim`. Must be called outside of passes."""

@@ -31,6 +31,7 @@ from rhi.backends.null.null_draws import Draw, ExecutedIndirectDraws, read_indir
 from rhi.backends.null.null_queries import Queries
 from rhi.backends.null.null_textures import Textures
 from rhi.backends.null.shaders import Shaders, StandIn
+from rhi.commands.context import BOUND_KINDS
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.recorder import CommandMethods
 from rhi.contract import descriptors
@@ -167,17 +168,19 @@ class NullBackend(CommandMethods):
         self._queries.create_query(query, kind)
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        copied = bytes(data)
         if buffer in self._streams:
-            self._buffers.write_buffer(buffer, offset, bytes(data))
-        else:
-            self._enqueue_bytes(Op.WRITE_BUFFER, (buffer, offset), bytes(data))
+            self._buffers.write_buffer(buffer, offset, copied)
+            return
+        self._enqueue((Op.WRITE_BUFFER, buffer, offset, copied))
+        self._queued_bytes += len(copied)
+        if self._queued_bytes > QUEUED_BYTES:
+            self._run()
 
     def write_texture(self, texture: Id, level: int, region: descriptors.Region, data: BytesLike) -> None:
-        self._enqueue_bytes(Op.WRITE_TEXTURE, (texture, level, region), bytes(data))
-
-    def _enqueue_bytes(self, op: Op, arguments: tuple[Any, ...], data: bytes) -> None:
-        self._enqueue((op, *arguments, data))
-        self._queued_bytes += len(data)
+        copied = bytes(data)
+        self._enqueue((Op.WRITE_TEXTURE, texture, level, region, copied))
+        self._queued_bytes += len(copied)
         if self._queued_bytes > QUEUED_BYTES:
             self._run()
 
@@ -229,13 +232,17 @@ class NullBackend(CommandMethods):
         entries = queue.copy()
         queue.clear()
         self._queued_bytes = 0
-        execute = self._execute
+        execute, slots = self._execute, self._state.slots
         position, end = 0, len(entries)
         try:
             while position < end:
                 op = entries[position]
                 start, position = position + 1, position + WIDTHS[op] - 2  # entries have no call site here
                 self._executed += 1
+                kind = BOUND_KINDS[op]
+                if kind is not None:  # bindings are most of the commands
+                    slots[kind, entries[start]] = tuple(entries[start + 1 : position])
+                    continue
                 executor = execute[op]
                 if executor is not None:
                     executor(*entries[start:position])
@@ -304,14 +311,14 @@ class NullBackend(CommandMethods):
         self._textures.write_texture(target, level, region, data.tobytes())
 
     def _begin_pass(self, descriptor: descriptors.PassDescriptor) -> None:
-        self._state.begin_pass(descriptor)
+        self._state.render_pass = descriptor
         self._textures.begin_pass(descriptor)
 
     def _end_pass(self) -> None:
         descriptor = self._state.render_pass
         if descriptor is not None:
             self._textures.end_pass(descriptor)
-        self._state.end_pass()
+        self._state.render_pass = None
 
     def _signal(self, value: int) -> None:
         self._fence = value
@@ -348,7 +355,8 @@ class NullBackend(CommandMethods):
         count_buffer: Id,
         count_offset: int,
     ) -> None:
-        indexed = self._state.get(vertex_array, descriptors.VertexArrayDescriptor).index_buffer != 0
+        vertices: Any = self._state.resources[vertex_array]
+        indexed = vertices.index_buffer != 0
         resolved = read_indirect_draws(
             self._buffers, buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )
@@ -358,7 +366,7 @@ class NullBackend(CommandMethods):
                     vertex_array, primitive, first, count, instances, base_vertex, base_instance
                 )
         else:
-            draws_vertices = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
+            draws_vertices = np.logical_or.reduce((resolved["count"] > 0) & (resolved["instances"] > 0))
             self._count_unfollowed(len(resolved), bool(draws_vertices))
         executed = resolved[:0] if self._state.outcome is DrawOutcome.DROPPED else resolved
         self._indirect_draws.append(ExecutedIndirectDraws(vertex_array, primitive, executed))

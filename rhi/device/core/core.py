@@ -457,7 +457,8 @@ class Core(DeviceObject):
     def send_states(self, vector: StateVector) -> None:
         """Send the changes that lead from the hardware's states to a state vector of any cache."""
         try:
-            if changes := self.states.change_to(vector):
+            states = self.states
+            if vector.values != states.hardware.values and (changes := states.change_to(vector)):
                 self.backend.set_states(changes)
         except BaseException:
             self.states.lose_hardware()
@@ -485,7 +486,8 @@ class Core(DeviceObject):
 
     def adopt_states(self, values: tuple[object, ...]) -> None:
         """Record state values that were sent to the backend without the cache."""
-        self.states.adopt(values)
+        if values != self.states.hardware.values:
+            self.states.adopt(values)
         if self._prepares is not None:
             self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 

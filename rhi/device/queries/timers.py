@@ -150,6 +150,10 @@ class Timers(DeviceObject):
         """Read finished frames, oldest first; never blocks."""
         while self._frames:
             roots, pending = self._frames[0]
+            if not pending:  # no times were taken
+                self._frames.popleft()
+                self.latest = roots
+                continue
             times = [(self._read(first), self._read(last)) for _, first, last in reversed(pending)]
             if any(begin is None or end is None for begin, end in times):
                 return
@@ -221,7 +225,11 @@ class EventScope(Scope):
         self.node: TimerNode | None = None
 
     def __enter__(self) -> None:
-        self._core.check_scope()
+        core = self._core
+        if core.render_pass is None:  # as `check_scope`, without its call
+            core.check_ready()
+        else:
+            core.check_command()
         if self.node is None:
             self._timers.begin(self)
         else:
@@ -233,7 +241,8 @@ class EventScope(Scope):
             return
         if core.thread != get_ident():
             core.check_thread("the end of an event")
-        core.resume_scope()
+        if core._context is not None:
+            core.resume_scope()
         scopes = core.scopes
         if scopes._data[scopes._index - 1] is self:
             self.finish(error is not None)

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from functools import cache, partial
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -147,9 +147,21 @@ class Buffer(ArrayExchange, Resource):
         Raises:
             ValidationError: `buffer-dtype` for another dtype, `buffer-range` beyond the end.
         """
-        if self._fits(data, first):
-            self._check("Buffer.write")
-            self._upload(data, first)
+        if (  # the usual case, in a quarter of the calls that `_match` and `_range` take
+            data.__class__ is np.ndarray
+            and has_layout(data, self.dtype)
+            and data.flags.c_contiguous
+            and first.__class__ is int
+            and 0 <= first <= self.count - data.nbytes // self.dtype.itemsize
+        ):
+            core = self.core
+            core.check_ready()
+            if self.destroyed or core.locked:
+                core.check_usable(self, "Buffer.write")
+            if size := data.nbytes:
+                core.upload_bytes += size
+                contents = np.frombuffer(data, np.uint8).data
+                core.backend.write_buffer(self.id, first * self.dtype.itemsize, contents)
             return
         array = self._match(data, "Buffer.write")
         first, _ = self._range("Buffer.write", first, len(array))
@@ -237,17 +249,6 @@ class Buffer(ArrayExchange, Resource):
         self.core.check_ready()
         self.core.check_usable(self, call)
 
-    def _fits(self, data: object, first: object) -> bool:
-        """True if an array can be uploaded as it is: the usual case, in a quarter of the calls that
-        `_match` and `_range` take."""
-        return (
-            data.__class__ is np.ndarray
-            and data.dtype == self.dtype
-            and data.flags.c_contiguous
-            and first.__class__ is int
-            and 0 <= first <= self.count - data.size
-        )
-
     def _match(self, data: NDArray[Any], call: str) -> NDArray[Any]:
         array = ArgumentChecker(call, self.core.refuse).array("data", data)
         base, shape = self.dtype.subdtype or (self.dtype, ())
@@ -323,8 +324,12 @@ class UniformBuffer(UniformRange[T], Resource):
         """
         core, call = self.owner.core, "UniformBuffer.write"
         if value.__class__ is self.type and isinstance(value, Struct) and not fields:
-            self.owner._check(call)
-            self.owner._upload_bytes(value.to_bytes(), 0)
+            core.check_ready()
+            if self.owner.destroyed or core.locked:
+                core.check_usable(self.owner, call)
+            data = value.to_bytes()
+            core.upload_bytes += len(data)
+            core.backend.write_buffer(self.buffer, 0, data)
             return
         if fields:
             if value is not None or not issubclass(self.type, Struct):  # type: ignore[arg-type]
@@ -442,8 +447,12 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
     def write(self, values: ArrayLike, first: int = 0) -> None:
         """Replace elements from `first` on. `values` is an array as for `Device.storage`; `layout-mismatch`
         for anything else."""
-        call = "StorageBuffer.write"
-        self._typed().write(match_layout(self.owner.core, values, self.dtype, call, self.type), first)
+        owner, dtype = self.owner, self.dtype
+        if owner.dtype != dtype:
+            self._refuse_type()
+        if values.__class__ is not np.ndarray or not has_layout(values, dtype):
+            values = match_layout(owner.core, values, dtype, "StorageBuffer.write", self.type)
+        owner.write(values, first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
@@ -459,13 +468,17 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
 
     def _typed(self) -> Buffer:
         if self.owner.dtype != self.dtype:
-            self.owner.core.refuse(
-                rules.BUFFER_DTYPE,
-                "StorageBuffer",
-                str(self.owner.dtype),
-                f"a buffer of {self.dtype}, or its own methods",
-            )
+            self._refuse_type()
         return self.owner
+
+    def _refuse_type(self) -> NoReturn:
+        """Refuse to read or write the elements of a buffer of another dtype."""
+        self.owner.core.refuse(
+            rules.BUFFER_DTYPE,
+            "StorageBuffer",
+            str(self.owner.dtype),
+            f"a buffer of {self.dtype}, or its own methods",
+        )
 
 
 def _bytes_of(array: NDArray[Any]) -> memoryview:
@@ -537,6 +550,14 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
+def has_layout(array: NDArray[Any], expected: np.dtype[Any]) -> bool:
+    """True if an array's elements are of the expected dtype; those of a subarray dtype are its last axes."""
+    if expected.subdtype is None:
+        return array.dtype == expected
+    base, shape = expected.subdtype
+    return array.dtype == base and array.shape[-len(shape) :] == shape
+
+
 def match_layout(
     core: Core, array: ArrayLike, expected: np.dtype[Any], call: str, element: Any = None
 ) -> NDArray[Any]:
@@ -546,7 +567,7 @@ def match_layout(
     are. Vectors of three components take the place of four: if these are the `element`s, (n, 3) becomes
     (n, 4). Structs whose padding NumPy has dropped are padded again.
     """
-    if array.__class__ is np.ndarray and array.dtype == expected:  # the usual case, and the fastest
+    if array.__class__ is np.ndarray and has_layout(array, expected):  # the usual case, and the fastest
         return array
     values = ArgumentChecker(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
