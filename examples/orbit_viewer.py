@@ -112,8 +112,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--backend", default="gl", help="gl, cl or wgpu")
-    parser.add_argument("--canvas", default="window", choices=sorted(CANVASES))
+    parser.add_argument("--backend", help="gl, cl or wgpu (default: gl; in a page, web)")
+    parser.add_argument("--canvas", choices=sorted(CANVASES), help="default: a window")
     parser.add_argument("--frames", type=int, default=0, help="how many; 0: until the window is closed")
     parser.add_argument("--immediate", action="store_true", help="don't wait for the display's refresh")
     options = parser.parse_args()

@@ -33,7 +33,7 @@ from rhi.trace import cli as trace_cli
 
 _COMMANDS: Final = """\
 commands, each with --help:
-  trace             inspect recorded commands: show, replay, diff, reduce
+  trace             inspect recorded commands: show, replay, page, diff, reduce
   shading accuracy  measure error and time of the shading language's built-in functions
   new               write a small project to start from: a game, a tool, or tests
   new-backend       write a package to start a port from

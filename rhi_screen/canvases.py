@@ -14,6 +14,8 @@ from typing import Any, Final, TypeAlias
 from rhi.errors import DeviceError, refuse
 from rhi_screen.rules import INSTALL, SCREEN_CANVAS, SCREEN_MISSING
 
+DEFAULT_SIZE: Final = (960, 540)
+
 Canvas: TypeAlias = Any
 """A `rendercanvas.BaseRenderCanvas`; rendercanvas has no types that a type checker reads."""
 
@@ -56,20 +58,26 @@ CANVASES: Final = {
     "jupyter": CanvasKind(
         "rendercanvas.jupyter", required_module="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"
     ),
+    "html": CanvasKind(
+        "rhi_screen.html_canvas",
+        "HtmlCanvas",
+        required_module="rhi_screen.html_canvas",
+        install="it needs Python in a page (Pyodide), and rendercanvas there",
+    ),
     "offscreen": CanvasKind("rendercanvas.offscreen"),
 }
 """All kinds by name."""
 
 
 def open_canvas(
-    kind: str | None = None, *, title: str = "rhi", size: tuple[float, float] = (960, 540), **options: Any
+    kind: str | None = None, *, title: str = "rhi", size: tuple[float, float] | None = None, **options: Any
 ) -> Canvas:
     """Open a canvas.
 
     Args:
-        kind: a name of `CANVASES`; None: "jupyter" in a notebook, else "window".
+        kind: a name of `CANVASES`; None: "html" in a page, "jupyter" in a notebook, else "window".
         title: may contain `$fps` and `$ms`.
-        size: in logical pixels, (width, height).
+        size: in logical pixels, (width, height). None: 960 × 540; in a page, the size of the element.
         options: rendercanvas's: `update_mode` ("ondemand", "continuous", "fastest"), `max_fps`, `vsync`.
 
     Raises:
@@ -79,6 +87,8 @@ def open_canvas(
     kind = kind or choose_default_canvas()
     if kind not in CANVASES:
         refuse(SCREEN_CANVAS, f"rhi_screen.open_canvas({kind!r})", kind, ", ".join(CANVASES))
+    if size is None and kind != "html":
+        size = DEFAULT_SIZE
     return CANVASES[kind].load()(title=title, size=size, **options)
 
 
@@ -90,5 +100,7 @@ def get_loop(canvas: Canvas) -> Any:
 
 def choose_default_canvas() -> str:
     """Return the kind of canvas that is opened if none is named."""
+    if sys.platform == "emscripten":
+        return "html"
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return "window" if getattr(shell, "kernel", None) is None else "jupyter"

@@ -29,7 +29,6 @@ from concurrent.futures import (
     BrokenExecutor,
     Executor,
     Future,
-    ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
 from concurrent.futures import wait as wait_for
@@ -37,14 +36,16 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from threading import RLock
 from time import monotonic
-from typing import Any, Final, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 from rhi.errors import DeviceError, refuse
 from rhi_screen.rules import EXECUTOR_ENDED, EXECUTOR_MISSING, EXECUTOR_NAME, EXECUTOR_SCHEDULER
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -100,6 +101,9 @@ class _Worker:
     def submit(self, run: Callable[[], Any]) -> Future[Any]:
         """Run a call in the process. Processes are spawned: a driver's state doesn't survive a fork."""
         if self.pool is None:
+            from concurrent.futures import ProcessPoolExecutor  # the Python of a page has no processes
+            from multiprocessing import get_context
+
             self.pool = ProcessPoolExecutor(
                 1, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(self.cpus,)
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter, process_time
@@ -21,6 +22,8 @@ from rhi_screen.video import VideoWriter
 DISPLAY_FORMATS: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
 """Formats of images that every canvas shows, bit for bit."""
 
+DEFAULT_BACKEND: Final = "web" if sys.platform == "emscripten" else "gl"
+
 
 class Screen:
     """A canvas with a device whose images it shows. Use it in a `with` block, or call `close`.
@@ -31,16 +34,18 @@ class Screen:
         counter: statistics of the frames that were shown.
     """
 
-    def __init__(self, canvas: Canvas, device: str | rhi.Device = "gl", **options: Any) -> None:
+    def __init__(self, canvas: Canvas, device: str | rhi.Device | None = None, **options: Any) -> None:
         """Show images on `canvas`.
 
         Args:
             canvas: any canvas of rendercanvas.
             device: a backend's name: the device is created, and closed with the screen. "gl" in a window
-                draws beside the window's context, "wgpu" to its surface. Or a device: its images are copied
-                through the CPU, and it stays open.
+                draws beside the window's context, "wgpu" to its surface, "web" to that of a canvas element.
+                None: "gl", and "web" in a page. Or a device: its images are copied through the CPU, and it
+                stays open.
             options: `rhi.create_device`'s.
         """
+        device = DEFAULT_BACKEND if device is None else device
         self.canvas = canvas
         self.counter = FrameCounter()
         self._targets: WeakSet[ScreenTargets] = WeakSet()
@@ -56,7 +61,7 @@ class Screen:
             self.device = open_beside(**options)
         else:
             self.device = rhi.create_device(device, **options)
-        self._on_surface = self._owned and device == "wgpu" and can_show_on_surface(canvas)
+        self._on_surface = isinstance(device, str) and can_show_on_surface(canvas, device)
         if self._on_surface:
             open_surface(canvas, self.device)
         else:
@@ -163,7 +168,8 @@ class Screen:
     ) -> None:
         """Run the canvas's loop until it is closed; `draw` is called for each frame.
 
-        In a notebook, whose loop runs already, this returns at once. A canvas without a loop, such as
+        In a notebook, whose loop runs already, this returns at once; so it does in a page whose Python can't
+        wait (no JSPI). A canvas without a loop, such as
         offscreen, draws one frame. While a video is recorded (`record`) it draws as a window would: until it is
         closed, or with the update mode "ondemand" until `draw` requests no further frame.
 
@@ -201,6 +207,9 @@ class Screen:
                 self._draw_without_loop(frames, errors)
             else:
                 loop.run()
+                wait_until_closed = getattr(self.canvas, "wait_until_closed", None)
+                if wait_until_closed is not None:
+                    wait_until_closed(errors)
         finally:
             running = False
         if errors:
@@ -250,11 +259,11 @@ class Screen:
 
 
 def open_screen(
-    device: str | rhi.Device = "gl",
+    device: str | rhi.Device | None = None,
     *,
     canvas: str | None = None,
     title: str = "rhi",
-    size: tuple[float, float] = (960, 540),
+    size: tuple[float, float] | None = None,
     update_mode: str = "ondemand",
     max_fps: float = 60.0,
     vsync: bool = True,
@@ -263,10 +272,10 @@ def open_screen(
     """Open a canvas and a device for it.
 
     Args:
-        device: a backend's name, or a device.
-        canvas: a name of `CANVASES`; None: "jupyter" in a notebook, else "window".
+        device: a backend's name, or a device; None: "gl", and "web" in a page.
+        canvas: a name of `CANVASES`; None: "html" in a page, "jupyter" in a notebook, else "window".
         title: may contain `$fps` and `$ms`.
-        size: in logical pixels, (width, height).
+        size: in logical pixels, (width, height). None: 960 × 540; in a page, the size of the element.
         update_mode: "ondemand": frames are drawn after `canvas.request_draw()`, resizes and exposures;
             "continuous": `max_fps` times a second; "fastest": without a pause.
         max_fps: the most frames a second, but for "fastest".

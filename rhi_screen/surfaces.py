@@ -1,5 +1,7 @@
-"""Surfaces: windows in which a device shows images through Vulkan, Metal or Direct3D 12, without a copy by
-the CPU."""
+"""Surfaces: windows and canvas elements in which a device shows images without a copy by the CPU.
+
+A device on `wgpu` shows them through Vulkan, Metal or Direct3D 12, one on `web` by the page's WebGPU.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import rhi
 from rhi_screen.canvases import Canvas
+
+SURFACE_BACKENDS = ("wgpu", "web")
 
 
 @runtime_checkable
@@ -18,14 +22,29 @@ class SurfaceBackend(Protocol):
     get_surface: Callable[[bool], Any] | None
 
 
-def can_show_on_surface(canvas: Canvas) -> bool:
-    """True if surfaces can be created for a canvas: it must be a window."""
+@runtime_checkable
+class PageBackend(Protocol):
+    """A backend that draws images to a canvas element of a page; the one on web."""
+
+    def show_on(self, element: Any) -> None:
+        """Make `device.present` show images on an element."""
+
+
+def can_show_on_surface(canvas: Canvas, backend: str) -> bool:
+    """True if devices on a backend can show images on a surface of a canvas: it must be a window or an
+    element."""
+    if backend not in SURFACE_BACKENDS or (backend == "web") is not hasattr(canvas, "get_element_context"):
+        return False
     widget: Any = getattr(canvas, "_subwidget", canvas)
     return "window" in (widget._rc_get_present_info(["screen", "bitmap"]) or ())  # as each prefers
 
 
 def open_surface(canvas: Canvas, device: rhi.Device) -> None:
-    """Make `device.present` show images of a device on wgpu in a canvas that `can_show_on_surface`."""
+    """Make `device.present` show images of a device in a canvas that `can_show_on_surface`."""
+    if device.backend_name == "web":
+        page_kind: Any = PageBackend
+        device.backend_as(page_kind).show_on(canvas.get_element_context().element)
+        return
     kind: Any = SurfaceBackend  # mypy takes no protocol for a class
     backend = device.backend_as(kind)
     context = canvas.get_context("wgpu")

@@ -1,5 +1,10 @@
-"""Build the documentation: `python scripts/build_site.py [FOLDER]` (`out/documentation`), with the extra
-`docs`.
+"""Build the documentation, with the extra `docs`, into `out/documentation` or another folder.
+
+    python scripts/build_site.py [FOLDER] [--pyodide FOLDER | --no-live]
+
+Programs of the gallery run in its page (`live_site.py`), on Pyodide. Readers load it from Pyodide's own
+distribution, or with `--pyodide` from the site, which then has a copy of that folder's files. The site is built
+without a network in any case.
 
 The pages are those of `docs/`, the README as the first one, the changelog, and the API reference, which
 mkdocstrings makes from docstrings. The generator is Zensical, the successor of MkDocs Material (which is kept
@@ -9,6 +14,7 @@ say of parameters and rules is checked by tests/test_reference.py, links and the
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import shutil
@@ -16,6 +22,10 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Final
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from live_site import add_live_programs, write_live
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 
@@ -44,8 +54,9 @@ LINK: Final = re.compile(r"\]\((?![a-z]+:|#)([^)#\s]+)")
 _HARMLESS: Final = ("Build started", "No issues found", "Build finished")
 
 
-def collect_pages(folder: Path) -> None:
-    """Write the pages of the site to a folder, with the files that they link."""
+def collect_pages(folder: Path, *, live: bool = False) -> None:
+    """Write the pages of the site to a folder, with the files that they link; `live`: with programs that
+    run."""
     shutil.copytree(ROOT / "docs", folder)
     for page in (*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in EXTRA_PAGES)):
 
@@ -53,7 +64,9 @@ def collect_pages(folder: Path) -> None:
             return f"]({_site_link((home / link[1]).resolve(), folder)}"
 
         name = EXTRA_PAGES.get(page.relative_to(ROOT).as_posix(), page.name)
-        (folder / name).write_text(LINK.sub(lead, page.read_text(encoding="utf-8")), encoding="utf-8")
+        text = page.read_text(encoding="utf-8")
+        text = LINK.sub(lead, add_live_programs(text) if live else text)
+        (folder / name).write_text(text, encoding="utf-8")
     (folder / "reference").mkdir()
     for module in MODULES:
         (folder / "reference" / f"{module}.md").write_text(f"# {module}\n\n::: {module}\n", encoding="utf-8")
@@ -73,10 +86,18 @@ def _site_link(target: Path, folder: Path) -> str:
     return copied.relative_to(folder).as_posix()
 
 
-def build(folder: Path) -> list[str]:
-    """Build the site in `folder/site` and return the generator's warnings."""
+def build(folder: Path, *, live: bool = True, pyodide: Path | None = None) -> list[str]:
+    """Build the site in `folder/site` and return the generator's warnings.
+
+    Args:
+        folder: is emptied first.
+        live: whether programs run in their pages.
+        pyodide: a folder with Pyodide's distribution for them, whose files are copied.
+    """
     shutil.rmtree(folder, ignore_errors=True)
-    collect_pages(folder / "docs")
+    collect_pages(folder / "docs", live=live)
+    if live:
+        write_live(folder / "docs" / "live", pyodide)
     shutil.copyfile(ROOT / "mkdocs.yml", folder / "mkdocs.yml")
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": path, "NO_COLOR": "1"}
@@ -95,8 +116,18 @@ def build(folder: Path) -> list[str]:
     )
 
 
+def main() -> int:
+    """Build the site, and print its warnings and its first page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("out/documentation"))
+    parser.add_argument("--pyodide", type=Path, help="a folder with Pyodide, to be copied to the site")
+    parser.add_argument("--no-live", action="store_true", help="pages without programs that run in them")
+    options = parser.parse_args()
+    folder = options.folder.resolve()
+    warnings = build(folder, live=not options.no_live, pyodide=options.pyodide)
+    print("\n".join([*warnings, str(folder / "site" / "index.html")]))
+    return bool(warnings)
+
+
 if __name__ == "__main__":
-    target = Path(sys.argv[1] if len(sys.argv) > 1 else "out/documentation").resolve()
-    warnings = build(target)
-    print("\n".join([*warnings, str(target / "site" / "index.html")]))
-    sys.exit(bool(warnings))
+    sys.exit(main())

@@ -4,7 +4,7 @@
 //
 // PYODIDE: a folder with Pyodide and NumPy's wheel. DAWN: the folder of npm's `webgpu`, or `none`.
 // Environment: RHI_WEB_MOUNTS: folders that Python imports from, separated by colons; RHI_WEB_DAWN_OPTIONS:
-// options of Dawn, separated by commas. The file system of this machine is visible below /host.
+// options of Dawn, separated by commas; RHI_WEB_PACKAGES: packages of Pyodide's distribution (numpy). The file system of this machine is visible below /host.
 import { pathToFileURL } from "node:url";
 import { readFileSync } from "node:fs";
 import { resolve } from "node:path";
@@ -12,7 +12,7 @@ import { resolve } from "node:path";
 const [pyodide, dawn, program, ...programArguments] = process.argv.slice(2);
 const { loadPyodide } = await import(pathToFileURL(resolve(pyodide, "pyodide.mjs")));
 const python = await loadPyodide({ indexURL: resolve(pyodide) + "/" });
-await python.loadPackage("numpy", { messageCallback: () => {} });
+await python.loadPackage((process.env.RHI_WEB_PACKAGES ?? "numpy").split(","), { messageCallback: () => {} });
 if (dawn !== "none") {
   const { create, globals } = await import(pathToFileURL(resolve(dawn, "index.js")));
   Object.assign(globalThis, globals);

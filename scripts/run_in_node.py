@@ -93,14 +93,15 @@ def find_driver() -> str | None:
     return named or (str(SWIFTSHADER) if SWIFTSHADER.exists() else None)
 
 
-def find_obstacle() -> str | None:
-    """Return why programs can't be run in node here, in one line, or None if they can."""
+def find_obstacle(*, gpu: bool = True) -> str | None:
+    """Return why programs can't be run in node here, in one line, or None if they can; without `gpu`, in a
+    page without WebGPU."""
     missing = [package.folder for package in PACKAGES if not (FOLDER / package.folder).is_dir()]
     if find_node() is None:
         return 'no node: pip install "rhi[test]"'
     if missing:
         return f"no {', '.join(missing)}: python scripts/run_in_node.py --fetch"
-    if find_driver() is None:
+    if gpu and find_driver() is None:
         return "no Vulkan driver for Dawn: apt install chromium, which has SwiftShader"
     return None
 
@@ -157,11 +158,12 @@ def run(
     jspi: bool = True,
     gpu: bool = True,
     folders: Sequence[Path] = (),
+    packages: Sequence[str] = ("numpy",),
     capture: bool = False,
     timeout: float | None = None,
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program; `folders` are further ones that it imports from, and without `gpu` the page has no
-    WebGPU."""
+    """Run a program; `folders` are further ones that it imports from, `packages` those of Pyodide's
+    distribution, and without `gpu` the page has no WebGPU."""
     node = find_node()
     assert node is not None
     flags = ["--experimental-wasm-jspi"] if jspi else []
@@ -177,6 +179,7 @@ def run(
     )
     environment = {
         **os.environ,
+        "RHI_WEB_PACKAGES": ",".join(packages),
         "RHI_WEB_MOUNTS": ":".join(map(str, mounts)),
         "VK_ICD_FILENAMES": find_driver() or "",
         "XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir(),

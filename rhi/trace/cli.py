@@ -1,4 +1,4 @@
-"""`python -m rhi trace show|replay|diff|reduce`.
+"""`python -m rhi trace show|replay|page|diff|reduce`.
 
 Results go to stdout, all other text to stderr. Any fault of the input gives one line, `error: …`, and exit
 code 2. `diff` exits with 1 if the traces differ.
@@ -24,6 +24,7 @@ from rhi.errors import RhiError
 from rhi.errors.output_paths import check_output_file
 from rhi.trace.diff import diff
 from rhi.trace.file import Trace, load, save
+from rhi.trace.page import make_page
 from rhi.trace.reduce import reduce, write_test
 from rhi.trace.replay import replay
 
@@ -31,6 +32,7 @@ _EXAMPLES = """\
 examples:
   python -m rhi trace show frame.zip --label sun
   python -m rhi trace replay frame.zip --backend gl --trust --output frame.png
+  python -m rhi trace page frame.zip frame.html --trust
   python -m rhi trace diff before.zip after.zip
   python -m rhi trace reduce frame.zip fault.py:is_black --output small.zip --test test_black.py
 --trust runs the shaders of a file: give it only for files whose author you know."""
@@ -77,6 +79,11 @@ def _make_parser() -> argparse.ArgumentParser:
     )
     replay_parser.add_argument("--output", type=Path, metavar="F.png", help="write the last presented image")
     _add_trust(replay_parser)
+    page_parser = commands.add_parser("page", help="write a page that replays a trace in a browser")
+    page_parser.set_defaults(run=_page)
+    page_parser.add_argument("file", type=Path, metavar="F.zip")
+    page_parser.add_argument("output", type=Path, metavar="F.html")
+    _add_trust(page_parser)
     diff_parser = commands.add_parser("diff", help="print what the second trace does differently")
     diff_parser.set_defaults(run=_diff)
     diff_parser.add_argument("a", type=Path, metavar="A.zip")
@@ -132,6 +139,13 @@ def _replay(options: argparse.Namespace) -> int:
                     f"the {device.backend_name} device draws nothing: the image is as cleared",
                     file=sys.stderr,
                 )
+    return 0
+
+
+def _page(options: argparse.Namespace) -> int:
+    trace = load(options.file, trusted=options.trust)
+    options.output.write_text(make_page(trace, title=options.file.name), encoding="utf-8")
+    print(options.output)
     return 0
 
 

@@ -90,7 +90,7 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
             f"rhi.trace.replay on {on.backend_name}",
             f"{trace.file!r}, loaded without trusted=True",
         )
-    player = _Player(stream, on, checks_indirect=runs_shaders and bool(trace.file))
+    player = Player(stream, on, checks_indirect=runs_shaders and bool(trace.file))
     try:
         player.play()
     finally:
@@ -98,11 +98,18 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
     return player.result
 
 
-class _Player:
+class Player:
     """The state of one replay."""
 
-    def __init__(self, stream: CommandStream, device: Device, checks_indirect: bool) -> None:
+    def __init__(
+        self,
+        stream: CommandStream,
+        device: Device,
+        checks_indirect: bool,
+        after_command: Callable[[int, StreamContext], None] | None = None,
+    ) -> None:
         self.stream = stream
+        self.after_command = after_command
         self.checks_indirect = checks_indirect
         self.core = device._core
         self.result = Replay(refusals=stream.refusals)
@@ -133,6 +140,7 @@ class _Player:
             self.create if op in CREATIONS else self.apply if op in _FOLLOWED else own.get(op) for op in Op
         ]
         failures, data, ops = stream.failures, stream.data, tuple(Op)
+        after_command = self.after_command
         plain = [
             (method, handler, WIDTHS[op] - 2, *(ID_ARGUMENTS[op] + (-1, -1))[:2])
             for op, method, handler in zip(Op, methods, handlers, strict=True)
@@ -153,6 +161,8 @@ class _Player:
                     if second >= 0 and values[second]:  # 0 is none
                         values[second] = ids[values[second]]
                     method(*values)
+                if after_command is not None:
+                    after_command(index, self.context)
                 offset += width + 2
                 index += 1
         except Exception as error:

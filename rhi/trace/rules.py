@@ -42,3 +42,8 @@ TRACE_TRUST: Final = Rule(
     "if you know its author: load(…, trusted=True), or --trust; the null device replays it without its "
     "shaders",
 )
+TRACE_PAGE: Final = Rule(
+    "trace-page",
+    "a page can't replay this trace: a command depends on what a device must read back first",
+    "draw lists of triangles instead of fans by indirect draws",
+)

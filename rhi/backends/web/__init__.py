@@ -1,7 +1,7 @@
 """The web backend: WebGPU in a browser's page, through Pyodide.
 
 `create_backend` is its entry point in the group `rhi.backends`. Pyodide's modules are imported only when it is
-called. `request_device` is for engines whose Python can't wait for the page (no JSPI).
+called. `request_device` and `prepare_device` are for engines whose Python can't wait for the page (no JSPI).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rhi.errors.rules import DEVICE_DRIVER
 if TYPE_CHECKING:
     from rhi.backends.web.web_backend import WebBackend
 
-__all__ = ["create_backend", "find_obstacle", "request_device"]
+__all__ = ["create_backend", "find_obstacle", "prepare_device", "request_device"]
 
 _CALL = "rhi.create_device('web')"
 
@@ -52,6 +52,19 @@ async def request_device() -> Any:
     from rhi.backends.web.page import request
 
     return await request()
+
+
+async def prepare_device() -> None:
+    """Request a `GPUDevice` for the next `rhi.create_device("web")`, which then doesn't wait for the page.
+
+    A page that awaits this first runs programs of the desk as they are, with JSPI or without.
+
+    Raises:
+        DeviceError: as `request_device`.
+    """
+    from rhi.backends.web.page import prepare
+
+    await prepare()
 
 
 def find_obstacle() -> str | None:

@@ -2,45 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cache
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Any
 
 from js import Object
 from pyodide.ffi import JsProxy, to_js
 
-_VERBATIM: Final = "constants"
-"""The member whose keys are names of the user's, not of WebGPU."""
-
-
-@cache
-def to_camel_case(name: str) -> str:
-    """Return WebGPU's spelling of a name: `mip_level_count` is `mipLevelCount`."""
-    first, *others = name.split("_")
-    return first + "".join(part[:1].upper() + part[1:] for part in others)
+from rhi.backends.webgpu.javascript_names import prepare, to_camel_case
 
 
 def to_javascript(value: Any) -> Any:
     """Return a value of Python as the page takes it. What is None in a dictionary is left out."""
-    if isinstance(value, (WebObject, dict, list, tuple)):
-        value = _prepare(value)
-    elif isinstance(value, (bytes, memoryview)):
+    if isinstance(value, (bytes, memoryview)):
         return to_js(value)
-    return to_js(value, dict_converter=Object.fromEntries)
+    return to_js(prepare(value, _unwrap), dict_converter=Object.fromEntries)
 
 
-def _prepare(value: Any) -> Any:
-    if isinstance(value, WebObject):
-        return value._internal
-    if isinstance(value, Mapping):
-        return {
-            to_camel_case(key): dict(part) if key == _VERBATIM else _prepare(part)
-            for key, part in value.items()
-            if part is not None
-        }
-    if isinstance(value, (list, tuple)):
-        return [_prepare(part) for part in value]
-    return int(value) if isinstance(value, int) and not isinstance(value, bool) else value
+def _unwrap(value: Any) -> Any:
+    return value._internal if isinstance(value, WebObject) else value
 
 
 def wrap(value: Any) -> Any:

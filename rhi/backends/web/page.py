@@ -15,7 +15,7 @@ from pyodide.code import run_js
 from pyodide.ffi import JsException, can_run_sync, run_sync, to_js
 
 from rhi.backends.web.javascript import FUNCTIONS
-from rhi.backends.web.js_objects import WebObject, to_camel_case
+from rhi.backends.web.js_objects import WebObject
 from rhi.backends.webgpu.implementation import (
     ColorTarget,
     DepthTarget,
@@ -25,6 +25,7 @@ from rhi.backends.webgpu.implementation import (
     Host,
     ModuleError,
 )
+from rhi.backends.webgpu.javascript_names import to_camel_case
 from rhi.backends.webgpu.webgpu_limits import CORE_LIMITS
 from rhi.contract.formats import IndexFormat
 from rhi.errors import DeviceError
@@ -45,6 +46,7 @@ _USED: Final = (
 _TIP: Final = 'await request_device() of rhi.backends.web, and pass it: rhi.create_device("web", device=…)'
 _LONGEST_TURN: Final = 0.25
 _functions: Any = None
+_prepared: list[Any] = []  # devices that were requested, and opened by nobody yet
 
 
 class PageError(Exception):
@@ -108,12 +110,24 @@ async def request() -> Any:
         raise DeviceError(DEVICE_DRIVER, _CALL, f"the device was refused: {error}") from error
 
 
+async def prepare() -> None:
+    """Request a `GPUDevice` that the next `open_host` takes.
+
+    Raises:
+        DeviceError: `device-driver`.
+    """
+    if not _prepared:
+        _prepared.append(await request())
+
+
 def open_host(page: WebPage, device: Any = None) -> Host:
-    """Return the host of a `GPUDevice`; without one, request it and wait.
+    """Return the host of a `GPUDevice`; without one, take the prepared one, or request it and wait.
 
     Raises:
         DeviceError: `device-driver`; `device-wait` if Python can't wait here.
     """
+    if device is None and _prepared:
+        device = _prepared.pop()
     if device is None:
         check_wait(_CALL, _TIP)
         device = run_sync(request())

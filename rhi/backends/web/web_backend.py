@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import js
+
 from rhi.backends.web.page import WebPage
+from rhi.backends.web.surface import CanvasSurface
 from rhi.backends.webgpu.implementation import Host
 from rhi.backends.webgpu.specified_formats import SpecifiedFormats
 from rhi.backends.webgpu.webgpu_backend import WebGpuBackend
@@ -13,3 +18,7 @@ class WebBackend(WebGpuBackend):
 
     def __init__(self, page: WebPage, host: Host) -> None:
         super().__init__(page, host, SpecifiedFormats(host.features))
+
+    def show_on(self, element: Any) -> None:
+        """Make `device.present` show images on an `HTMLCanvasElement`, without a copy through the CPU."""
+        self.get_surface = CanvasSurface(element, self.device, js.navigator.gpu).get_texture

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from web_kit import ROOT, require_node, run_in_node, run_program
+from web_kit import ROOT, require_node, run_in_node, run_kit, run_program
 
 import rhi
 from rhi.errors.rules import DEVICE_DRIVER
@@ -247,21 +247,29 @@ def test_programs_draw_as_wgpu_does_on_the_same_driver(
 
 
 def test_the_kit_passes() -> None:
-    done = run_in_node.run(
-        ROOT / "tests" / "kits" / "web_pytest.py",
-        ["--tb=short", "--pyargs", "rhi.conformance", "--rhi-backend", "web"],
-        capture=True,
-    )
+    done = run_kit("web", "-k", f"not ({' or '.join(ENDLESS)})")
     totals = re.findall(r"total +(\d+) passed +(\d+) failed", done.stdout)
     assert totals, done.stdout[-4000:] + done.stderr[-4000:]
     failed = set(re.findall(r"^FAILED \S*?::(.+?\])", done.stdout, re.MULTILINE))
-    assert failed - set(EXPECTED_FAILURES) == set(), done.stdout[-20000:]
+    assert {name for name in failed if not any(map(name.startswith, EXPECTED_FAILURES))} == set(), (
+        done.stdout[-20000:]
+    )
     assert sum(int(passed) for passed, _ in totals) > 2000
 
 
 _SCISSOR = "test_the_same_triangle_has_the_same_depth_whatever_the_scissor[web-direct-"
 EXPECTED_FAILURES = {
-    f"{_SCISSOR}{size}-clipped]": "SwiftShader's rasteriser: it fails with wgpu too"
-    for size in ("(3, 2)", "(23, 17)", "(70, 64)")
+    **{
+        f"{_SCISSOR}{size}-clipped]": "SwiftShader's rasteriser"
+        for size in ("(3, 2)", "(23, 17)", "(70, 64)")
+    },
+    "test_a_query_counts_by_the_depth_function[web-direct-native-DepthFunction.EQUAL]": "SwiftShader interpolates "
+    "a depth of .5 to another number than a clear to .5 stores",
+    "test_each_operator_of_scalars_and_vectors[web-direct-float-": "SwiftShader's pow: inf and NaN",
+    "test_the_ends_of_a_format_s_range_are_cleared_to[web-direct-RGB10A2UI]": "Dawn clears RGB10A2UI to 255 at most",
 }
-"""Tests of the kit that fail in node, and why."""
+"""Tests of the kit that fail in node, by the beginnings of their names, and why. Those of SwiftShader fail with wgpu on
+it too; the one of Dawn fails in plain JavaScript."""
+
+ENDLESS = ("(test_far_indirect_arguments_read_the_mesh and (count or instances))",)
+"""Tests that draw up to 2³² vertices or instances, each of which SwiftShader shades on the CPU."""
