@@ -108,6 +108,7 @@ from rhi.device.resources.meshes import Drawable as Drawable
 from rhi.device.resources.meshes import Mesh as Mesh
 from rhi.device.resources.programs import Program as Program
 from rhi.device.resources.readbacks import Readback as Readback
+from rhi.device.resources.texture_tables import TextureTable as TextureTable
 from rhi.device.resources.textures import Sampler as Sampler
 from rhi.device.resources.textures import Texture as Texture
 from rhi.device.resources.textures import TextureTarget as TextureTarget

@@ -1,13 +1,17 @@
-"""The images of a scene on a device: arrays of textures, one for each size and kind of image.
+"""The images of a scene on a device: arrays of textures, or two texture tables.
 
-A shader reads all images of a scene in one draw, so images are layers of arrays, whose layers have one size.
-An image becomes a layer of the array of its size; colours (sRGB) and data (linear) have arrays of their own.
-So they take the memory of their texels and mip levels, and no more.
+A shader reads all images of a scene in one draw. Where they have few sizes, images are layers of arrays, one
+for each size; colours (sRGB) and data (linear) have arrays of their own. So they take the memory of their
+texels and mip levels, and no more, and the device's own samplers read them.
 
 A shader binds each array once for each sampler that reads it, at most `MAX_ARRAYS` in all. If a scene has
-more sizes, arrays are joined, those first that cost the fewest bytes; the smaller images are stretched, so
-that texture coordinates hold. If that would take more than `MAX_MEMORY_RATIO` times the memory of the images,
-the layers of joined arrays are made smaller instead, and their largest images lose detail.
+more sizes or samplers, colours and data are in a `TextureTable` each. There too each image keeps its own
+size, mip levels and sampler.
+
+Devices with few storage slots have no room for these tables. There arrays are joined instead, those first that
+cost the fewest bytes; the smaller images are stretched, so that texture coordinates hold. If that would take
+more than `MAX_MEMORY_RATIO` times the memory of the images, the layers of joined arrays are made smaller
+instead, and their largest images lose detail.
 """
 
 from __future__ import annotations
@@ -32,13 +36,18 @@ from rhi import (
     StorageBuffer,
     Texture,
     TextureKind,
+    TextureTable,
     refuse,
 )
+from rhi.shading import TextureBinding
 
 MAX_ARRAYS: Final = 8
 """The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own."""
 MAX_MEMORY_RATIO: Final = 1.15
 """The most memory of arrays, in that of their images with their mip levels."""
+TABLE_SLOTS: Final = 16
+"""The storage slots of devices on which images may be in texture tables. WebGPU promises 8: forward
+techniques use 7 of them without tables, which take two more."""
 TEXEL_BYTES: Final = 4
 _MAX_BIAS: Final = 16.0
 """The most levels of a bias: there are no more levels."""
@@ -170,55 +179,43 @@ def _shrink(arrays: list[ImageArray], sizes: Sequence[Size], limit: float) -> li
     return arrays
 
 
+def count_bindings(sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]]) -> int:
+    """The number of arrays with their samplers that hold images of these sizes unscaled; `uses` are those of
+    `plan_arrays`."""
+    return len({(sizes[image], is_color, sampler) for image, is_color, sampler in uses})
+
+
 class SceneImages:
     """The images that a scene's textures refer to, on a device.
 
     Attributes:
-        textures: the arrays.
+        textures: the arrays, or the pages of the tables.
         arrays: what a shader binds: each array with a sampler.
         samplers: those.
         colors, data: the arrays of colours, which come first, and of data. A texture's row of the table has
             its place among those of its kind: a shader compares it with no others.
+        tables: the texture tables of colours and of data, None for a kind that the scene lacks; None if the
+            images are in arrays.
         table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is
             its layer, and texture coordinates are read as they are.
         gradient_scale: the factor of texture gradients, 2^`mip_bias`.
-        bytes: the memory of the arrays.
+        bytes: the memory of the arrays or tables.
         image_bytes: that of the images, each by itself.
     """
 
     def __init__(self, device: Device, scene: Scene, settings: TextureSettings = SAMPLER_DEFAULTS) -> None:
         self.gradient_scale = 2.0**settings.mip_bias
         textures, limit = scene.textures, device.capabilities.max_texture_size
+        uses = [(int(row["image"]), bool(row["is_color"]), int(row["sampler"])) for row in textures]
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
-        samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())
-        uses = [
-            (int(row["image"]), bool(row["is_color"]), sampler)
-            for row, sampler in zip(textures, samplers, strict=True)
-        ]
-        planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
-        self.bytes = sum(array.bytes for array in planned)
-        self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
-        self.textures = tuple(_make_array(device, scene, array) for array in planned)
-        bound = [
-            (array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)
-        ]
-        most = device.capabilities.max_anisotropy
-        self.samplers = tuple(settings.adjust(scene.samplers[sampler], most) for _, sampler in bound)
-        self.arrays = tuple(
-            self.textures[array].sampled(sampler)
-            for (array, _), sampler in zip(bound, self.samplers, strict=True)
-        )
-        color_count = sum(planned[array].is_color for array, _ in bound)
-        self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
-        for row, (image, is_color, sampler) in enumerate(uses):
-            array = next(
-                number
-                for number, plan in enumerate(planned)
-                if plan.is_color == is_color and image in plan.images and sampler in plan.samplers
-            )
-            table["array"][row] = bound.index((array, sampler)) - (0 if is_color else color_count)
-            table["layer"][row] = planned[array].images.index(image)
+        self.tables: tuple[TextureTable | None, TextureTable | None] | None = None
+        has_slots = device.capabilities.max_storage_slots >= TABLE_SLOTS
+        if has_slots and count_bindings(sizes, uses) > MAX_ARRAYS:
+            self._make_tables(device, scene, settings, uses, table)
+        else:
+            self._make_arrays(device, scene, settings, sizes, uses, table)
+        self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
         table["u"], table["v"] = textures["transform"][:, 0], textures["transform"][:, 1]
         table["uv_set"] = textures["uv_set"]
         is_plain = (
@@ -231,19 +228,100 @@ class SceneImages:
             None if is_plain else device.storage(TextureUse, table, label="textures")
         )
 
+    def _make_arrays(
+        self,
+        device: Device,
+        scene: Scene,
+        settings: TextureSettings,
+        sizes: Sequence[Size],
+        uses: Sequence[tuple[int, bool, int]],
+        table: NDArray[Any],
+    ) -> None:
+        """Make an array for each size, and write where each texture is into the table."""
+        samplers = _limit_samplers([use[2] for use in uses], [use[1] for use in uses])
+        uses = [
+            (image, is_color, sampler) for (image, is_color, _), sampler in zip(uses, samplers, strict=True)
+        ]
+        planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
+        self.bytes = sum(array.bytes for array in planned)
+        self.textures: tuple[Texture, ...] = tuple(_make_array(device, scene, array) for array in planned)
+        bound = [
+            (array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)
+        ]
+        most = device.capabilities.max_anisotropy
+        self.samplers: tuple[SamplerDescriptor, ...] = tuple(
+            settings.adjust(scene.samplers[sampler], most) for _, sampler in bound
+        )
+        self.arrays: tuple[TextureBinding, ...] = tuple(
+            self.textures[array].sampled(sampler)
+            for (array, _), sampler in zip(bound, self.samplers, strict=True)
+        )
+        color_count = sum(planned[array].is_color for array, _ in bound)
+        self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]
+        for row, (image, is_color, sampler) in enumerate(uses):
+            array = next(
+                number
+                for number, plan in enumerate(planned)
+                if plan.is_color == is_color and image in plan.images and sampler in plan.samplers
+            )
+            table["array"][row] = bound.index((array, sampler)) - (0 if is_color else color_count)
+            table["layer"][row] = planned[array].images.index(image)
+
+    def _make_tables(
+        self,
+        device: Device,
+        scene: Scene,
+        settings: TextureSettings,
+        uses: Sequence[tuple[int, bool, int]],
+        table: NDArray[Any],
+    ) -> None:
+        """Make a texture table of colours and one of data, and write where each texture is into the table."""
+        limit, most = device.capabilities.max_texture_size - 2, device.capabilities.max_anisotropy
+        tables: list[TextureTable | None] = []
+        for of_colors in (True, False):
+            entries = list(dict.fromkeys((i, s) for i, is_color, s in uses if is_color == of_colors))
+            for row, (image, is_color, sampler) in enumerate(uses):
+                if is_color == of_colors:
+                    table["layer"][row] = entries.index((image, sampler))
+            if not entries:
+                tables.append(None)
+                continue
+            images = [scene.images[image] for image, _ in entries]
+            images = [
+                _resize(image, (min(image.shape[1], limit), min(image.shape[0], limit)), nearest=False)
+                for image in images
+            ]
+            tables.append(
+                device.texture_table(
+                    images,
+                    Format.RGBA8_SRGB if of_colors else Format.RGBA8,
+                    samplers=[settings.adjust(scene.samplers[sampler], most) for _, sampler in entries],
+                    label="images" if of_colors else "maps",
+                )
+            )
+        self.tables = tables[0], tables[1]
+        existing = [texture_table for texture_table in tables if texture_table is not None]
+        self.textures = tuple(texture_table.pages for texture_table in existing)
+        self.arrays = self.colors = self.data = ()
+        self.samplers = ()
+        self.bytes = sum(texture_table.bytes for texture_table in existing)
+
     def destroy(self) -> None:
-        """Destroy the textures and the table."""
+        """Destroy the textures and the tables."""
+        for texture_table in self.tables or ():
+            if texture_table is not None:
+                texture_table.destroy()
         for texture in self.textures:
             texture.destroy()
         if self.table is not None:
             self.table.destroy()
 
 
-def _limit_samplers(samplers: list[int], is_color: list[int]) -> list[int]:
+def _limit_samplers(samplers: list[int], is_color: list[bool]) -> list[int]:
     """Sampler of each texture, with rare ones replaced by the most frequent: at most half of the arrays
     for colours, and half for data."""
-    frequent: dict[int, list[int]] = {}
-    for kind in (0, 1):
+    frequent: dict[bool, list[int]] = {}
+    for kind in (False, True):
         counts = Counter(sampler for sampler, of in zip(samplers, is_color, strict=True) if of == kind)
         frequent[kind] = [sampler for sampler, _ in counts.most_common(MAX_ARRAYS // 2)]
     return [

@@ -35,6 +35,9 @@ _NO_NORMAL: Final = 5e-5
 length 0 is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
 
 
+IN_TABLE: Final = -1
+"""The number of arrays where images are in a texture table, since they have more sizes and samplers than a
+shader binds arrays."""
 _MASK: Final = int(AlphaMode.MASK)
 _ROUNDING: Final = 2.0**-16
 """The most that an alpha may be below the cut and still be at it: filtering rounds."""
@@ -80,8 +83,11 @@ class MaterialShader(ViewRayShader):
     maps_5: sl.Texture2DArray
     maps_6: sl.Texture2DArray
     maps_7: sl.Texture2DArray
+    image_table: sl.TextureTable
+    map_table: sl.TextureTable
     image_arrays = 1
     map_arrays = 1
+    """The number of arrays of data, `IN_TABLE` where they are images of a texture table."""
     has_table = False
     has_gradients = False
     """Whether textures are sampled with the gradients of texture coordinates of the input
@@ -275,6 +281,10 @@ class MaterialShader(ViewRayShader):
         """Return a texel of an array of colours, given the changes of texture coordinates."""
         if self.gradient_scale != 1.0:
             uv_gradients = uv_gradients * self.gradient_scale
+        if self.image_arrays == IN_TABLE:
+            return self.image_table[int(texture_coordinates.z)].sample_grad(
+                texture_coordinates.xy, uv_gradients.xy, uv_gradients.zw
+            )
         if self.image_arrays > 1 and array == 1:
             return self.images_1.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 2 and array == 2:
@@ -295,6 +305,10 @@ class MaterialShader(ViewRayShader):
         """Return a texel of an array of data, given the changes of texture coordinates."""
         if self.gradient_scale != 1.0:
             uv_gradients = uv_gradients * self.gradient_scale
+        if self.map_arrays == IN_TABLE:
+            return self.map_table[int(texture_coordinates.z)].sample_grad(
+                texture_coordinates.xy, uv_gradients.xy, uv_gradients.zw
+            )
         if self.map_arrays > 1 and array == 1:
             return self.maps_1.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 2 and array == 2:

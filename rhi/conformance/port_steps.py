@@ -116,6 +116,7 @@ STEPS: Final = (
         (
             "operation · textured draws",
             "operation · sampling",
+            "operation · texture tables",
             "operation · samples",
             "operation · compressed textures",
             "operation · fragments",

@@ -344,7 +344,8 @@ class Binding:
 
     `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or
     image type. `size` is the size of one element in bytes. `writes` and `reads` say what the program does
-    with its memory; `reads` may be True for memory that isn't read.
+    with its memory; `reads` may be True for memory that isn't read. `table` is the name of the texture
+    table whose images the buffer describes; a draw passes both as one value.
     """
 
     name: str
@@ -354,6 +355,7 @@ class Binding:
     type: object = None
     size: int = 0
     reads: bool = True
+    table: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from rhi.shading.language.bindings import ImageBinding as ImageBinding
 from rhi.shading.language.bindings import Storage as Storage
 from rhi.shading.language.bindings import StorageRange as StorageRange
 from rhi.shading.language.bindings import StorageRW as StorageRW
+from rhi.shading.language.bindings import TableBinding as TableBinding
 from rhi.shading.language.bindings import TextureBinding as TextureBinding
 from rhi.shading.language.bindings import Uniform as Uniform
 from rhi.shading.language.bindings import UniformRange as UniformRange
@@ -33,6 +34,8 @@ from rhi.shading.language.shader import Shader as Shader
 from rhi.shading.language.shader import find_element as find_element
 from rhi.shading.language.shader import shared as shared
 from rhi.shading.language.structs import Struct as Struct
+from rhi.shading.language.texture_tables import TableTexture as TableTexture
+from rhi.shading.language.texture_tables import TextureTable as TextureTable
 from rhi.shading.language.textures import *  # noqa: F403
 from rhi.shading.language.vectors import *  # noqa: F403
 
@@ -46,11 +49,13 @@ if _TYPE_CHECKING:
     from rhi.shading.evaluation.compute import run_compute as run_compute
     from rhi.shading.evaluation.stages import run_fragment as run_fragment
     from rhi.shading.evaluation.stages import run_vertex as run_vertex
+    from rhi.shading.numpy.host_tables import HostTextureTable as HostTextureTable
     from rhi.shading.numpy.host_textures import HostTexture as HostTexture
     from rhi.shading.numpy.kernel import NumpyKernel as NumpyKernel
 
 _LATER = {
     "HostTexture": "numpy.host_textures",
+    "HostTextureTable": "numpy.host_tables",
     "NumpyKernel": "numpy.kernel",
     "ShaderCode": "emitters",
     "compile_shader": "compile",

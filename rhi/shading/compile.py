@@ -334,7 +334,8 @@ def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: boo
     name, type = declaration.name, declaration.type
     match type:
         case StorageType(element=element, writable=writable):
-            return Binding(name, kind, slot, writable, declaration.host, stride_of(element, Layout.STD430))
+            size = stride_of(element, Layout.STD430)
+            return Binding(name, kind, slot, writable, declaration.host, size, table=declaration.table)
         case ImageType():
             return Binding(name, kind, slot, stored, type, reads=loaded)
     if kind is BindingKind.TEXTURE:

@@ -37,6 +37,7 @@ from rhi.contract.layout import FLOAT, INT, UINT
 from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, PlatformState, StateChange
 from rhi.errors import RhiError, ShaderError
 from rhi.shading.emitters import registered_languages
+from rhi.shading.language.texture_tables import TextureTable
 from rhi.shading.language.types import VECTORS, ImageType, TextureType
 from rhi.trace.rules import TRACE_SOURCE, TRACE_TRUST
 
@@ -202,6 +203,8 @@ def _decode_binding(json_value: Any, where: str) -> Binding:
 def _parse_texture_type(text: str) -> TextureType | ImageType | None:
     """Return the texture or image type of this name, None if there is none. The images of old files, which
     don't say their format, are none."""
+    if text == str(TextureTable.shading_type):
+        return TextureTable.shading_type
     match = _TEXTURE_TYPE.fullmatch(text)
     if match is None:
         return None

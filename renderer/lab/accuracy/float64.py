@@ -116,6 +116,8 @@ def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
         return _rebuild(binding.type, element)
     if isinstance(binding, StorageBuffer):
         return binding.read()
+    if isinstance(binding, sl.TableBinding):
+        return sl.HostTextureTable.from_device(binding)
     assert isinstance(binding, sl.TextureBinding)
     texture = binding if isinstance(binding, Texture) else binding.owner
     assert isinstance(texture, Texture)

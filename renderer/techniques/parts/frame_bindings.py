@@ -33,7 +33,7 @@ from renderer.shaders.structs import (
 )
 from renderer.shadows import ShadowMaps
 from renderer.shadows.receiver import CascadeTable, LocalShadowTable
-from rhi import StorageBuffer, Texture, UniformBuffer, refuse
+from rhi import StorageBuffer, Texture, TextureTable, UniformBuffer, refuse
 from rhi.shading import TextureBinding
 
 
@@ -152,6 +152,18 @@ class FrameBindings:
         """The array, layer and transform of each texture of the scene."""
         images = self.scene_images
         return None if images is None else images.table
+
+    @property
+    def image_table(self) -> TextureTable | None:
+        """The scene's colours, if they are in a table."""
+        images = self.scene_images
+        return None if images is None or images.tables is None else images.tables[0]
+
+    @property
+    def map_table(self) -> TextureTable | None:
+        """The scene's data, if they are in a table."""
+        images = self.scene_images
+        return None if images is None or images.tables is None else images.tables[1]
 
     images = ImageArrayBinding(0, is_color=True)
     images_1 = ImageArrayBinding(1, is_color=True)

@@ -25,6 +25,7 @@ from renderer.frame import (
     TechniqueDrawer,
 )
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.shaders.materials import IN_TABLE
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
 from renderer.techniques.parts.frame_bindings import FOLLOW_CAMERA, FrameBindings
 from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
@@ -90,7 +91,8 @@ def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str
         bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
     sizes = None
     if images is not None:
-        sizes = len(images.colors), len(images.data), images.table is not None, images.gradient_scale
+        arrays = (len(images.colors), len(images.data)) if images.tables is None else (IN_TABLE, IN_TABLE)
+        sizes = *arrays, images.table is not None, images.gradient_scale
     facts = (
         effects.enabled,
         effects.has_single_directional_light,
@@ -147,7 +149,7 @@ def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[st
     last = frame.values.get(key)
     if last is None or last[0] is not descriptor:
         bindings = FrameBindings(frame)
-        names = [binding.name for binding in descriptor.bindings]
+        names = [binding.name for binding in descriptor.bindings if not binding.table]
         moving = [name for name in names if name in FOLLOW_CAMERA and name not in own]
         bound = {name: own[name] if name in own else bindings[name] for name in names}
         frame.values[key] = descriptor, moving, bound

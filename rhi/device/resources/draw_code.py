@@ -114,10 +114,12 @@ def _write_source(
     Its own names start with an underscore; names of bindings start with a letter.
     """
     cells = [f"_{kind}_{i}" for kind in ("bound", "owner", "class") for i in range(len(bindings))]
-    keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
+    keywords = "".join(f", {binding.name}=_missing" for binding in bindings if not binding.table)
     yield "def make(_core, _backend, _states, _program, _push, _types, _missing, _unbound, _refusal, _one=1):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len, _type = len, type  # a binding may have that name"
+    if any(binding.table for binding in bindings):
+        yield "    _attribute = getattr"
     yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"
     for i in range(len(bindings)):
         yield f"    _type_{i} = _types[{i}]"
@@ -180,12 +182,13 @@ def _write_nonlocal(cells: list[str]) -> Iterator[str]:
 
 def _write_unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
     """Yield the lines that unpack the dictionary of bindings and check its names."""
-    yield f"if _len(_bindings) != {len(bindings)}:"
+    passed = [binding.name for binding in bindings if not binding.table]
+    yield f"if _len(_bindings) != {len(passed)}:"
     yield "    _program.check_names(_bindings)"
-    if bindings:
+    if passed:
         yield "try:"
-        for binding in bindings:
-            yield f"    {binding.name} = _bindings[{binding.name!r}]"
+        for name in passed:
+            yield f"    {name} = _bindings[{name!r}]"
         yield "except KeyError:"
         yield "    _program.check_names(_bindings)"
 
@@ -205,8 +208,13 @@ def _write_bind(
     yield "        try:"
     if packed:
         yield f"            {' = '.join(packed)} = None"
+    described = [binding for binding in bindings if binding.table]
+    if described:  # bound below, should unpacking be refused
+        yield f"            {' = '.join(binding.name for binding in described)} = _missing"
     for line in unpack:
         yield f"            {line}"
+    for binding in described:
+        yield f"            {binding.name} = _attribute({binding.table}, 'words', _missing)"
     yield "            _fresh = _core.program is not _program"
     yield "            if _fresh:"
     yield f"                {check}"

@@ -34,7 +34,14 @@ from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.errors.device_objects import DeviceObject
 from rhi.shading import Precision, Shader, Struct
-from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
+from rhi.shading.language.bindings import (
+    ImageBinding,
+    StorageRange,
+    TableBinding,
+    TextureBinding,
+    UniformRange,
+)
+from rhi.shading.language.texture_tables import TextureTable
 
 P = ParamSpec("P")
 MAX_INSTANCES: Final = (1 << 31) - 1
@@ -341,6 +348,9 @@ class Program(DeviceObject, Generic[P]):
         self.core.require(call, faults)
 
     def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
+        if binding.type == TextureTable.shading_type and not isinstance(value, TableBinding):
+            tip = "make it with device.texture_table(images)"
+            self.core.refuse(rules.BINDING_TYPE, call, _actual_text(value), _expected_text(binding), tip)
         if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
             self.core.refuse(rules.BINDING_TYPE, call, _actual_text(value), _expected_text(binding))
         texture = value.owner
@@ -448,7 +458,7 @@ class Program(DeviceObject, Generic[P]):
     def check_names(self, argument_names: Iterable[str]) -> None:
         """Refuse unknown and missing names of bindings."""
         names = set(argument_names)
-        declared = {binding.name for binding in self.descriptor.bindings}
+        declared = {binding.name for binding in self.descriptor.bindings if not binding.table}
         self.check_unknown(names - declared)
         if declared - names:
             missing_text = f"nothing for {', '.join(sorted(declared - names))}"
@@ -460,7 +470,7 @@ class Program(DeviceObject, Generic[P]):
     def check_unknown(self, names: Iterable[str]) -> None:
         """Refuse names that aren't bindings; a name that the shader declares but doesn't read causes one
         warning."""
-        declared = {binding.name for binding in self.descriptor.bindings}
+        declared = {binding.name for binding in self.descriptor.bindings if not binding.table}
         unknown = sorted(set(names) - self._left_out.keys())
         if unknown:
             declared_text = ", ".join(sorted(declared)) or "no bindings"

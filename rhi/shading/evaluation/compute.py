@@ -21,12 +21,13 @@ from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
-from rhi.shading.language.shader import Shader, StorageClass
+from rhi.shading.language.shader import Shader, StorageClass, words_of_table
 from rhi.shading.language.source import INVALIDATION_CALLBACKS
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType, stored_kind
 from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.functions import lower_function
+from rhi.shading.numpy.host_tables import HostTextureTable
 from rhi.shading.numpy.host_textures import HostTexture
 from rhi.shading.numpy.kernel import LaneFunction, NumpyKernel, load_module
 from rhi.shading.numpy.numpy_writer import write_numpy_function
@@ -176,7 +177,7 @@ def run_compute(
         dtype: the type of floats in variables and shared memory; buffers hold float32.
         bindings: a `Struct`, number or array for each `Uniform`; for each `Storage` and `StorageRW` an array
             of the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of
-            zeros; a `HostTexture` for each texture and image.
+            zeros; a `HostTexture` for each texture and image, a `HostTextureTable` for each `TextureTable`.
 
     Returns:
         The contents of each `StorageRW` and image afterwards; the given arrays aren't modified.
@@ -208,7 +209,7 @@ def bound_words(
     Raises:
         ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
     """
-    names = {binding.name for binding in compile_shader(shader).bindings}
+    names = {binding.name for binding in compile_shader(shader).bindings if not binding.table}
     if set(bindings) != names:
         refuse(
             rules.WRONG_ARGUMENTS,
@@ -216,6 +217,7 @@ def bound_words(
             ", ".join(bindings) or "nothing",
             ", ".join(sorted(names)) or "nothing",
         )
+    bindings, names = _expand_tables(shader, bindings, names, call)
     memory: dict[str, Any] = {}
     results: dict[str, Array] = {}
     for declaration in shader._declared.values():
@@ -235,6 +237,20 @@ def bound_words(
             if declaration.storage_class is StorageClass.IMAGE:
                 results[name] = texture.levels[0]
     return memory, results
+
+
+def _expand_tables(
+    shader: type[Shader], bindings: dict[str, Any], names: set[str], call: str
+) -> tuple[dict[str, Any], set[str]]:
+    """Return bindings and their names with each texture table as its pages and words."""
+    expanded = dict(bindings)
+    for name in bindings:
+        if shader._declared[name].is_table:
+            table = bindings[name]
+            if not isinstance(table, HostTextureTable):
+                refuse(rules.WRONG_ARGUMENTS, f"{call}: {name}", repr(table), "a HostTextureTable")
+            expanded[name], expanded[words_of_table(name)] = table.pages, table.words
+    return expanded, names | expanded.keys()
 
 
 def _compiled_shader(shader: type[Shader]) -> NumpyKernel:

@@ -88,6 +88,20 @@ class TextureBinding(DeviceObject):
         return f"TextureBinding({self._owner!r}, sampler {self.sampler})"
 
 
+class TableBinding(TextureBinding):
+    """A texture table as a binding: its pages with their sampler, and the buffer that describes its images.
+
+    Attributes:
+        words: elements of `ivec4` (see `rhi.shading.ir.texture_pages`).
+    """
+
+    __slots__ = ("words",)
+
+    def __init__(self, texture: int, sampler: int, owner: object, words: StorageRange[Any]) -> None:
+        super().__init__(texture, sampler, owner)
+        self.words = words
+
+
 class ImageBinding(DeviceObject):
     """A mip level of a texture, bound as an image: one layer of it, or all layers if `layer` is None."""
 

@@ -443,7 +443,7 @@ def _recollect_bindings(cls: type[Shader], names: dict[str, Any]) -> None:
         own = {
             name: declared
             for name, declared in derived._declared.items()
-            if name in inspect.get_annotations(derived)
+            if (declared.table or name) in inspect.get_annotations(derived)
             or isinstance(derived.__dict__.get(name), SharedMemory)
         }
         inherited: dict[str, Any] = {}

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, ge
 from typing_extensions import dataclass_transform
 
 from rhi.contract.formats import ChannelKind, Choice
-from rhi.contract.layout import ArrayType, HostType, is_host_shareable
+from rhi.contract.layout import INT, ArrayType, HostType, is_host_shareable
 from rhi.errors import ShaderError, ShaderErrors, refuse
 from rhi.errors.call_sites import find_call_site
 from rhi.shading.language import rules
@@ -31,8 +31,8 @@ from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.source import globals_of, keep_sources, locals_of, resolve_annotations, suggest_name
 from rhi.shading.language.textures import ImageFormat, SampledTexture, StorageImage, image
-from rhi.shading.language.types import LANGUAGE_NAMES, ImageType, StorageType, Type
-from rhi.shading.language.vectors import Array
+from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, StorageType, TextureType, Type
+from rhi.shading.language.vectors import Array, ivec4
 
 LANGUAGE_NAMES.update(("Shader", "shared"))
 
@@ -52,12 +52,18 @@ class StorageClass(Choice):
 @dataclass(frozen=True, slots=True)
 class Declaration:
     """A binding or shared variable of a shader. `host` is its type on the CPU: a `Struct` class, `float`,
-    `vec3`…"""
+    `vec3`… `table` is the name of the texture table that a buffer describes, "" for others."""
 
     name: str
     storage_class: StorageClass
     type: Type
     host: Any = None
+    table: str = ""
+
+    @property
+    def is_table(self) -> bool:
+        """True for the pages of a texture table."""
+        return isinstance(self.type, TextureType) and self.type.table
 
 
 class SharedMemory:
@@ -142,7 +148,11 @@ def work_group_size(shader: type[Shader]) -> tuple[int, int, int]:
 
 def list_bindings(shader: type[Shader]) -> list[str]:
     """Return the names of all bindings that a shader and its bases declare."""
-    return [name for name, each in shader._declared.items() if each.storage_class is not StorageClass.SHARED]
+    return [
+        name
+        for name, declared in shader._declared.items()
+        if declared.storage_class is not StorageClass.SHARED and not declared.table
+    ]
 
 
 def find_element(shader: type[Shader], name: str) -> Any:
@@ -181,6 +191,12 @@ def collect_bindings(
             if hasattr(Shader, name):
                 _refuse(cls, name, "a name that Shader itself uses", "choose another name")
             declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
+            if declared[name].is_table:
+                words = words_of_table(name)
+                if words in inspect.get_annotations(cls) or (words in inherited and name not in inherited):
+                    _refuse(cls, words, f"the name of the buffer of {name}", "choose another name")
+                type = StorageType(VECTORS[INT, 4], False)
+                declared[words] = Declaration(words, StorageClass.STORAGE, type, ivec4, name)
     errors.check()
     for name, value in cls.__dict__.items():
         if isinstance(value, FunctionType):
@@ -194,6 +210,11 @@ def collect_bindings(
         if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
             _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
     cls._declared = declared
+
+
+def words_of_table(name: str) -> str:
+    """Return the name of the buffer that describes the images of a texture table."""
+    return f"{name}_words"
 
 
 def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> Declaration:

@@ -48,15 +48,19 @@ VOID: Final = VoidType()
 @dataclass(frozen=True, slots=True)
 class TextureType:
     """A sampled texture. With `compare`, a depth texture whose samples are results of a depth comparison.
-    With `samples`, a texture of several samples, which are read one by one."""
+    With `samples`, a texture of several samples, which are read one by one. With `table`, the pages of a
+    texture table."""
 
     kind: TextureKind
     scalar: ScalarType = FLOAT
     compare: bool = False
     samples: bool = False
+    table: bool = False
 
     def __str__(self) -> str:
         shape = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}[self.kind.value]
+        if self.table:
+            return "TextureTable"
         prefix = "Depth" if self.compare else {FLOAT: "", INT: "Int", UINT: "Uint"}[self.scalar]
         return f"{prefix}Texture{shape}{'Samples' if self.samples else ''}"
 

@@ -24,6 +24,13 @@ from rhi.shading.language.vectors import array
 from rhi.shading.parser.context import FunctionParser
 from rhi.shading.parser.expressions import cast, check_memory, check_size, member_tip
 from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, find_method, fits
+from rhi.shading.parser.texture_tables import (
+    declared_table,
+    method_of_table,
+    parse_index,
+    table_callee,
+    table_of,
+)
 
 _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
     builtins.abs: BUILTINS["abs"],
@@ -52,7 +59,8 @@ def parse_call(parser: FunctionParser, node: ast.Call) -> Expression:
 
 
 def _call_method(parser: FunctionParser, node: ast.Call, name: str, after: type | None) -> Expression:
-    method = find_method(parser.stage.shader, name, after)
+    table = table_of(parser.source.function)
+    method = table_callee(table, name) if table else find_method(parser.stage.shader, name, after)
     if method is None:
         shader = parser.stage.shader
         if name in shader._declared:
@@ -63,9 +71,13 @@ def _call_method(parser: FunctionParser, node: ast.Call, name: str, after: type 
     return _call_python(parser, node, method)
 
 
-def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree.Call:
+def _call_python(
+    parser: FunctionParser, node: ast.Call, callee: Callee, first: tuple[Expression, ...] = ()
+) -> tree.Call:
+    """Return the call of a Python function; `first`: arguments before those of the call, already parsed."""
     signature = callee.signature
-    names = [parameter.name for parameter in signature.parameters]
+    all_names = [parameter.name for parameter in signature.parameters]
+    names = all_names[len(first) :]
     nodes_by_name: dict[str, ast.expr] = {}
     if len(node.args) > len(names):
         parser.refuse(rules.WRONG_ARGUMENTS, node, f"{len(node.args)} arguments", ", ".join(names) or "none")
@@ -89,6 +101,7 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
         map(tree.has_effect, values.values())
     ):
         parser.refuse(rules.EVALUATED_TWICE, node, "side effects in arguments out of order")
+    values.update(zip(all_names, first, strict=False))
     for parameter in signature.parameters:
         if parameter.name not in values:
             if parameter.default is MISSING:
@@ -101,7 +114,7 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
                 given_type = f"{parameter.name}: {default.type}"
                 parser.refuse(rules.WRONG_TYPE, node, given_type, str(parameter.type))
             values[parameter.name] = default
-    arguments = tuple(values[name] for name in names)
+    arguments = tuple(values[name] for name in all_names)
     types = tuple(argument.type for argument in arguments)
     function = parser.stage.instance(callee, types, node, parser.source)
     if function.has_effect:
@@ -122,7 +135,13 @@ def _argument(parser: FunctionParser, signature: Signature, name: str, at: ast.e
 def _call_on_value(parser: FunctionParser, node: ast.Call) -> Expression:
     if not isinstance(node.func, ast.Attribute):
         parser.refuse(rules.SYNTAX, node, "a call of something that is not a name")
-    base = parser.expression(node.func.value)
+    value = node.func.value
+    table = declared_table(parser, value.value) if isinstance(value, ast.Subscript) else None
+    if table is not None:
+        assert isinstance(value, ast.Subscript)
+        method = method_of_table(parser, node, table)
+        return _call_python(parser, node, method, (parse_index(parser, value.slice),))
+    base = parser.expression(value)
     name = node.func.attr
     if not isinstance(base.type, TextureType | ImageType):
         tip = member_tip(base.type) or _method_tip(name)
@@ -211,6 +230,11 @@ def _check_stage(parser: FunctionParser, builtin: Builtin, at: ast.Call) -> None
 def _length(parser: FunctionParser, node: ast.Call) -> Expression:
     if len(node.args) != 1 or node.keywords:
         parser.refuse(rules.WRONG_ARGUMENTS, node, f"len of {len(node.args)} arguments", "len(array)")
+    table = declared_table(parser, node.args[0])
+    if table is not None:
+        count = table_callee(table.name, "count")
+        assert count is not None
+        return _call_python(parser, ast.copy_location(ast.Call(node.func, [], []), node), count)
     value = parser.expression(node.args[0])
     if isinstance(value.type, ArrayType):
         return Constant(INT, span_of(node), value.type.length, literal=True)

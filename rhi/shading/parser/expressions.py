@@ -10,12 +10,13 @@ from rhi.contract import layout
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Constant, Expression, Operator
 from rhi.shading.language import rules, types
-from rhi.shading.language.shader import Declaration, StorageClass
+from rhi.shading.language.shader import Declaration, StorageClass, words_of_table
 from rhi.shading.language.source import MISSING, SourceSpan, span_of, suggest
 from rhi.shading.language.textures import methods_of
 from rhi.shading.parser.constants import constant
 from rhi.shading.parser.context import FunctionParser
 from rhi.shading.parser.operators import binary, convert, typed, unary
+from rhi.shading.parser.texture_tables import table_of
 
 _ORDER_FUNCTIONS: Final = {
     "<": "less_than",
@@ -190,8 +191,14 @@ def _swizzle(
 
 def _field_of_shader(parser: FunctionParser, node: ast.Attribute) -> Expression:
     shader, span = parser.stage.shader, span_of(node)
-    declared: Declaration | None = shader._declared.get(node.attr)
+    table, name = table_of(parser.source.function), node.attr
+    if table:  # a function that reads tables, for the table of this name
+        name = {"table": table, "table_words": words_of_table(table)}.get(name, name)
+    declared: Declaration | None = shader._declared.get(name)
     if declared is not None:
+        if declared.is_table and not table:
+            tip = f"self.{name}[index].sample(uv), or len(self.{name})"
+            parser.refuse(rules.WRONG_TYPE, node, f"{name}: {declared.type}", "its images", tip)
         return tree.BindingRead(declared.type, span, declared)
     value = getattr(shader, node.attr, MISSING)
     if value is not MISSING:

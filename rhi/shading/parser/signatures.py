@@ -14,6 +14,7 @@ from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.source import MISSING, Source, source_of, suggest_name
 from rhi.shading.language.structs import Struct
+from rhi.shading.language.texture_tables import TextureTable
 from rhi.shading.language.textures import SampledTexture
 from rhi.shading.language.types import VOID, Type
 from rhi.shading.language.vectors import Array, ReadOnlyArray
@@ -107,7 +108,7 @@ def evaluate_annotation(source: Source, node: ast.expr, annotation: Any = MISSIN
 
 def _parameter_type(host: Any) -> Type | UnsizedArray | None:
     if isinstance(host, type) and issubclass(host, SampledTexture):
-        return host.shading_type
+        return None if host.shading_type.table else host.shading_type
     if get_origin(host) in (Array, ReadOnlyArray):
         element = value_type(get_args(host)[0])
         return UnsizedArray(element) if element is not None else None
@@ -119,6 +120,8 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
     tip = ""
     if get_origin(host) in (Array, ReadOnlyArray):
         tip = "arrays can't be returned; return a Struct with an array field"
+    elif host is TextureTable:
+        tip = "tables are read through self: make the function a method, or pass what it reads"
     elif get_origin(host) in (Uniform, Storage, StorageRW):
         tip = "bindings are read through self: make the function a method, or pass an element"
     source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)

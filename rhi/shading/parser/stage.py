@@ -70,6 +70,8 @@ def _collect(
     uses = _Uses(shader)
     uses.add_function(entry)
     _check_locals(stage, entry, finished, shader)
+    tables = [d for d in shader._declared.values() if d.table and d.name in uses.declared]
+    uses.declared.update(declaration.table for declaration in tables)  # they are bound together
     bindings = tuple(d for d in shader._declared.values() if d.name in uses.declared)
     for declaration in bindings:
         type = declaration.type

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ from renderer.techniques import TECHNIQUES, ForwardPlus
 from rhi import Filter, Op, SamplerDescriptor, Wrap
 
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
+
+
+@pytest.fixture
+def few_slots() -> Iterator[rhi.Device]:
+    """A device with the storage slots that WebGPU promises."""
+    with rhi.create_device("null", profile="webgpu") as device:
+        yield device
 
 
 def scene_of(*sizes: tuple[int, int]) -> Scene:
@@ -111,17 +119,25 @@ def test_an_image_with_two_samplers_is_there_once(null: rhi.Device) -> None:
     assert images.bytes == count_bytes((8, 8))
 
 
-def test_rare_samplers_give_way_where_there_are_too_many(null: rhi.Device) -> None:
+def test_rare_samplers_give_way_where_there_are_too_many(few_slots: rhi.Device, null: rhi.Device) -> None:
     builder = make_boxes()
     image = builder.add_image(np.zeros((8, 8, 4), np.uint8))
     for number in range(MAX_ARRAYS + 2):
         add_box(builder, texture=TextureMap(image, sampler=SamplerDescriptor(max_anisotropy=1.0 + number)))
-    assert len(SceneImages(null, builder.build()).arrays) == MAX_ARRAYS // 2
+    scene = builder.build()
+    assert len(SceneImages(few_slots, scene).arrays) == MAX_ARRAYS // 2
+    images = SceneImages(null, scene)
+    assert images.tables is not None
+    assert images.tables[0] is not None
+    assert [sampler.max_anisotropy for sampler in images.tables[0].samplers] == [
+        1.0 + number for number in range(MAX_ARRAYS + 2)
+    ]
 
 
 @pytest.mark.parametrize("nearest", [True, False])
-def test_images_in_an_array_of_another_size_are_resampled(null: rhi.Device, nearest: bool) -> None:
-    """The smallest images of too many sizes share an array; each shows what it did, larger."""
+def test_images_in_an_array_of_another_size_are_resampled(few_slots: rhi.Device, nearest: bool) -> None:
+    """Without slots for tables, the smallest images of too many sizes share an array; each shows what it did,
+    larger."""
     magnify = Filter.NEAREST if nearest else Filter.LINEAR
     random = np.random.default_rng(5)
     builder = make_boxes()
@@ -130,8 +146,9 @@ def test_images_in_an_array_of_another_size_are_resampled(null: rhi.Device, near
         add_box(
             builder, texture=TextureMap(builder.add_image(image), sampler=SamplerDescriptor(magnify=magnify))
         )
-    scene_images = SceneImages(null, builder.build())
+    scene_images = SceneImages(few_slots, builder.build())
     assert scene_images.table is not None
+    assert scene_images.tables is None
     joined = 0
     for image, use in zip(images, scene_images.table.read(), strict=True):
         layer = scene_images.textures[int(use["array"])].read(layer=int(use["layer"])).astype(int)
@@ -208,3 +225,47 @@ def test_a_bias_of_a_level_shows_half_as_many_texels(
         max_difference(fine, draw_texels(drawing_device, image, -1.0, *arguments)) <= 1
     )  # there is no finer level
     assert np.ptp(draw_texels(drawing_device, image, 16.0, *arguments), axis=(0, 1)).max() <= 1
+
+
+def test_images_of_many_sizes_keep_their_texels_in_tables(gl: rhi.Device) -> None:
+    """A 300 × 200 image isn't resampled, whatever the sizes of the others."""
+    random = np.random.default_rng(6)
+    sizes = [(300, 200), *((8 + 5 * number, 9 + 3 * number) for number in range(2 * MAX_ARRAYS))]
+    texels = [random.integers(0, 256, (height, width, 4), np.uint8) for width, height in sizes]
+    builder = make_boxes()
+    for image in texels:
+        add_box(builder, texture=builder.add_image(image))
+    images = SceneImages(gl, builder.build())
+    assert images.tables is not None
+    colors, data = images.tables
+    assert colors is not None
+    assert data is None
+    assert list(colors.sizes) == sizes
+    assert images.image_bytes < images.bytes < 1.5 * images.image_bytes
+    assert images.table is not None
+    (page,) = colors.pages.read_layers()
+    blocks = {tuple(rows.reshape(-1)) for rows in page.reshape(-1, 4)}
+    assert {tuple(texel) for image in texels for texel in image.reshape(-1, 4)} <= blocks
+    images.destroy()
+
+
+def draw_many_sizes(device: rhi.Device, technique: str, more: int) -> Any:
+    """Draw a face of a box with an image of 30 × 20 texels in as many pixels, beside images of more sizes."""
+    random = np.random.default_rng(8)
+    builder = make_boxes()
+    shapes = [(20, 30), *((3 + number, 5) for number in range(more))]
+    for height, width in shapes:
+        image = np.full((height, width, 4), 255, np.uint8)
+        image[..., :3] = random.integers(0, 256, (height, width, 3))
+        add_box(builder, texture=builder.add_image(image), emission=1.0)
+    camera = Camera.look_at((0, 0, 10), (0, 0, 0)).with_projection(Orthographic(1.0, 1.0))
+    scene = builder.build()
+    scene.objects.is_shown[1:] = False
+    return draw(device, scene, TECHNIQUES[technique](), camera, size=(30, 20))
+
+
+@pytest.mark.parametrize("technique", ["forward", "deferred", "deferred_plus"])
+def test_a_table_shows_the_texels_that_an_array_shows(drawing_device: rhi.Device, technique: str) -> None:
+    table, array = (draw_many_sizes(drawing_device, technique, more) for more in (MAX_ARRAYS, 1))
+    assert np.ptp(array, axis=(0, 1)).max() > 100
+    assert max_difference(table, array) <= 4  # a weight of 8 bits of a neighbour, along two axes

@@ -1,0 +1,202 @@
+"""Texture tables: many images of different sizes, which shaders read by their numbers in one draw.
+
+The images lie in the layers of one 2D array texture (`pages`), each mip level in a rectangle of its own with
+its own texels. So a table takes one texture slot and one storage slot, whatever the number of images.
+`rhi.shading.ir.texture_pages` plans the rectangles; `rhi.shading.parser.texture_tables` reads them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+
+from rhi.contract.descriptors import Region, SamplerDescriptor, TextureDescriptor, TextureKind, Wrap
+from rhi.contract.formats import Format
+from rhi.contract.limits import lack, plain_faults, single_sample_faults
+from rhi.device.core.core import Core
+from rhi.device.resources.buffers import StorageBuffer
+from rhi.device.resources.lifetime import Resource
+from rhi.device.resources.textures import Texture
+from rhi.errors import rules
+from rhi.shading.ir.texture_pages import (
+    GUTTER,
+    PAGE_SAMPLER,
+    LevelRectangle,
+    PagePlan,
+    Size,
+    border_texel,
+    gutter_sources,
+    plan_pages,
+    surround,
+)
+from rhi.shading.language.bindings import TableBinding
+
+CALL: Final = "device.texture_table"
+
+
+class TextureTable(TableBinding, Resource):
+    """Many 2D images of different sizes, created by `device.texture_table` and bound as `sl.TextureTable`.
+
+    `len(table)` is the number of images.
+
+    Attributes:
+        pages: the 2D array texture that holds all levels of all images.
+        sizes: (width, height) of each image.
+        levels: the number of mip levels of each image.
+        samplers: how each image is read.
+    """
+
+    __slots__ = ("_plan", "levels", "pages", "samplers", "sizes", "storage")
+
+    def __init__(
+        self,
+        core: Core,
+        plan: PagePlan,
+        pages: Texture,
+        storage: StorageBuffer[Any],
+        sizes: Sequence[Size],
+        samplers: Sequence[SamplerDescriptor],
+    ) -> None:
+        super().__init__(pages.id, core.sampler(PAGE_SAMPLER), pages, storage)
+        self._plan = plan
+        self.pages = pages
+        self.storage = storage
+        self.sizes = tuple(sizes)
+        self.levels = tuple(len(levels) for levels in plan.levels)
+        self.samplers = tuple(samplers)
+
+    def __len__(self) -> int:
+        return len(self.sizes)
+
+    def __repr__(self) -> str:
+        return f"TextureTable({self.pages.label!r}, {len(self)} images, {self.format.name})"
+
+    @property
+    def format(self) -> Format:
+        """The texel format of all images."""
+        return self.pages.format
+
+    @property
+    def label(self) -> str:
+        """The table's name in messages and tools."""
+        return self.pages.label
+
+    @property
+    def bytes(self) -> int:
+        """The memory of the pages and of the buffer that describes them, in bytes."""
+        return self._plan.texels * self.format.transfer_bytes + self.storage.size
+
+    @property
+    def image_bytes(self) -> int:
+        """The memory of the images with their mip levels, each by itself, in bytes."""
+        texels = sum(r.width * r.height for levels in self._plan.levels for r in levels)
+        return texels * self.format.transfer_bytes
+
+    def destroy(self) -> None:
+        """Destroy the pages and the buffer once the GPU no longer uses them. A second call does nothing."""
+        self.pages.destroy()
+        self.storage.owner.destroy()
+
+    def copy_from(self, texture: Texture, index: int) -> None:
+        """Replace the texels of an image by those of a texture, which has its size, format and levels. The
+        copy is made on the device.
+
+        Raises:
+            ValidationError: `texture-levels` for an image that the table doesn't have, `texture-format` or
+                `texture-size` for a texture that differs.
+        """
+        core, call = self.pages.core, "TextureTable.copy_from"
+        if not 0 <= index < len(self):
+            core.refuse(rules.TEXTURE_LEVELS, call, f"image {index}", f"0 to {len(self) - 1}")
+        check_source(core, call, texture, self.format)
+        actual = texture.size, texture.levels
+        if actual != (self.sizes[index], self.levels[index]):
+            given = f"{texture!r} with {texture.levels} levels"
+            width, height = self.sizes[index]
+            core.refuse(rules.TEXTURE_SIZE, call, given, f"{width}×{height}, {self.levels[index]} levels")
+        core.check_usable(self.pages, call)
+        self.fill(texture, index)
+
+    def fill(self, texture: Texture, index: int) -> None:
+        """Copy a texture that fits to an image's rectangles and their borders."""
+        core, sampler = self.pages.core, self.samplers[index]
+        core.check_ready()
+        for level, rectangle in enumerate(self._plan.levels[index]):
+            if self._plan.transposed[index]:
+                self._write_transposed(texture, level, rectangle, sampler)
+            else:
+                self._copy(texture, level, rectangle, sampler)
+
+    def _write_transposed(
+        self, texture: Texture, level: int, r: LevelRectangle, sampler: SamplerDescriptor
+    ) -> None:
+        """Write a level with its axes exchanged: no command copies so."""
+        texels = texture.read(level)
+        texels = texels.reshape(*texels.shape[:2], self.format.components)
+        turned = surround(texels, self.format, sampler).swapaxes(0, 1)
+        self.pages.write(np.ascontiguousarray(turned)[None], 0, r.layer, r.x - GUTTER, r.y - GUTTER)
+
+    def _copy(self, texture: Texture, level: int, r: LevelRectangle, sampler: SamplerDescriptor) -> None:
+        """Copy a level and what its border repeats."""
+        left, right = gutter_sources(sampler.wrap_u, r.width)
+        above, below = gutter_sources(sampler.wrap_v, r.height)
+        columns = ((0, r.x, r.width), (left, r.x - GUTTER, 1), (right, r.x + r.width, 1))
+        rows = ((0, r.y, r.height), (above, r.y - GUTTER, 1), (below, r.y + r.height, 1))
+        border = (
+            border_texel(self.format, sampler) if Wrap.BORDER in (sampler.wrap_u, sampler.wrap_v) else None
+        )
+        for (column, x, width), (row, y, height) in product(columns, rows):
+            if column < 0 or row < 0:
+                assert border is not None
+                texels = np.broadcast_to(border, (1, height, width, len(border)))
+                self.pages.write(np.ascontiguousarray(texels), 0, r.layer, x, y)
+            else:
+                source = Region(column, row, width, height)
+                backend = self.pages.core.backend
+                backend.copy_texture(texture.id, level, source, self.pages.id, 0, x, y, r.layer)
+
+
+def check_source(core: Core, call: str, texture: Texture, format: Format) -> None:
+    """Refuse a texture that can't be an image of a table of this format."""
+    core.check_usable(texture, call)
+    core.require(call, plain_faults(texture.requested))
+    core.require(call, single_sample_faults(texture.descriptor))
+    if texture.kind is not TextureKind.D2:
+        core.refuse(rules.TEXTURE_FORMAT, call, f"{texture!r}, {texture.kind.name}", "2D textures")
+    if texture.format is not format:
+        tip = "make a table for each format"
+        core.refuse(rules.TEXTURE_FORMAT, call, f"{texture!r}", f"{format.name}, as the table has", tip)
+
+
+def check_format(core: Core, format: Format) -> None:
+    """Refuse a format that can't be filtered."""
+    if format.is_integer or format.is_depth:
+        allowed = "a format of colors"
+        tip = "tables are read as floats: bind a texture of its own, such as a Texture2DArray"
+        core.refuse(rules.TEXTURE_FORMAT, CALL, format.name, allowed, tip)
+    if format in core.capabilities.unfilterable_formats:
+        core.require(CALL, iter([lack(format.name, "unfilterable_formats")]))
+
+
+def plan_table(core: Core, sizes: Sequence[Sequence[Size]]) -> PagePlan:
+    """Return the pages for images with these sizes of levels, or refuse them."""
+    capabilities = core.capabilities
+    side = capabilities.max_texture_size
+    for width, height in (levels[0] for levels in sizes):
+        if max(width, height) + 2 * GUTTER > side:
+            allowed = f"up to {side - 2 * GUTTER} each way: a border of a texel is around each image"
+            core.refuse(rules.TEXTURE_SIZE, CALL, f"{width}×{height}", allowed)
+    plan = plan_pages(sizes, side, capabilities.max_texture_layers)
+    if plan is None:
+        given = f"{len(sizes)} images"
+        allowed = f"what {capabilities.max_texture_layers} pages of {side}×{side} hold"
+        core.refuse(rules.TEXTURE_SIZE, CALL, given, allowed, "make several tables")
+    return plan
+
+
+def page_descriptor(plan: PagePlan, format: Format, label: str) -> TextureDescriptor:
+    """Return the descriptor of a table's pages."""
+    return TextureDescriptor(plan.size, format, TextureKind.D2_ARRAY, plan.layers, 1, 1, label)
