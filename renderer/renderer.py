@@ -479,6 +479,7 @@ class Renderer:
             scene,
             camera,
             self._recent_features.choose_shader_features(camera),
+            self._recent_features.shows_objects,
             resources.reaching,
         ):
             self._recent_features.reconsider()
@@ -504,7 +505,8 @@ class Renderer:
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
         resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
         resources.simulate_expected(around, expected, simulator.diverging if self.simulates_hidden else None)
-        effects = self._collect_effects(around, self._recent_features.choose_shader_features(around))
+        features = self._recent_features.choose_shader_features(around)
+        effects = self._collect_effects(around, features, self._recent_features.shows_objects)
         plan = self._plan(effects)
         if plan is not self._last_plan:
             self._last_plan = plan
@@ -572,7 +574,12 @@ class Renderer:
         effects = self._collect_effects(camera)
         return effects, self._plan(effects)
 
-    def _collect_effects(self, camera: Camera, recent_features: frozenset[str] | None = None) -> FrameEffects:
+    def _collect_effects(
+        self,
+        camera: Camera,
+        recent_features: frozenset[str] | None = None,
+        shows_objects: bool | None = None,
+    ) -> FrameEffects:
         resources = self._resources
         self._effects = collect_frame_effects(
             self.scene,
@@ -581,6 +588,7 @@ class Renderer:
             blending=self.blending,
             bloom=self.bloom,
             visible_features=recent_features,
+            shows_objects=shows_objects,
             lights=resources.lights,
             widest=self._widest_blended,
             last=self._effects,

@@ -361,15 +361,41 @@ class TechniqueDrawer:
                         program, resources.mesh, draws, queries, query_indices[selected], **bindings
                     )
 
-    def draw_in_order(self, object_indices: NDArray[np.int64]) -> None:
+    def draw_in_order(self, object_indices: NDArray[np.int64], *, far_sides_first: bool = False) -> None:
         """Draw the objects `object_indices` (k,) in this order, transparent ones included. Neighbours of
-        one group are drawn in one call."""
+        one group are drawn in one call.
+
+        Args:
+            far_sides_first: whether objects with two sides, unless they are flat, are drawn in two calls:
+                the sides that face away from the eye, and then the others, which cover them.
+        """
         resources = self._begin_batch(object_indices)
         for run in _split_runs(object_indices, resources.group[object_indices]):
             group = int(resources.group[run[0]])
             program, bindings = choose_program(self._programs, group)
-            with self._device.states(*draw_group_states(group)):
-                self._device.draw_many(program, resources.mesh, resources.draws[run], **bindings)
+            states = draw_group_states(group)
+            parts: list[tuple[NDArray[np.int64], tuple[State, ...]]] = [(run, states)]
+            if far_sides_first and CullMode.NONE in states:
+                parts = self._split_sides(run, states)
+            for part, part_states in parts:
+                with self._device.states(*part_states):
+                    self._device.draw_many(program, resources.mesh, resources.draws[part], **bindings)
+
+    def _split_sides(
+        self, run: NDArray[np.int64], states: tuple[State, ...]
+    ) -> list[tuple[NDArray[np.int64], tuple[State, ...]]]:
+        """Return the draws of objects with two sides in their order, each with its states: the far sides and
+        the near sides of one object after the other, and runs of flat objects."""
+        scene = self._resources.scene
+        flat = np.array([scene.meshes.is_flat(mesh) for mesh in scene.objects.mesh[run].tolist()])
+        flat &= ~scene.objects.simulated[run] & ~np.isin(run, self._resources.tessellated_indices)
+        begins = np.flatnonzero(np.append(True, ~(flat[1:] & flat[:-1])))
+        shared = tuple(state for state in states if state is not CullMode.NONE)
+        parts: list[tuple[NDArray[np.int64], tuple[State, ...]]] = []
+        for part, is_flat in zip(np.split(run, begins[1:]), flat[begins].tolist(), strict=True):
+            cull_modes = (CullMode.NONE,) if is_flat else (CullMode.FRONT, CullMode.BACK)
+            parts += [(part, (*shared, cull_mode)) for cull_mode in cull_modes]
+        return parts
 
     def _record_transparent(self, object_indices: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Record the transparent objects among `object_indices`, and return the others."""

@@ -231,6 +231,7 @@ class FrameEffects:
             image itself.
         unseen_air: haze and fog that change nothing in the view.
         has_fogged_sky: whether fog changes the background.
+        shows_objects: whether there may be an object in view.
         sources: what of this doesn't depend on the view.
         visible_features: those of surfaces that shaders have.
     """
@@ -247,6 +248,7 @@ class FrameEffects:
     visible_features: frozenset[str]
     unseen_air: frozenset[Effect]
     has_fogged_sky: bool
+    shows_objects: bool
     layers_format: Format | None
 
     @property
@@ -338,6 +340,7 @@ def collect_frame_effects(
     blending: Blending = Blending.SORTED,
     bloom: BloomSettings = EXACT_BLOOM,
     visible_features: frozenset[str] | None = None,
+    shows_objects: bool | None = None,
     lights: Lights | None = None,
     widest: Format = Format.RGBA32F,
     last: FrameEffects | None = None,
@@ -350,6 +353,7 @@ def collect_frame_effects(
         bloom: how bloom is to be made.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
+        shows_objects: whether any object is in view, on which shadows of the sun could fall; None to look.
         lights: the scene's that shine, with the ranges that count; by default those that shine, as they are.
         widest: the color format with the most bits that the device blends.
         last: what the last frame of the scene needed: it is returned again if nothing has changed.
@@ -360,11 +364,13 @@ def collect_frame_effects(
     sources = _collect_effect_sources(scene, lights, None if last is None else last.sources)
     if visible_features is None:
         visible_features = VisibleFeatures(scene).collect(camera)
+    if shows_objects is None:
+        shows_objects = bool(len(select_in_view(scene, camera, np.arange(len(scene.objects)))))
     in_view, air, has_fogged_sky = _look(scene, camera, sources, reaches)
     if (
         last is not None
-        and (sources, blending, bloom, visible_features)
-        == (last.sources, last.blending, last.bloom, last.visible_features)
+        and (sources, blending, bloom, visible_features, shows_objects)
+        == (last.sources, last.blending, last.bloom, last.visible_features, last.shows_objects)
         and _shows_same(last, in_view, air, has_fogged_sky)
     ):
         return last
@@ -377,6 +383,8 @@ def collect_frame_effects(
             else _NONE
         )
     hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)} | air
+    if not shows_objects:
+        hidden.add(Effect.DIRECTIONAL_SHADOWS)
     hidden |= {
         _EFFECTS[name]
         for name in (*sources.features, "bloom")
@@ -397,6 +405,7 @@ def collect_frame_effects(
         visible_features,
         air,
         has_fogged_sky,
+        shows_objects,
         _layers_format(sources, in_view[Effect.TRANSPARENCY], blending, image, widest),
     )
 
@@ -406,13 +415,14 @@ def are_effects_same(
     scene: Scene,
     camera: Camera,
     visible_features: frozenset[str],
+    shows_objects: bool,
     reaches: Sequence[bool],
 ) -> bool:
     """Return whether a frame of `camera` needs what the `last` one needed, if scene and settings are as they
     were then; see `collect_frame_effects`."""
-    return visible_features == last.visible_features and _shows_same(
-        last, *_look(scene, camera, last.sources, reaches)
-    )
+    if (visible_features, shows_objects) != (last.visible_features, last.shows_objects):
+        return False
+    return _shows_same(last, *_look(scene, camera, last.sources, reaches))
 
 
 def _look(

@@ -102,8 +102,8 @@ class Frame:
         nothing is issued.
 
         Args:
-            in_order: whether they are drawn back to front, by the distances of their boxes' centres.
-                Otherwise it is in as few calls as there are groups.
+            in_order: whether they are drawn back to front, by the distances of their boxes' centres, and far
+                sides before near ones. Otherwise it is in as few calls as there are groups.
         """
         view = view or self.view
         seen = self._seen.get(view)
@@ -114,7 +114,7 @@ class Frame:
         else:
             object_indices = object_indices[np.argsort(self.resources.group[object_indices], kind="stable")]
         with scene_drawer:
-            scene_drawer.draw_in_order(object_indices)
+            scene_drawer.draw_in_order(object_indices, far_sides_first=in_order)
 
     def draw_visible(self, scene_drawer: TechniqueDrawer, view: View | None = None) -> None:
         """Draw what a view sees in a pass: the main view by default.

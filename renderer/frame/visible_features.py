@@ -2,7 +2,8 @@
 
 Each set of features has its own shaders, which take long to build. So a renderer begins with all that its
 scene has, and then nothing is built when the eye turns to what wasn't in view. When the view has shown fewer
-for a while, shaders for these alone take their place.
+for a while, shaders for these alone take their place. A view without any object has no features at once: bloom
+and shadows of the sun would take passes there, and no shader draws a surface.
 """
 
 from __future__ import annotations
@@ -25,12 +26,20 @@ _MAX_SETS: Final = 8
 _MAX_OBJECTS: Final = 4096
 """A feature that more objects have counts as seen: looking for one of them would cost more than it saves."""
 
+_NO_FEATURES: Final = frozenset[str]()
+
 
 class VisibleFeatures:
-    """Finds the features of `Scene.list_by_feature` that a view of a scene shows."""
+    """Finds the features of `Scene.list_by_feature` that a view of a scene shows.
+
+    Attributes:
+        shows_objects: whether there may be an object in the view of the last `choose_shader_features`.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
+        self.shows_objects = True
+        self._object_in_view = 0  # the one seen last
         self._version = -1
         self._object_indices: Mapping[str, Indices] = {}
         self._witness: dict[str, int] = {}  # an object of each feature, the one seen last
@@ -83,10 +92,24 @@ class VisibleFeatures:
         """Take back a `choose_shader_features`, which the same frame calls again."""
         self._frame -= 1
 
+    def _look_for_objects(self, camera: Camera) -> bool:
+        """Return whether any object is in view."""
+        witness = np.array([self._object_in_view] if len(self._scene.objects) else [], np.int64)
+        if len(select_in_view(self._scene, camera, witness)):
+            return True
+        visible = select_in_view(self._scene, camera, np.arange(len(self._scene.objects)))
+        if len(visible):
+            self._object_in_view = int(visible[0])
+        return bool(len(visible))
+
     def choose_shader_features(self, camera: Camera) -> frozenset[str]:
         """The features that a frame's shaders have: those of `collect`, or for a while more."""
         self._refresh()
         self._frame += 1
+        if not self.shows_objects or self._frame % _STRIDE == 1:
+            self.shows_objects = self._look_for_objects(camera)
+        if not self.shows_objects:
+            return _NO_FEATURES
         if self._shader_features == self._feature_sets[0] and self._frame % _STRIDE != 1:
             return self._shader_features
         seen = self._collect(camera)

@@ -78,6 +78,12 @@ class LightKind:
         return "range" in (self.dtype.names or ())
 
 
+FARTHEST_RANGE: Final = 1e18
+"""The range in metres that shaders read of lights which reach farther.
+
+Their float32 can't square longer distances, and projects corners of longer volumes to infinity."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class LocalLightKind(LightKind):
     """A kind of lights with a position and a range, beyond which they light nothing.
@@ -116,5 +122,6 @@ class LocalLightKind(LightKind):
                 packed[name] = lights[name] - np.asarray(eye, np.float64)
             elif name in (self.dtype.names or ()):
                 packed[name] = lights[name]
+        packed["range"] = np.minimum(packed["range"], FARTHEST_RANGE)
         self.pack(packed, lights)
         return packed

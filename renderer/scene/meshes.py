@@ -316,6 +316,7 @@ class Meshes:
         self.upper: Floats = corners[:, 1]
         self.names: tuple[str, ...] = tuple(names)
         self._layers: dict[int, int] = {}  # of meshes whose layers were counted
+        self._flat: dict[int, bool] = {}  # of meshes that were asked about
         for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
             array.flags.writeable = False
 
@@ -337,6 +338,15 @@ class Meshes:
             is_convex = len(corners) <= _EXAMINED_TRIANGLES and _is_convex(corners)
             self._layers[mesh] = 1 if is_convex else len(corners)
         return self._layers[mesh]
+
+    def is_flat(self, mesh: int) -> bool:
+        """Return whether all corners of a mesh are in one plane, so that no part of it is behind another."""
+        if mesh not in self._flat:
+            points = self.geometry(mesh).vertices["position"].astype(np.float64)
+            size = float(np.ptp(points, axis=0).max())
+            spread = np.linalg.svd((points - points.mean(axis=0)) / (size or 1.0), compute_uv=False)
+            self._flat[mesh] = bool(len(points) < 4 or spread[-1] <= _FLATNESS * np.sqrt(len(points)))
+        return self._flat[mesh]
 
     @property
     def vertex_counts(self) -> NDArray[np.int64]:

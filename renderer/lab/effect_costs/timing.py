@@ -119,6 +119,7 @@ def time_effect_collection(device: rhi.Device, rounds: int) -> EffectCollectionT
                 camera,
                 reaches=renderer.resources.reaching,
                 visible_features=visible_features,
+                shows_objects=features.shows_objects,
                 last=last,
             )
 

@@ -214,7 +214,23 @@ def make_bright_views() -> TestViews:
     glowing = builder.build()
     glowing.bloom = Bloom(1e-9)
     views = {name: (scene, camera, name) for name in ("forward", "deferred", "light_pre_pass")}
-    return views | {"bloom": (glowing, camera, "forward")}
+    endless = {
+        f"lights without end, {name}": (_make_endless_lights(), camera, name)
+        for name in ("forward", "deferred", "light_pre_pass")
+    }
+    return views | {"bloom": (glowing, camera, "forward")} | endless
+
+
+def _make_endless_lights() -> Scene:
+    """Make boxes in lights whose ranges are the longest that float32 has, and others."""
+    builder = SceneBuilder("endless")
+    builder.lights.sky = builder.lights.ground = (0.02, 0.02, 0.02)
+    _add_object(builder, *_FLOOR, base_color=(0.5, 0.4, 0.3))
+    _add_object(builder, "box", (0.0, 0.5, 0.0), (1.0, 1.0, 1.0), base_color=(0.6, 0.3, 0.9))
+    for x, reach in ((-2.0, 1e12), (0.5, 1e37), (2.0, 3e38)):
+        builder.lights.add_point((x, 1.5, 1.0), reach, (1.0, 0.6, 0.3), 0.6)
+        builder.lights.add_spot((x, 2.5, -0.5), (0.1, -1.0, 0.2), reach, 0.3, 0.6, (0.3, 0.6, 1.0), 4.0)
+    return builder.build()
 
 
 def make_glass_views() -> TestViews:
@@ -237,7 +253,28 @@ def make_glass_views() -> TestViews:
     return {
         "in rows": (rows.build(), make_camera((0.5, 1.6, 6.0), (0.0, 0.8, 0.0)), "forward"),
         "crossing": (crossing, CROSSED, "forward"),
+        "two sides": (_make_lanterns(), make_camera((0.6, 2.2, 4.5), (0.0, 0.9, 0.0)), "forward"),
     }
+
+
+def _make_lanterns() -> Scene:
+    """Make boxes of glass with two sides, red, green and blue along the axes, one of them mirrored; and a
+    flat pane."""
+    builder = SceneBuilder("lanterns")
+    _add_object(builder, *_FLOOR, base_color=(0.6, 0.6, 0.6))
+    solid = _SHAPES["box"].with_attributes(_SHAPES["box"].attributes | {"color"})
+    solid.vertices["color"][:, :3] = 0.15 + 0.7 * (solid.vertices["normal"] > 0.5)
+    mesh, pane = builder.add_mesh(solid), builder.add_mesh(_SHAPES["plane"])
+    glass = builder.add_material(
+        base_color=(1.0, 1.0, 1.0, 0.5), alpha_mode=AlphaMode.BLEND, double_sided=True
+    )
+    for x, width in ((-1.2, 1.0), (1.2, -1.0)):
+        turned = multiply(translation((x, 0.9, 0.0)), rotation((0, 1, 0), 0.5))
+        builder.add_objects(builder.add_node(multiply(turned, scaling((width, 1.0, 1.0)))), mesh, glass)
+    upright = multiply(translation((0.0, 0.9, -1.5)), rotation((1, 0, 0), -1.3))
+    builder.add_objects(builder.add_node(upright), pane, glass)
+    builder.lights.add_directional((-0.3, -0.8, -0.6))
+    return builder.build()
 
 
 CROSSED: Final = make_camera((0.6, 1.5, 4.5), (0.0, 1.0, 0.0))

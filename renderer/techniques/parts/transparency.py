@@ -8,8 +8,9 @@ return a · colour and a (*premultiplied*), so that nothing but a sum is left to
 What covers what is decided in one of two ways (`Blending`):
 
 - **Sorted**: objects are drawn back to front, in one pass over `image`. That is exact where objects don't
-  interleave; triangles of one object keep their order. Layers that the image would round away, many and faint
-  ones, are added up in a target of their own, which the pass `blend` puts over the image.
+  interleave; of one object the far sides are drawn before the near ones. Layers that the image would round
+  away, many and faint ones, are added up in a target of their own, which the pass `blend` puts over the
+  image.
 - **Weighted**: all are drawn in any order to two sums, from which `blend` makes a mean colour: near surfaces
   weigh more (McGuire and Bavoil 2013, equation 9). The share of the background that is seen is exact, the
   order isn't.

@@ -15,8 +15,11 @@ from typing import Any
 import numpy as np
 
 from renderer.content import BUILT_IN
+from renderer.frame import Blending
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene import AlphaMode, Bloom, Fog, Scene, SceneBuilder, make_height_field, scaling, translation
+from renderer.shadows import ShadowFilter
+from rhi import Filter
 
 Values = dict[str, Any]
 Add = Callable[[SceneBuilder], object]
@@ -362,3 +365,88 @@ def spread_all() -> list[Neutral]:
         *spread_objects(),
         *spread_air(),
     ]
+
+
+UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
+    "technique.tiles.tile": (8, 32),
+    "technique.tiles.slices": (4,),
+    "technique.tiles.sphere_test": ("planes",),
+    "technique.clusters.tile": (32, 128),
+    "technique.clusters.slices": (1, 64),
+    "technique.clusters.sphere_test": ("planes",),
+    "technique.scale": (0.3, 1.0),
+    "technique.stippled": (False,),
+    "technique.specular_channels": (1,),
+    "technique.light_bits": (16,),
+    "technique.normal_bits": (8,),
+    "technique.all_lights": (True,),
+    "technique.stencil": (True,),
+    "technique.depth_first": (True,),
+    "technique.multi_pass": (True,),
+    "technique.binned": (True,),
+    "visibility.batch": (1, 1000),
+    "visibility.persistence": (1, 1000),
+    "visibility.leaf_size": (16,),
+    "visibility.threshold": (1000,),
+    "visibility.emulated": (True,),
+    "visibility.occluders": (1, 1000),
+    "visibility.occluder_pixels": (100,),
+    "visibility.pyramid_texels": (64,),
+    "shadows.filter": tuple(ShadowFilter),
+    "shadows.cascades": (1, 6),
+    "shadows.cascade_size": (16, 2048),
+    "shadows.distance": (1e-3, 1e6),
+    "shadows.split": (0.0, 1.0),
+    "shadows.min_size": (512,),
+    "shadows.max_size": (2048,),
+    "shadows.max_atlas_size": (2048, 8192),
+    "shadows.budget": (1, 100),
+    "shadows.far_size": (16, 512),
+    "shadows.bias": (0.0, 10.0),
+    "shadows.back_faces": (True,),
+    "textures.filter": (Filter.NEAREST,),
+    "textures.mip": (None, Filter.NEAREST),
+    "textures.anisotropy": (16.0,),
+    "textures.mip_bias": (-2.0, 2.0),
+    "tessellation.edge_pixels": (1.0, 100.0),
+    "tessellation.out_of_view_scale": (1.0, 100.0),
+    "blending": tuple(Blending),
+    "bloom.levels": (1, 12),
+    "bloom.karis_average": (True,),
+    "bloom.bits": (11, 32),
+    "animation_step": (0.1, 1e3),
+    "animation_lag": (0.0, 100.0),
+    "light_cutoff": (1e-3, 1e3),
+    "simulates_hidden": (True,),
+    "reprojects": (True,),
+}
+"""Settings that change nothing in a scene of one box with `forward` and `frustum`: values at and beside their
+bounds."""
+
+CALLED_FOR_SETTINGS = {
+    "technique.name",
+    "technique.samples",
+    "technique.fxaa",
+    "algorithm",
+    "precision",
+    "depth",
+    "scale",
+}
+"""Settings that any scene calls for."""
+
+
+@dataclass(frozen=True)
+class NeutralSetting:
+    """A setting that a scene doesn't call for, at a value beside its default."""
+
+    path: str
+    value: Any
+
+    def __str__(self) -> str:
+        return f"{self.path} = {self.value}"
+
+
+def spread_settings() -> Iterator[NeutralSetting]:
+    """Yield each value of each setting that a box doesn't call for."""
+    for path, values in UNNEEDED_SETTINGS.items():
+        yield from (NeutralSetting(path, value) for value in values)

@@ -16,11 +16,13 @@ import pytest
 from frames import open_renderer
 from neutral_parameters import (
     BLOOM_FIELDS,
+    CALLED_FOR_SETTINGS,
     FOG_FIELDS,
     FOLLOWING_FIELDS,
     LIGHT_FIELDS,
     MATERIAL_FIELDS,
     SCENE_PARTS,
+    UNNEEDED_SETTINGS,
     Neutral,
     add_box,
     make_scene,
@@ -30,17 +32,19 @@ from neutral_parameters import (
     spread_lights,
     spread_materials,
     spread_objects,
+    spread_settings,
 )
 from nightly_reasons import FEWER_CASES
 from nights import rotate_seed
 from tested_devices import open_device
 
 import rhi
-from renderer.frame import Effect
+from renderer.frame import Blending, Effect
 from renderer.lab.measure.ray_tracer import RayTracer
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene import AlphaMode, Bloom, Camera, Fog, Scene, make_height_field, scaling, translation
 from renderer.scene.materials import MATERIAL
+from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES
 from rhi import Op
 
@@ -278,3 +282,77 @@ def test_shadows_of_the_sun_write_nothing_while_the_eye_turns_in_the_sky(null: r
     up, down = (0.0, 60.0, 5.0), (0.0, 0.8, 0.0)
     assert bytes_written(add_sun, up) == bytes_written(bool, up)
     assert bytes_written(add_sun, down) > bytes_written(bool, down), "control: shadows are in view"
+
+
+BOX_SETTINGS = RenderSettings().change_all({"technique.name": "forward", "algorithm": "frustum"})
+
+
+def list_settings_work(device: rhi.Device, scene: Scene, settings: RenderSettings) -> tuple[Any, ...]:
+    """The commands of three frames, by what they do, and the passes of the last one."""
+    device.stream.clear()
+    with settings.open(device, scene, SIZE) as renderer:
+        for seconds in range(3):
+            renderer.render(settings.adapt_camera(EYE), float(seconds))
+        passes = [frame_pass.name for frame_pass in renderer.plan(EYE)[1].passes]
+        commands = Counter(command.op for command in device.stream if command.op not in UNCOUNTED)
+        return commands, passes
+
+
+def test_each_setting_is_called_for_or_has_values() -> None:
+    assert set(UNNEEDED_SETTINGS) | CALLED_FOR_SETTINGS == set(RenderSettings().list_paths())
+    assert not set(UNNEEDED_SETTINGS) & CALLED_FOR_SETTINGS
+
+
+def test_settings_of_effects_that_a_scene_lacks_cost_no_command(null: rhi.Device) -> None:
+    usual = list_settings_work(null, make_scene(bool), BOX_SETTINGS)
+    different = []
+    for setting in spread_settings():
+        settings = BOX_SETTINGS.change(setting.path, setting.value)
+        if list_settings_work(null, make_scene(bool), settings) != usual:
+            different.append(str(setting))
+    assert not different
+
+
+@pytest.mark.nightly_cases("wgpu*", "cl*", reason=FEWER_CASES)
+@pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
+def test_settings_of_effects_that_a_scene_lacks_do_not_change_the_image(backend: str) -> None:
+    """Rays in float64, which know no settings, say the same of all of them."""
+    scene = make_scene(bool)
+    traced = RayTracer(scene).draw(EYE.with_aspect(SIZE[0] / SIZE[1]), SIZE)
+    random = np.random.default_rng(rotate_seed(4))
+    settings_list = [*spread_settings()]
+    with open_device(backend) as device:
+        images = []
+        for changed in (None, *random.permutation(len(settings_list))[:12].tolist()):
+            settings = BOX_SETTINGS
+            if changed is not None:
+                setting = settings_list[changed]
+                settings = settings.change(setting.path, setting.value)
+            with settings.open(device, scene, SIZE) as renderer:
+                images.append(renderer.render(EYE).image.read())
+            assert np.array_equal(images[0], images[-1]), settings_list[changed or 0]
+    assert np.median(np.abs(images[0][..., :3] - traced).max(axis=2)) <= 1.0
+
+
+CALLING: dict[str, tuple[Any, Any]] = {
+    "shadows.cascades": (add_sun, 1),
+    "bloom.levels": (
+        lambda builder: (add_box(builder, {"emission": 9.0}), setattr(builder, "bloom", Bloom(0.1))),
+        2,
+    ),
+    "blending": (
+        lambda builder: add_box(builder, {"base_color": (1, 1, 1, 0.5), "alpha_mode": AlphaMode.BLEND}),
+        Blending.WEIGHTED,
+    ),
+}
+"""Controls: scenes that call for a setting."""
+
+
+@pytest.mark.parametrize("path", CALLING)
+def test_settings_of_effects_that_a_scene_has_change_the_commands(null: rhi.Device, path: str) -> None:
+    add, value = CALLING[path]
+    usual, changed = (
+        list_settings_work(null, make_scene(add), settings)
+        for settings in (BOX_SETTINGS, BOX_SETTINGS.change(path, value))
+    )
+    assert usual != changed

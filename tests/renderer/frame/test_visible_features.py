@@ -168,3 +168,58 @@ def test_a_terrain_behind_the_eye_is_tessellated_only_for_its_shadow(has_shadow:
         seen = len(frames(device)[-1].filter(Op.DISPATCH))
     assert (away > 0) is has_shadow
     assert seen > 0
+
+
+def make_shining() -> Scene:
+    """Return a box that blooms, in sunlight with shadows."""
+    builder = make_boxes((0, 0, 0), emission=3.0, base_color=(1.0, 1.0, 1.0))
+    builder.lights.add_directional((-0.3, -1, -0.5), casts_shadow=True)
+    builder.bloom = Bloom(0.1)
+    return builder.build()
+
+
+SKY = Camera.look_at((0, 0, 10), (0, 60, 11))
+
+
+def list_commands(device: rhi.Device, scene: Scene, camera: Camera) -> list[Op]:
+    """Return the commands of the second frame of a view."""
+    with open_renderer(device, scene, visibility="frustum") as renderer:
+        renderer.render(camera)
+        device.stream.clear()
+        renderer.render(camera)
+        return [command.op for command in device.stream]
+
+
+def test_a_view_without_objects_has_the_commands_of_a_scene_without_effects(null: rhi.Device) -> None:
+    """Bloom had 12 passes there for 60 frames, and the sun's shadows an empty pair of labels for ever."""
+    assert list_commands(null, make_shining(), SKY) == list_commands(null, make_boxes((0, 0, 0)).build(), SKY)
+    seen = list_commands(null, make_shining(), EYE)
+    assert seen.count(Op.BEGIN_PASS) > 12, "control: it blooms where it is in view"
+
+
+def test_an_object_that_comes_into_an_empty_view_has_its_effects_in_that_frame(null: rhi.Device) -> None:
+    scene = make_shining()
+    needed = {Effect.BLOOM, Effect.DIRECTIONAL_SHADOWS}
+    with open_renderer(null, scene, visibility="frustum") as renderer:
+        for camera, frames_of_view in ((SKY, 15), (EYE, 1), (SKY, 11), (EYE, 1)):
+            for _ in range(frames_of_view):
+                null.stream.clear()
+                renderer.render(camera)
+            labels = [command["text"] for command in null.stream.filter(Op.PUSH_LABEL)]
+            assert {"bloom", "shadow maps"}.issubset(labels) is (camera is EYE)
+            enabled = renderer.plan(camera)[0].enabled
+            assert needed.issubset(enabled) is (camera is EYE)
+            assert needed.isdisjoint(enabled) is (camera is SKY)
+
+
+@given(st.lists(st.tuples(st.floats(-90, 90), st.booleans()), min_size=1, max_size=40))
+def test_no_view_with_an_object_counts_as_empty(turns: list[tuple[float, bool]]) -> None:
+    builder = make_boxes((0, 0, 0))
+    add_box(builder, (6.0, 3.0, -4.0))
+    scene = builder.build()
+    seen = VisibleFeatures(scene)
+    for x, is_up in turns:
+        camera = Camera.look_at((0, 0, 10), (x, 80.0 if is_up else 0.0, 0))
+        seen.choose_shader_features(camera)
+        visible = select_in_view(scene, camera, np.arange(len(scene.objects)))
+        assert seen.shows_objects or not len(visible)

@@ -116,9 +116,17 @@ def test_a_dynamic_caster_is_drawn_over_a_copy_of_the_static_casters(null: rhi.D
 
 def test_a_view_without_anything_in_reach_of_a_map_skips_it(null: rhi.Device) -> None:
     away = Camera.look_at((0, 400, 0), (0, 500, 0))
-    with make_renderer(null, stage().build()) as renderer:
+    builder = stage()
+    builder.add_objects(builder.add_node(translation((0, 4000, 0))), 0, 0)  # in view, beyond all maps
+    with make_renderer(null, builder.build()) as renderer:
         assert draw(renderer, away) == {"skipped": 2}
         assert renderer.shadows.reports[0].reason == "nothing visible is in it"
+
+
+def test_a_view_without_objects_asks_for_no_map(null: rhi.Device) -> None:
+    with make_renderer(null, stage().build()) as renderer:
+        assert draw(renderer, Camera.look_at((0, 400, 0), (0, 500, 0))) == {}
+        assert sum(draw(renderer).values()) == 2, "control"
 
 
 def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> None:

@@ -125,7 +125,7 @@ def test_missing_normals_of_a_cube_face_outwards() -> None:
     assert not vertices["normal"].any(), "the user's array stays as it was"
 
 
-RANGES = (10.0, 1e6, 1e9, 1e12, 1e18, 1e20, 1e30)
+RANGES = (10.0, 1e6, 1e9, 1e12, 1e18, 1e20, 1e30, 3e38)
 ANGLES = (0.0, 0.01, 0.5, 1.0, 3.0)
 """Outer half angles of spot lights; 0 is a point light."""
 
@@ -145,7 +145,8 @@ def make_far_light(reach: float, angle: float) -> Scene:
 
 @pytest.mark.parametrize("technique", ["deferred", "light_pre_pass", "clustered", "tiled_deferred"])
 def test_lights_of_any_range_light_alike(gl: rhi.Device, technique: str) -> None:
-    """Volumes of lights are no larger than the view: parallel ones had lost pixels of cones of 10⁹ m."""
+    """Volumes of lights are no larger than the view, or than float32 projects: parallel ones had lost pixels of
+    cones of 10⁹ m, and perspective ones all of lights of 10³⁷ m."""
     perspective = Camera.look_at((0.3, 0.2, 3.0), (0, 0, 0), (0, 1, 0), Perspective(0.8, 1.0, 0.1))
     behind = Camera.look_at((0.5, 0.3, 1), (0, 0, 0), (0, 1, 0), Orthographic(VIEW, 1.0, -50.0, 50.0))
     for camera in (look(), perspective, behind):

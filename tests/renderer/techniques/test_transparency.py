@@ -8,10 +8,11 @@ import frames
 import numpy as np
 import pytest
 from frames import SIZE, count_draws, draw, make_boxes, max_difference, open_renderer, read_colors, record
-from lighting_reference import encode, reference_plane_light
+from lighting_reference import encode, reference_plane_light, tone_map
 from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 from test_technique_pixels import EYE, add_random_lights, stage
+from tested_devices import open_device
 
 import rhi
 from renderer.content import BUILT_IN
@@ -22,6 +23,7 @@ from renderer.scene import (
     AlphaMode,
     Camera,
     Depth,
+    MeshGeometry,
     Orthographic,
     Perspective,
     Scene,
@@ -450,3 +452,60 @@ def test_a_fragment_reads_its_texture_and_tests_its_mask_once(shader: type[Shade
         "where it is defined, and one call"
     )
     assert text.count("discard;") == 1
+
+
+SOLID = make_geometry(
+    [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)],
+    [
+        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+        *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+    ],
+    color=[(1, 0, 0, 0.5) if z < 0 else (0, 1, 0, 0.5) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)],
+)
+"""A box whose far end is red, and its near one green, seen from `FRONT`."""
+
+
+def two_sided(*meshes: tuple[MeshGeometry, float], mirrored: bool = False, reverses: bool = False) -> Scene:
+    """Return objects of glass with two sides, beside each other at these places along x."""
+    builder = SceneBuilder("two sides")
+    glass = builder.add_material(
+        base_color=(1, 1, 1, 1), alpha_mode=AlphaMode.BLEND, double_sided=True, specular_color=(0, 0, 0)
+    )
+    for mesh, x in meshes:
+        order = slice(None, None, -1) if reverses else slice(None)
+        turned = MeshGeometry(
+            mesh.vertices, np.ascontiguousarray(mesh.indices.reshape(-1, 3)[order]).reshape(-1)
+        )
+        size = scaling((-0.8 if mirrored else 0.8, 0.8, 0.8))
+        builder.add_objects(builder.add_node(translation((x, 0, 0)) @ size), builder.add_mesh(turned), glass)
+    builder.lights.sky = builder.lights.ground = (1.0, 1.0, 1.0)
+    builder.background = (0.0, 0.0, 0.0)
+    builder.views["front"] = FRONT
+    return builder.build()
+
+
+@pytest.mark.nightly_cases("cl*", "wgpu*", reason=ONLY_KERNELS)
+@pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_far_sides_of_glass_are_behind_near_ones(backend: str, mirrored: bool) -> None:
+    """Whatever the order of its triangles: one order had shown the far end in front."""
+    with open_device(backend) as device:
+        images = [
+            draw(device, two_sided((SOLID, 0.0), mirrored=mirrored, reverses=reverses))
+            for reverses in (False, True)
+        ]
+    far, near = tone_map(np.eye(3)[:2])
+    expected = encode(0.5 * near + 0.5 * 0.5 * far)
+    for image in images:
+        assert np.abs(image[SIZE[1] // 2, SIZE[0] // 2] - expected).max() <= 2.0
+
+
+def test_flat_glass_is_drawn_once_and_solid_glass_in_two_calls(null: rhi.Device) -> None:
+    def count(*meshes: tuple[MeshGeometry, float]) -> int:
+        return count_draws(null, two_sided(*meshes))[1]
+
+    assert [count((PANE, 0.0)), count((SOLID, 0.0))] == [1, 2]
+    assert count((PANE, 0.0), (PANE, 0.1)) == 1
+    mixed = count((PANE, 0.0), (PANE, 0.1), (SOLID, 2.0), (SOLID, 4.0))
+    assert mixed == 1 + 2 * 2 + 1, "the last one puts so many layers over the image"
+    assert count_draws(null, two_sided((SOLID, 0.0)), blending=Blending.WEIGHTED)[1] == 2, "one, and the mean"
