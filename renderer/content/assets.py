@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from math import inf
 from os import cpu_count
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry
 from rhi import ValidationError, decode_colors, open_image
+from rhi.errors.shared_caches import SHARED
+
+_Asset = TypeVar("_Asset")
 
 _images: Final[WeakValueDictionary[bytes, Any]] = WeakValueDictionary()
 _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
@@ -34,21 +37,20 @@ def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | st
     """
     contents = list(encoded)
     ids = [hash_content(content) for content in contents]
-    decoded: dict[bytes, ImagePixels | str] = {key: _images[key] for key in ids if key in _images}
+    decoded: dict[bytes, ImagePixels | str] = {
+        key: pixels for key in ids if (pixels := _images.get(key)) is not None
+    }
     missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in decoded}
     with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
         for key, pixels in zip(missing, pool.map(_decode, missing.values()), strict=True):
-            decoded[key] = pixels
-            if not isinstance(pixels, str):
-                _images[key] = pixels
+            decoded[key] = pixels if isinstance(pixels, str) else _share(_images, key, pixels)
     return [decoded[key] for key in ids]
 
 
 def share_image(pixels: ImagePixels) -> ImagePixels:
     """Return the image with the same pixels that is in use already, or this one."""
     key = hash_content(repr(pixels.shape).encode(), pixels.reshape(-1))
-    shared: ImagePixels = _images.setdefault(key, pixels)
-    return shared
+    return _share(_images, key, pixels)
 
 
 def share_geometry(geometry: MeshGeometry) -> MeshGeometry:
@@ -57,7 +59,13 @@ def share_geometry(geometry: MeshGeometry) -> MeshGeometry:
     key = hash_content(
         repr(vertices.dtype).encode(), vertices.view(np.uint8), geometry.indices.view(np.uint8)
     )
-    return _meshes.setdefault(key, geometry)
+    return _share(_meshes, key, geometry)
+
+
+def _share(assets: WeakValueDictionary[bytes, _Asset], key: bytes, asset: _Asset) -> _Asset:
+    """Return the asset of this id that is in use already, on any thread, or this one."""
+    with SHARED:
+        return assets.setdefault(key, asset)
 
 
 def hash_content(*parts: bytes | NDArray[np.uint8]) -> bytes:

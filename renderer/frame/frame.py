@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from renderer.scene.arrays import Indices
 from renderer.shaders.tone_mapping import inverse_tone_map
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
 from rhi import Device, Program, Texture
+from rhi.errors.shared_caches import cache_once
 from rhi.math import is_parallel
 from rhi.shading import Precision, Shader
 
@@ -149,7 +149,7 @@ class Frame:
         return seen
 
 
-@cache
+@cache_once
 def _exact_variant(shader: Any) -> type[Shader]:
     return type(f"Exact{shader.__name__}", (shader,), {"__module__": __name__, "precision": Precision.EXACT})
 

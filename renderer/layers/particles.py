@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
@@ -28,6 +27,7 @@ from renderer.shaders import ViewConstants, tone_map
 from renderer.shaders.fog import FogReader, fog_transmittance
 from renderer.shaders.pixels import ViewRayShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
+from rhi.errors.shared_caches import cache_once
 from rhi.math import is_parallel
 
 _CORNERS: Final = 6  # of the two triangles
@@ -182,7 +182,7 @@ def _select_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
     return shader, bindings
 
 
-@cache
+@cache_once
 def _parallel_variant(shader: type[ParticleShader]) -> type[ParticleShader]:
     """Return the shader of particles for parallel projections."""
     return type(f"Parallel{shader.__name__}", (shader,), {"__module__": __name__, "has_parallel_rays": True})

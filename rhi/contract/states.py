@@ -22,6 +22,7 @@ from weakref import WeakValueDictionary
 from rhi.contract.formats import Choice
 from rhi.errors.arguments import FieldChecker
 from rhi.errors.rules import STATE_VALUE
+from rhi.errors.shared_caches import make_shared_lock
 
 MAX_TARGETS: Final = 8
 MAX_VIEWPORT_SIZE: Final = 16_384
@@ -133,6 +134,7 @@ class PolygonMode(Choice):
 
 
 _VALUES: Final[WeakValueDictionary[tuple[object, ...], Any]] = WeakValueDictionary()
+_LOCK: Final = make_shared_lock()  # of its own: no frame waits for a thread that compiles
 
 
 class _Interned(type):
@@ -141,7 +143,11 @@ class _Interned(type):
     def __call__(cls, *arguments: Any, **named: Any) -> Any:
         value = super().__call__(*arguments, **named)  # validates the numbers
         key = (cls, *(getattr(value, name) for name in cls.__match_args__))  # type: ignore[attr-defined]
-        return _VALUES.setdefault(key, value)
+        interned = _VALUES.get(key)
+        if interned is None:
+            with _LOCK:
+                interned = _VALUES.setdefault(key, value)
+        return interned
 
 
 if TYPE_CHECKING:  # type checkers would use the metaclass's __call__ as the constructor's signature

@@ -30,8 +30,12 @@ _KEY_BYTES: Final = 32
 
 
 def user_cache() -> Path:
-    """Return the folder of all that this package caches for the user."""
-    return Path(os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")) / "rhi"
+    """Return the folder of all that this package caches for the user.
+
+    A relative `XDG_CACHE_HOME` is ignored, as its specification demands: each working folder would have a cache
+    and a key of its own, which others might have put there."""
+    folder = os.environ.get("XDG_CACHE_HOME", "")
+    return Path(folder if os.path.isabs(folder) else os.path.expanduser("~/.cache")) / "rhi"
 
 
 def cache_folder(name: str) -> Path:

@@ -40,6 +40,7 @@ from rhi.device.device import Device
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.errors import ShaderError, refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.compile import (
     compile_shader,
     depends_on_module,
@@ -164,6 +165,10 @@ class Reloader:
     def _watch_imported(self, names: set[str]) -> None:
         self._imported = len(sys.modules)
         fresh = {name: module for name, module in list(sys.modules.items()) if name not in names}
+        for name, module in list(fresh.items()):
+            if getattr(getattr(module, "__spec__", None), "_initializing", False):  # on another thread
+                del fresh[name]
+                self._imported = -1  # look again
         names.update(fresh)
         modules = [
             module
@@ -250,10 +255,16 @@ class Reloader:
         return self._exchange({module: text})
 
     def _exchange(self, texts: Mapping[ModuleType, str]) -> int:
-        """Give modules new texts, all or none; return how many programs were exchanged."""
+        """Give modules new texts, all or none; return how many programs were exchanged.
+
+        Threads that compile wait until the classes are whole again."""
+        with SHARED:
+            return self._exchange_alone(texts)
+
+    def _exchange_alone(self, texts: Mapping[ModuleType, str]) -> int:
         tables = self._tables()
         numbers = {
-            name: number for number, name in enumerate(sys.modules)
+            name: number for number, name in enumerate(list(sys.modules))
         }  # a module comes after those it imports
         edits: list[Edit] = []
         replacements: dict[Any, Any] = {}

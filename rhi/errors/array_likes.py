@@ -80,8 +80,8 @@ def to_real(value: Any) -> Any:
 
 def is_masked(value: Any) -> bool:
     """True if a value is an array with a mask. A program without any hasn't imported their module."""
-    module = sys.modules.get("numpy.ma")
-    return module is not None and isinstance(value, module.MaskedArray)
+    masked = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)  # another thread may be importing it
+    return masked is not None and isinstance(value, masked)
 
 
 def check_order(value: Any) -> None:

@@ -52,9 +52,9 @@ def mark_library() -> None:
 
     A file of the library that the user runs as a program is the user's, but for `__main__.py`.
     """
-    if len(sys.modules) == MARKED[0]:
+    count = len(sys.modules)
+    if count == MARKED[0]:
         return
-    MARKED[0] = len(sys.modules)
     for name, module in list(sys.modules.items()):
         # Attributes of other packages' modules aren't read: that may import more of a lazy module.
         if name == "__main__" or name.partition(".")[0] in _PACKAGES:
@@ -63,6 +63,7 @@ def mark_library() -> None:
             is_program = scope.get("__name__") == "__main__" and os.path.basename(file) != "__main__.py"
             if file.startswith(_OWN) and not file.startswith(_KIT) and not is_program:
                 scope[MARK] = True
+    MARKED[0] = count  # at the end: other threads look for their lines meanwhile
 
 
 def find_user_frame(depth: int = 1) -> FrameType | None:

@@ -20,6 +20,7 @@ from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, St
 from rhi.contract.layout import Layout, StructType, memory_layout, stride_of
 from rhi.errors import ShaderError, ShaderErrors
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
@@ -65,6 +66,15 @@ def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDesc
         breaks one.
     """
     compiled = _compiled.get(shader)
+    if compiled is None or strict:
+        with SHARED:
+            compiled = _compile_once(shader, strict)
+    return compiled[0]
+
+
+def _compile_once(shader: type[Shader], strict: bool) -> tuple[ProgramDescriptor, ShaderCode]:
+    """Return the compiled shader, which the lock keeps other threads from compiling as well."""
+    compiled = _compiled.get(shader)
     if compiled is None:
         try:
             compiled = _compile(shader)
@@ -78,11 +88,16 @@ def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDesc
     if shader not in _compiled:
         warn_of_unused(unused)
         _compiled[shader] = compiled
-    return compiled[0]
+    return compiled
 
 
 def describe_with_precision(shader: type[Shader], precision: Precision) -> ProgramDescriptor:
     """Compile a shader like `compile_shader`, in this precision unless the shader or a base sets its own."""
+    with SHARED:
+        return _describe_with_precision(shader, precision)
+
+
+def _describe_with_precision(shader: type[Shader], precision: Precision) -> ProgramDescriptor:
     exact = compile_shader(shader)
     own = any("precision" in vars(base) for base in shader.__mro__[: shader.__mro__.index(Shader)])
     if own or precision is shader.precision:
@@ -106,13 +121,14 @@ def forget_compiled(edit: Edit) -> CompiledShaders:
     These are the classes of the module and those derived from them, those that call its functions or use
     structs that it changed, and those of modules that have imported it.
     """
-    concerned = {
-        each: code
-        for each, code in _compiled.items()
-        if _is_concerned(each, code[1], edit.module, edit.structs)
-    }
-    for shader in concerned:
-        del _compiled[shader]
+    with SHARED:
+        concerned = {
+            each: code
+            for each, code in _compiled.items()
+            if _is_concerned(each, code[1], edit.module, edit.structs)
+        }
+        for shader in concerned:
+            del _compiled[shader]
     return concerned
 
 
@@ -123,7 +139,8 @@ def is_compiled(shader: type[Shader]) -> bool:
 
 def restore_compiled(compiled: CompiledShaders) -> None:
     """Restore compiled shaders that `forget_compiled` has returned, because the edit was undone."""
-    _compiled.update(compiled)
+    with SHARED:
+        _compiled.update(compiled)
 
 
 def depends_on_module(shader: type[Shader], module: ModuleType) -> bool:
@@ -131,7 +148,8 @@ def depends_on_module(shader: type[Shader], module: ModuleType) -> bool:
     it."""
     own = [value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__]
     structs = {value.shading_type for value in own if isinstance(value, type) and issubclass(value, Struct)}
-    return shader in _compiled and _is_concerned(shader, _compiled[shader][1], module, structs)
+    compiled = _compiled.get(shader)
+    return compiled is not None and _is_concerned(shader, compiled[1], module, structs)
 
 
 def _is_concerned(
@@ -177,8 +195,9 @@ def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
 
 def compiled_code(shader: type[Shader]) -> ShaderCode:
     """Return the stages that `compile_shader` has parsed, from which texts are written."""
-    compile_shader(shader)
-    return _compiled[shader][1]
+    with SHARED:
+        compile_shader(shader)
+        return _compiled[shader][1]
 
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:

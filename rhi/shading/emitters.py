@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from rhi.contract.descriptors import Stage, StageText, StageVarying
 from rhi.errors import ShaderError, refuse
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.glsl.glsl_stages import write_stage
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
@@ -33,7 +34,8 @@ WIDTHS: Final = (1, 4, 8, 16)
 class ShaderCode:
     """A type-checked shader, from which its stages are written in a language when they are first requested.
 
-    - Texts are cached by language and stage, because several devices may request them.
+    - Texts are cached by language and stage, because several devices may request them. Threads share them, so
+      each is written under the lock of what threads share.
     - Lane code is cached until its text is written. A doubtful compute stage is lowered for 16 lanes when it
       is checked, long before a device may request its text.
 
@@ -76,6 +78,13 @@ class ShaderCode:
         """
         text = self._texts.get((language, stage))
         if text is None:
+            with SHARED:
+                text = self._emit_once(language, stage)
+        return text
+
+    def _emit_once(self, language: str, stage: Stage) -> StageText:
+        text = self._texts.get((language, stage))
+        if text is None:
             device_language = _LANGUAGES.get(language)
             if device_language is None or stage not in device_language.stages:
                 names = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
@@ -90,10 +99,11 @@ class ShaderCode:
 
     def with_other_precision(self, precision: Precision) -> ShaderCode:
         """Return the same stages in the other precision, with texts of their own."""
-        if self._other_precision is None:
-            own = self.interface, self.varyings
-            self._other_precision = ShaderCode(self.stages, *own, precision, self.checked, self.unused)
-        return self._other_precision
+        with SHARED:
+            if self._other_precision is None:
+                own = self.interface, self.varyings
+                self._other_precision = ShaderCode(self.stages, *own, precision, self.checked, self.unused)
+            return self._other_precision
 
     def list_exact_functions(self) -> list[str]:
         """Return the built-ins in written OpenCL C texts that `Precision.FAST` computes with fewer
@@ -101,7 +111,7 @@ class ShaderCode:
         if self.precision is Precision.FAST:
             return []
         names = set()
-        for stage in {stage for language, stage in self._texts if language.startswith("opencl")}:
+        for stage in {stage for language, stage in list(self._texts) if language.startswith("opencl")}:
             names |= {builtin.name for builtin in self.stages[stage].builtins if builtin.fast}
             nodes = (node for function in self.stages[stage].functions for node in tree.walk(function.body))
             if any(isinstance(node, tree.Binary) and node.operator is tree.Operator.DIVIDE for node in nodes):
@@ -110,7 +120,7 @@ class ShaderCode:
 
     def written(self) -> Mapping[tuple[str, Stage], StageText]:
         """Return the texts that were requested, by language and stage."""
-        return self._texts
+        return dict(self._texts)
 
     def lower_compute(self, width: int) -> Code:
         """Return the lane code of the compute stage for `width` lanes, or for whole arrays with 0.

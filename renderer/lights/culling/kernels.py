@@ -15,7 +15,6 @@ run and on every device. All lanes of a work-group read the same light at the sa
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import rhi.shading as sl
@@ -35,6 +34,7 @@ from renderer.lights.culling.cells import (
 from renderer.lights.culling.sphere_tests import overlaps_always
 from renderer.lights.culling.table import ConeTest, SphereTest
 from renderer.lights.culling.volumes import WORD
+from rhi.errors.shared_caches import cache_once
 
 BLOCK: Final = 8
 """The side of a block in tiles."""
@@ -328,7 +328,7 @@ all, then the lists. A light behind the buffer's end isn't written; the bounds o
 so."""
 
 
-@cache
+@cache_once
 def collect_variant(
     sphere_test: SphereTest,
     cone_test: ConeTest,

@@ -31,6 +31,7 @@ from renderer.techniques.parts.frame_bindings import FOLLOW_CAMERA, FrameBinding
 from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Program, State, Texture
+from rhi.errors.shared_caches import cache_once
 from rhi.math import is_parallel
 
 
@@ -66,7 +67,7 @@ COVERAGE: Final[Mapping[str, bool]] = {"has_normal_maps": False, "has_two_sides"
 """Switches of shaders that draw where surfaces are, and nothing else of them."""
 
 
-@cache
+@cache_once
 def combine(bases: tuple[type[Any], ...], constants: tuple[tuple[str, Any], ...] = ()) -> type[Any]:
     """The shader class with these bases and constants."""
     return type(bases[-1].__name__, bases, {"__module__": bases[-1].__module__, **dict(constants)})
@@ -105,7 +106,7 @@ def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str
     return cached_shader_variant(bases, *facts, **fixed)
 
 
-@cache
+@cache_once
 def cached_shader_variant(
     bases: tuple[type[Any], ...],
     enabled: frozenset[Effect],

@@ -15,7 +15,6 @@ rows of those marked HIDDEN. The CPU sees neither: it draws both indirectly.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -29,6 +28,7 @@ from renderer.visibility.command_cache import clear
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.scene_drawer import SceneArrays
 from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback
+from rhi.errors.shared_caches import cache_once
 
 _BUCKETS: Final = 31
 """The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km,
@@ -40,7 +40,7 @@ MAX_PARTS: Final = (KEYS - 2) // 2
 """The most parts of a list: each has two distance classes then."""
 
 
-@cache
+@cache_once
 def with_parts(shader: type[sl.Shader], parts: int) -> type[sl.Shader]:
     """Return a shader of lists that have so many parts."""
     if parts <= DRAW_LISTS:

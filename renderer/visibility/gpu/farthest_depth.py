@@ -11,12 +11,12 @@ rows in their order, which vector machines do several times as fast as every fou
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Depth
 from rhi import Device, Encoder, Program, StorageBuffer, Texture, UniformBuffer
+from rhi.errors.shared_caches import cache_once
 
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
@@ -92,7 +92,7 @@ STEPS: Final = (DownSampleTexture, DownSampleRows, DownSample)
 """The shaders of the first step, of the second, and of each later one."""
 
 
-@cache
+@cache_once
 def depth_variant(shader: type[Any], direction: Depth) -> type[Any]:
     """Return the variant of a shader with a constant `is_reversed` for a direction of depth."""
     if direction is Depth.REVERSED:

@@ -30,9 +30,10 @@ from rhi.backends.cl.pocl.driver_loader import DriverLoader
 from rhi.backends.cl.pocl.fault_handlers import keep_fault_handlers
 from rhi.backends.cl.pocl.kernel_cache import CachedProgram, KernelCache, Request, make_mark, settle_folder
 from rhi.backends.cl.pocl.program_residency import EvictableProgram, ProgramResidency
-from rhi.backends.cl.pocl.workers import list_threads, spread_threads
+from rhi.backends.cl.pocl.workers import list_python_threads, list_threads, spread_threads
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
+from rhi.errors.shared_caches import make_shared_lock
 
 ENVIRONMENT: Final = "RHI_CL_DEVICE"
 KERNELS_ENVIRONMENT: Final = "RHI_KERNELS"
@@ -63,6 +64,8 @@ it."""
 EMPTY: Final = np.zeros(0, np.uint8)
 """No data: memory that begins with it is all zeros."""
 _COUNT: Final = 64
+_WARNINGS: Final = make_shared_lock()
+"""Held while filters of warnings are exchanged, which belong to all threads."""
 _PROBE: Final = """
 __kernel void probe(__global uint *words) {
     uint i = get_global_id(0);
@@ -144,7 +147,7 @@ def open_context(loading: DriverLoader | None = None) -> ClContext:
         except (cl.Error, RuntimeError) as error:
             rejected_devices.append(f"{describe(device)}: {shorten(error)}")
         else:
-            started = list_threads() - threads
+            started = list_threads() - threads - list_python_threads()
             if len(started) == device.max_compute_units:  # PoCL starts workers with its first device
                 spread_threads(started)
             programs = ProgramResidency(releases=cache.works)
@@ -302,7 +305,7 @@ def build_cached(
 
 def compile_only(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
     """Compile a program, which isn't linked. Warnings are suppressed."""
-    with warnings.catch_warnings():  # pyopencl's own, too, which has no cache for that
+    with _WARNINGS, warnings.catch_warnings():  # pyopencl's own, too, which has no cache for that
         warnings.simplefilter("ignore")
         compiled: cl.Program = cl.Program(context, source).compile([SILENT, *options])
         return compiled
@@ -310,7 +313,7 @@ def compile_only(context: cl.Context, source: str, options: Sequence[str]) -> cl
 
 def build(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
     """Build a program. Compiler warnings are suppressed."""
-    with warnings.catch_warnings():  # some drivers warn in spite of the option
+    with _WARNINGS, warnings.catch_warnings():  # some drivers warn in spite of the option
         warnings.simplefilter("ignore", cl.CompilerWarning)
         return build_again(context, source, options)
 

@@ -100,8 +100,11 @@ thread."""
 
 def release_dropped() -> None:
     """Release the contexts of devices that were dropped unclosed."""
-    while _dropped:
-        context, get_current, handle = _dropped.popleft()
+    while True:
+        try:
+            context, get_current, handle = _dropped.popleft()
+        except IndexError:  # another thread may have released the last
+            return
         if get_current() == handle:
             context.mglo.__exit__()  # a current context would survive its release
         context.release()

@@ -18,6 +18,7 @@ from rhi.contract.driver_faults import (
 )
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, FLOAT32_FORMATS, Format
 from rhi.contract.states import MAX_TARGETS
+from rhi.errors.shared_caches import make_shared_lock
 
 _MAX_STORAGE: Final = 16
 _MAX_TEXTURES: Final = 32
@@ -28,15 +29,17 @@ _ANISOTROPY: Final = 16.0
 
 def query_capabilities(implementation: Implementation, host: Host, formats: FormatUses) -> Capabilities:
     """Return the capabilities of a device. They are computed once for each adapter, since an implementation
-    may have to try the uses of its formats."""
+    may have to try the uses of its formats. Other threads wait for them."""
     key = host.key, allows_slow_anisotropy()
-    capabilities = _cached.get(key)
-    if capabilities is None:
-        capabilities = _cached[key] = _compute_capabilities(implementation, host, formats)
+    with _LOCK:
+        capabilities = _cached.get(key)
+        if capabilities is None:
+            capabilities = _cached[key] = _compute_capabilities(implementation, host, formats)
     return replace(capabilities, rejected_devices=host.rejected_devices)
 
 
 _cached: Final[dict[object, Capabilities]] = {}
+_LOCK: Final = make_shared_lock()
 
 
 def _is_target(formats: FormatUses, format: Format, samples: int) -> bool:

@@ -19,6 +19,7 @@ from rhi.backends.webgpu.webgpu_limits import CORE_LIMITS
 from rhi.backends.wgpu.native import check_version, retain_callbacks
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
+from rhi.errors.shared_caches import make_shared_lock
 
 _PLATFORMS: Final = ("Vulkan", "Metal", "D3D12")
 _RANKS: Final = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2}
@@ -50,6 +51,7 @@ _USED: Final = frozenset(
 )
 """Features to request: of the WebGPU specification, and of wgpu's native implementation."""
 _DISPLAY: Final = "WAYLAND_DISPLAY"
+_LOCK: Final = make_shared_lock()  # the environment and contexts of OpenGL belong to all threads
 _TIP: Final = "a Vulkan driver: on Debian, apt install mesa-vulkan-drivers"
 
 
@@ -61,19 +63,14 @@ def open_host() -> Host:
     """
     call = "rhi.create_device('wgpu')"
     check_version()
+    name = os.environ.get("RHI_WGPU_ADAPTER", "").lower()
     try:
-        with _quiet_without_wayland():
-            adapters = list(wgpu.gpu.enumerate_adapters_sync())
+        matching, available = _list_adapters(name)
     except RuntimeError as error:
         raise DeviceError(DEVICE_DRIVER, call, str(error), tip=_TIP) from error
-    name = os.environ.get("RHI_WGPU_ADAPTER", "").lower()
-    matching = [
-        a for a in adapters if a.info["backend_type"] in _PLATFORMS and name in str(dict(a.info)).lower()
-    ]
     if not matching:
-        available = ", ".join(a.info["device"] for a in adapters) or "none"
         given = f"no adapter of {', '.join(_PLATFORMS)}" + (f" named {name!r}" if name else "")
-        raise DeviceError(DEVICE_DRIVER, call, f"{given} (adapters: {available})", tip=_TIP)
+        raise DeviceError(DEVICE_DRIVER, call, f"{given} (adapters: {available or 'none'})", tip=_TIP)
     reasons: list[str] = []
     for adapter in sorted(matching, key=lambda a: _RANKS.get(a.info["adapter_type"], len(_RANKS))):
         try:
@@ -81,6 +78,21 @@ def open_host() -> Host:
         except (wgpu.GPUError, RuntimeError) as error:
             reasons.append(f"{adapter.info['device']}: {error}")
     raise DeviceError(DEVICE_DRIVER, call, "\n".join(reasons), tip=_TIP)
+
+
+def _list_adapters(name: str) -> tuple[list[GpuObject], str]:
+    """Return the adapters of usable platforms that have `name` in their description, and the names of all.
+
+    The others are released before another thread lists its own: those of OpenGL make their context current
+    then, and wgpu-native ends the process where a second thread has done so.
+    """
+    with _LOCK:
+        with _quiet_without_wayland():
+            adapters = list(wgpu.gpu.enumerate_adapters_sync())
+        available = ", ".join(adapter.info["device"] for adapter in adapters)
+        usable = [adapter for adapter in adapters if adapter.info["backend_type"] in _PLATFORMS]
+        del adapters
+        return [adapter for adapter in usable if name in str(dict(adapter.info)).lower()], available
 
 
 @contextmanager

@@ -174,7 +174,10 @@ _records_in_use: Final[set[CallbackRecord]] = set()
 
 def take_record() -> CallbackRecord:
     """Return a record for calls to come."""
-    record = _spare_records.pop() if _spare_records else CallbackRecord()
+    try:
+        record = _spare_records.pop()
+    except IndexError:
+        record = CallbackRecord()
     record.reset()
     _records_in_use.add(record)
     return record

@@ -13,7 +13,8 @@ _LONGEST_PAUSE: Final = 0.002
 def pause_until(is_done: Callable[[], bool]) -> Generator[Any]:
     """Pause beside other tasks of asyncio until a condition holds. Without its loop, return at once."""
     asyncio = sys.modules.get("asyncio")  # which runs no loop if nobody has imported it
-    if asyncio is not None and asyncio._get_running_loop() is not None:
+    if getattr(asyncio, "_get_running_loop", lambda: None)() is not None:
+        assert asyncio is not None
         pause = 0.0
         while not is_done():
             yield from asyncio.sleep(pause).__await__()

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -34,6 +34,7 @@ from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors import ValidationError, rules
 from rhi.errors.arguments import ArgumentChecker, little_endian, to_integer
+from rhi.errors.shared_caches import cache_once
 from rhi.shading import Struct, ivec3, uint, uvec3, value_type_of, vec3
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
@@ -651,7 +652,7 @@ def pack_single(kind: Any, value: Any) -> bytes | None:
         return None
 
 
-@cache
+@cache_once
 def _wrapper(kind: Any) -> type[Struct]:
     """Return a struct class with one field, `value`, of a type of the shading language."""
     return type(kind.__name__, (Struct,), {"__annotations__": {"value": kind}})

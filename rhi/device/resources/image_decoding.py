@@ -23,6 +23,9 @@ from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import IMAGE_FILE, IMAGE_LIBRARY
 
+_BITS: Final = 258
+_SAMPLE_FORMAT: Final = 339
+"""Tags of TIFF: bits of a channel; 1 for numbers without a sign."""
 IMAGE_FORMATS: Final = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "DDS", "TGA")
 """The formats that are opened, by Pillow's names. TGA has no mark at its beginning, and is tried last."""
 
@@ -138,10 +141,29 @@ def _decode(image: Any) -> NDArray[np.uint8]:
         if layout == "LA;16B" and image.mode == "RGBA":
             pairs = _with_layout(image, "RGBA").view(">u2")  # grey and alpha, of two bytes each
             return _round(pairs[..., [0, 0, 0, 1]], None)
+    if image.mode == "F" or (image.mode == "I" and not is_grey_16(image)):
+        raise OSError("floats and integers of 32 bits are no colours; rhi.load_image reads them as numbers")
     if image.mode.startswith("I"):  # grey of 16 bits, which Pillow would clip to 8
         grey = np.clip(np.asarray(image, np.int64), 0, 65535)
         return _round(np.repeat(grey[..., None], 3, axis=2), transparency)
     return np.array(image.convert("RGBA"), np.uint8)
+
+
+def is_grey_16(image: Any) -> bool:
+    """True if an image of Pillow's mode "I" has grey of 16 bits, as PNG has with older versions."""
+    return bool(image.format == "PNG")
+
+
+def read_integers(image: Any) -> NDArray[Any]:
+    """Return the numbers (height, width) of an image of Pillow's mode "I": uint16, int32, or uint32 where the
+    file says so."""
+    numbers = np.array(image, np.int32)
+    if is_grey_16(image):
+        return numbers.astype(np.uint16)
+    tags = getattr(image, "tag_v2", {})
+    bits, signs = (tags.get(tag, default) for tag, default in ((_BITS, 32), (_SAMPLE_FORMAT, 2)))
+    is_unsigned = np.ravel(bits)[0] == 32 and np.ravel(signs)[0] == 1
+    return numbers.view(np.uint32) if is_unsigned else numbers
 
 
 def _join_bytes(image: Any, low_layout: str) -> NDArray[np.uint16]:

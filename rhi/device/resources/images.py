@@ -23,6 +23,7 @@ from rhi.device.resources.image_decoding import (
     decode_colors,
     import_pillow,
     open_image,
+    read_integers,
     refuse_image,
 )
 from rhi.errors import RhiError, refuse
@@ -30,7 +31,7 @@ from rhi.errors.array_likes import to_array
 from rhi.errors.rules import IMAGE_FILE
 
 MAX_CHANNELS: Final = 4
-_DATA: Final = {"I;16": np.uint16, "I;16L": np.uint16, "I;16B": np.uint16, "F": np.float32}
+_DATA: Final = {**dict.fromkeys(("I;16", "I;16L", "I;16B", "I;16N"), np.uint16), "F": np.float32}
 """Modes of Pillow whose texels are numbers rather than colors."""
 _ORIENTATION: Final = 0x0112  # the tag of EXIF that says how a camera was held
 _TURNS: Final[Mapping[int, Callable[[NDArray[Any]], NDArray[Any]]]] = {
@@ -69,9 +70,9 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
     alpha.
 
     `device.texture(load_image("wood.jpg"), Format.RGBA8_SRGB, levels=None)` is a texture of colors with all
-    mip levels. A file of one channel of 16 bits is (height, width) uint16, one of floats float32; colors of
-    16 bits are rounded to 8. A photo is turned upright. Only PNG, JPEG, WebP, TIFF, BMP, DDS (whose blocks
-    are decoded) and TGA are read.
+    mip levels. A file of one channel of 16 bits is (height, width) uint16, one of floats float32, one of
+    integers of 32 bits int32 or uint32; colors of 16 bits are rounded to 8. A photo is turned upright. Only
+    PNG, JPEG, WebP, TIFF, BMP, DDS (whose blocks are decoded) and TGA are read.
 
     Args:
         source: the path of a regular file, the contents of a file, or an open one.
@@ -86,7 +87,10 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
     image = open_image(source, max_pixels=max_pixels, call=call)
     try:
         dtype = _DATA.get(image.mode)
-        texels = decode_colors(image, call=call) if dtype is None else np.array(image, dtype)
+        if image.mode == "I":
+            texels: NDArray[Any] = read_integers(image)
+        else:
+            texels = decode_colors(image, call=call) if dtype is None else np.array(image, dtype)
         turn = _TURNS.get(image.getexif().get(_ORIENTATION, 1))
     except RhiError:
         raise
@@ -97,9 +101,11 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
 
 def as_texels(source: Any) -> NDArray[Any]:
     """Return an array-like as an array of texels; Pillow's images as `load_image` returns them."""
-    library = sys.modules.get("PIL.Image")
-    if library is None or not isinstance(source, library.Image):
+    image = getattr(sys.modules.get("PIL.Image"), "Image", None)  # another thread may be importing it
+    if image is None or not isinstance(source, image):
         return to_array(source)
+    if source.mode == "I":
+        return read_integers(source)
     dtype = _DATA.get(source.mode)
     return np.array(source if dtype else source.convert("RGBA"), dtype)
 

@@ -17,6 +17,7 @@ from rhi.contract import layout
 from rhi.contract.descriptors import Stage
 from rhi.errors import refuse
 from rhi.errors.arguments import to_little_endian
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
@@ -83,9 +84,13 @@ def evaluate(
 def _compiled_function(function: FunctionType) -> tuple[tree.Function, LaneFunction]:
     compiled = _functions.get(function)
     if compiled is None:
-        parsed = parse_function(function)
-        code = lower_function(parsed)
-        compiled = _functions[function] = (parsed, load_module(write_numpy_function(code), code.name)["run"])
+        with SHARED:
+            compiled = _functions.get(function)
+            if compiled is None:
+                parsed = parse_function(function)
+                code = lower_function(parsed)
+                run = load_module(write_numpy_function(code), code.name)["run"]
+                compiled = _functions[function] = parsed, run
     return compiled
 
 
@@ -254,6 +259,14 @@ def _expand_tables(
 
 
 def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
+    kernel = _shaders.get(shader)
+    if kernel is None:
+        with SHARED:
+            kernel = _compile_kernel(shader)
+    return kernel
+
+
+def _compile_kernel(shader: type[Shader]) -> NumpyKernel:
     kernel = _shaders.get(shader)
     if kernel is None:
         descriptor = compile_shader(shader)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import FLOAT, HostType, StructType
 from rhi.errors import refuse
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.compile import compiled_code
 from rhi.shading.evaluation.compute import assemble, bound_words, scalars_of
 from rhi.shading.ir import tree
@@ -255,6 +256,14 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
 
 
 def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:
+    compiled = _stages.get(shader, {}).get(stage)
+    if compiled is None:
+        with SHARED:
+            compiled = _compile_stage(shader, stage, call)
+    return compiled
+
+
+def _compile_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:
     stages = _stages.setdefault(shader, {})
     if stage not in stages:
         compiled = compiled_code(shader)

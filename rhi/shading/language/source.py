@@ -28,6 +28,7 @@ from typing import Any, ClassVar, Final, NoReturn
 
 from rhi.errors import Rule, ShaderError
 from rhi.errors.call_sites import CallSite
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.language import rules
 from rhi.shading.language.tips import FOREIGN
 from rhi.shading.language.types import LANGUAGE_NAMES
@@ -124,8 +125,9 @@ def read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
     linecache.checkcache(name)
     lines = linecache.getlines(name, dict(names) if name not in linecache.cache else None)
     if cached is None or spec is not cached.spec or cached.lines != lines:
-        cached = _files[name] = SourceFile(name)
+        cached = SourceFile(name)
         cached.lines, cached.spec = lines, spec
+        _files[name] = cached
     return cached
 
 
@@ -292,9 +294,12 @@ def source_of(function: FunctionType) -> Source:
     """Return a function's source, which is stored on the function."""
     source: Source | None = getattr(function, _SOURCE, None)
     if source is None:
-        file = read_file(function.__code__.co_filename, function.__globals__)
-        source = Source(function, file)
-        setattr(function, _SOURCE, source)
+        with SHARED:
+            source = getattr(function, _SOURCE, None)
+            if source is None:
+                file = read_file(function.__code__.co_filename, function.__globals__)
+                source = Source(function, file)
+                setattr(function, _SOURCE, source)
     return source
 
 
@@ -306,19 +311,21 @@ def set_source(function: FunctionType, file: SourceFile) -> None:
 def exchange_source(file: SourceFile | None, name: str = "") -> SourceFile | None:
     """Replace the stored text of a file, for later classes, functions and errors; return the earlier one."""
     name = str(file) if file is not None else name
-    before = _files.pop(name, None)
-    if file is not None:
-        _files[name] = file
-    linecache.checkcache(name)
+    with SHARED:
+        before = _files.pop(name, None)
+        if file is not None:
+            _files[name] = file
+        linecache.checkcache(name)
     return before
 
 
 def forget_signatures() -> None:
     """Discard all signatures, since the structs in them may have changed, and all code compiled for the
     CPU."""
-    Source.generation += 1
-    for forget in INVALIDATION_CALLBACKS:
-        forget()
+    with SHARED:
+        Source.generation += 1
+        for forget in INVALIDATION_CALLBACKS:
+            forget()
 
 
 def suggest(name: str, candidates: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ import inspect
 import math
 import struct
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Final, NoReturn, get_args, get_origin
 
@@ -44,6 +44,7 @@ from rhi.contract.layout import (
 from rhi.errors import RhiError, ShaderError, describe_value, refuse
 from rhi.errors.array_likes import TOO_LARGE, check_order, to_real, to_real_array
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.shared_caches import SHARED
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
 from rhi.shading.language.source import globals_of, locals_of, suggest, suggest_name
@@ -151,7 +152,7 @@ class Struct:
         for name in own:
             setattr(cls, name, FieldAccess(fields[name]))
         if "__init__" not in cls.__dict__:
-            cls.__init__ = _construct_first  # type: ignore[method-assign, assignment]
+            cls.__init__ = _make_first_constructor(cls)  # type: ignore[method-assign]
 
     def __init__(self, **values: Any) -> None:
         self._set_fields(values)
@@ -237,12 +238,17 @@ class Struct:
         return f"{type(self).__name__}({', '.join(f'{f.name}={self._values[f.name]!r}' for f in fields)})"
 
 
-def _construct_first(self: Struct, /, **values: Any) -> None:
-    """Construct the first value of a struct class, and generate the constructor of all others."""
-    cls = type(self)
-    owner: Any = next(each for each in cls.__mro__ if each.__dict__.get("__init__") is _construct_first)
-    owner.__init__ = make_constructor(owner, owner.shading_type, owner._defaults) or Struct.__init__
-    owner.__init__(self, **values)
+def _make_first_constructor(owner: type[Struct]) -> Callable[..., None]:
+    """Return a constructor that generates the one of a struct class with its first value, and calls it."""
+
+    def construct_first(self: Struct, /, **values: Any) -> None:
+        cls: Any = owner
+        with SHARED:
+            if cls.__dict__["__init__"] is construct_first:  # no other thread was first
+                cls.__init__ = make_constructor(cls, cls.shading_type, cls._defaults) or Struct.__init__
+        cls.__init__(self, **values)
+
+    return construct_first
 
 
 def struct_of(annotation: Any) -> type[Struct] | None:

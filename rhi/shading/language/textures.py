@@ -8,12 +8,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from typing import Any, Final
 
 from rhi.contract.descriptors import Stage, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT, INT, UINT
+from rhi.errors.shared_caches import cache_once
 from rhi.shading.language.builtins import Builtin, BuiltinParameter, Overload, SideEffect, expand
 from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
 
@@ -131,7 +131,7 @@ METHOD_NAMES: Final = frozenset(row[0] for table in (_SAMPLED, _COMPARED, _SEVER
 _FRAGMENT_ONLY: Final = frozenset({"sample_bias"})
 
 
-@cache
+@cache_once
 def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     """Return the methods of a texture or image type by name. Their first parameter is the texture."""
     if isinstance(type, ImageType):

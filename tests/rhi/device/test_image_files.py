@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -169,6 +170,44 @@ def test_an_image_of_pillow_becomes_colors_with_mip_levels_on_request(
     texture = null_device.texture(image, levels=None)
     assert (texture.format, texture.levels) == (Format.RGBA8, 3)
     assert np.array_equal(texture.read(), np.array(image.convert("RGBA")))
+
+
+def write_tiff(texels: np.ndarray, sample_format: int) -> bytes:
+    """Return an uncompressed TIFF of one channel; `sample_format`: 1 without a sign, 2 with one, 3 floats."""
+    tags = {256: texels.shape[1], 257: texels.shape[0], 258: texels.itemsize * 8, 259: 1, 262: 1, 273: 134}
+    tags |= {277: 1, 278: texels.shape[0], 279: texels.nbytes, 339: sample_format}
+    rows = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    return b"II*\0" + struct.pack("<IH", 8, len(tags)) + rows + bytes(4) + texels.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "sample_format"), [("<u2", 1), ("<u4", 1), ("<i4", 2), ("<f4", 3), ("<i2", 2)]
+)
+def test_numbers_of_a_tiff_are_read_unchanged(
+    dtype: str, sample_format: int, null_device: rhi.Device
+) -> None:
+    rng = np.random.default_rng(3)
+    numbers = rng.integers(0, 256, (3, 5, np.dtype(dtype).itemsize), np.uint8).view(dtype)[..., 0]
+    numbers = np.nan_to_num(numbers) if dtype == "<f4" else numbers
+    content = write_tiff(np.ascontiguousarray(numbers), sample_format)
+    texels = rhi.load_image(content)
+    assert texels.dtype == ("<i4" if dtype == "<i2" else dtype)
+    assert np.array_equal(texels, numbers)
+    assert np.array_equal(null_device.texture(texels).read(), numbers)
+    with rhi.open_image(content) as image:
+        if dtype == "<u2":
+            expected = (numbers.astype(np.uint32) * 255 + 32767) // 65535
+            assert np.array_equal(rhi.decode_colors(image)[..., 0], expected)
+        else:
+            with pytest.raises(ValidationError, match=r"image-file[\s\S]*no colours"):
+                rhi.decode_colors(image)
+
+
+def test_integers_of_pillow_are_numbers(null_device: rhi.Device) -> None:
+    numbers = np.array([[-5, 70_000], [0, 2**31 - 1]], np.int32)
+    texture = null_device.texture(Image.fromarray(numbers))
+    assert texture.format is Format.R32I
+    assert np.array_equal(texture.read(), numbers)
 
 
 def test_a_block_compressed_dds_is_decoded() -> None:

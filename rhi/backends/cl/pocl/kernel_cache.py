@@ -44,13 +44,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple, TypeAlias
 
 from rhi.backends.cl.pocl import binaries, leases
 from rhi.backends.cl.pocl.declarations import GUARD, declare
 from rhi.contract import trust
+from rhi.errors.shared_caches import cache_once
 
 LIMIT: Final = 512 << 20
 """Bytes of compiled kernels that are kept."""
@@ -117,7 +117,7 @@ def choose_folder() -> Path | None:
     return folder
 
 
-@cache
+@cache_once
 def settle_folder() -> Path | None:
     """Choose this process's folder, once, since PoCL ignores later changes of its variable."""
     return choose_folder()

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Set
 from contextlib import suppress
 from pathlib import Path
@@ -27,6 +28,11 @@ def list_threads() -> frozenset[int]:
         return frozenset(int(task.name) for task in _TASKS.iterdir())
     except OSError:
         return frozenset()
+
+
+def list_python_threads() -> frozenset[int]:
+    """Return the ids of the threads that Python knows, which are never a driver's."""
+    return frozenset(thread.native_id or 0 for thread in threading.enumerate())
 
 
 def spread_threads(threads: Set[int]) -> None:
