@@ -31,6 +31,7 @@ from rhi.testing.accuracy import report as accuracy
 from rhi.testing.projects import KINDS, write_project
 from rhi.trace import cli as trace_cli
 
+_MAX_SECTIONS: Final = 8  # that a search lists
 _COMMANDS: Final = """\
 commands, each with --help:
   trace             inspect recorded commands: show, replay, page, diff, reduce
@@ -128,19 +129,26 @@ def _docs(arguments: Sequence[str]) -> int:
     """Show a page of the documentation, or list them. Return 0, or 2 on an error."""
     parser = argparse.ArgumentParser(
         prog="python -m rhi docs",
-        description="Show a page of the documentation, as Markdown. Without a topic, list the pages.",
-        epilog="example:\n  python -m rhi docs traces\n  python -m rhi docs testing --browser",
+        description="Show a page of the documentation, as Markdown, or the section that answers some words best.\n"
+        "Without a topic, list the pages.",
+        epilog='example:\n  python -m rhi docs traces\n  python -m rhi docs "lost device"\n'
+        "  python -m rhi docs testing --browser",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("topic", nargs="?", metavar="TOPIC", help="such as traces, or the beginning of it")
+    parser.add_argument(
+        "topic",
+        nargs="*",
+        metavar="TOPIC",
+        help="such as traces, or the beginning of it; or words to search for",
+    )
     parser.add_argument("--browser", action="store_true", help="show it in a browser")
     options = parser.parse_args(arguments)
     try:
-        if options.topic is None:
+        if not options.topic:
             topics = pages.list_topics()
             text = "\n".join(f"{topic:<24}{title}" for topic, title in topics.items())
         else:
-            text = pages.read_page(options.topic)
+            text = _read_docs(options.topic)
     except pages.UnknownPageError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -153,6 +161,27 @@ def _docs(arguments: Sequence[str]) -> int:
     else:
         print(text)
     return 0
+
+
+def _read_docs(words: Sequence[str]) -> str:
+    """Return the page that a word names, or else what is found by the words."""
+    if len(words) > 1 or " " in words[0].strip():
+        return _search(words)
+    try:
+        return pages.read_page(words[0])
+    except pages.UnknownPageError as error:
+        if error.close or not words[0].isalnum():
+            raise
+    return _search(words)
+
+
+def _search(words: Sequence[str]) -> str:
+    """Return the section that has most of the words, and where to read on."""
+    best, *others = pages.search(words)[:_MAX_SECTIONS]
+    lines = [best.text, "", f"This is in: python -m rhi docs {best.topic}"]
+    if others:
+        lines += ["See also:", *(f"  {section.topic:<24}{section.heading}" for section in others)]
+    return "\n".join(lines)
 
 
 def _as_json(reports: list[BackendReport]) -> dict[str, Any]:

@@ -21,7 +21,9 @@ from rhi_screen.cameras import FlyCamera, OrbitCamera
 from rhi_screen.canvases import CANVASES, open_canvas
 from rhi_screen.executors import make_executor
 from rhi_screen.films import FilmResult, film
+from rhi_screen.gamepads import Gamepad, Gamepads, SimulatedGamepads
 from rhi_screen.image_program import save_image
+from rhi_screen.monitors import Monitor
 from rhi_screen.screen import Screen, open_screen
 from rhi_screen.statistics import FrameCounter
 from rhi_screen.targets import ScreenTargets
@@ -34,9 +36,13 @@ __all__ = [
     "FixedSteps",
     "FlyCamera",
     "FrameCounter",
+    "Gamepad",
+    "Gamepads",
+    "Monitor",
     "OrbitCamera",
     "Screen",
     "ScreenTargets",
+    "SimulatedGamepads",
     "VideoWriter",
     "film",
     "make_executor",

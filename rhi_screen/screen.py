@@ -13,6 +13,8 @@ import rhi
 from rhi.errors import refuse
 from rhi.errors.arguments import ArgumentChecker
 from rhi_screen.canvases import Canvas, choose_default_canvas, get_loop, open_canvas
+from rhi_screen.gamepads import Gamepads
+from rhi_screen.monitors import Monitor
 from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE, SCREEN_WINDOW
 from rhi_screen.statistics import FrameCounter
 from rhi_screen.surfaces import can_show_on_surface, open_surface
@@ -32,6 +34,7 @@ class Screen:
         canvas: a canvas of rendercanvas: `add_event_handler`, `request_draw`, `get_pixel_ratio` and so on.
         device: the device.
         counter: statistics of the frames that were shown.
+        gamepads: the game controllers; only a window has some by itself (`Gamepads.source`).
     """
 
     def __init__(self, canvas: Canvas, device: str | rhi.Device | None = None, **options: Any) -> None:
@@ -48,6 +51,9 @@ class Screen:
         device = DEFAULT_BACKEND if device is None else device
         self.canvas = canvas
         self.counter = FrameCounter()
+        self.gamepads = Gamepads(getattr(canvas, "gamepad_source", None))
+        if hasattr(canvas, "on_poll"):
+            canvas.on_poll = self.gamepads.poll
         self._targets: WeakSet[ScreenTargets] = WeakSet()
         self._screenshot_paths: list[Path] = []
         self._video: VideoWriter | None = None
@@ -80,7 +86,8 @@ class Screen:
 
     @property
     def is_full_screen(self) -> bool:
-        """True if the window fills its display. Setting it changes that.
+        """True if the window fills a monitor. Setting it fills the monitor that shows most of the window, or
+        returns to the window's old position and size.
 
         Raises:
             ValidationError: `screen-window` for a canvas that is no window.
@@ -89,9 +96,28 @@ class Screen:
 
     @is_full_screen.setter
     def is_full_screen(self, full: bool) -> None:
-        if not hasattr(self.canvas, "is_full_screen"):
-            refuse(SCREEN_WINDOW, "screen.is_full_screen", type(self.canvas).__name__, "a window")
+        self._check_window("screen.is_full_screen")
         self.canvas.is_full_screen = full
+
+    @property
+    def monitors(self) -> list[Monitor]:
+        """The connected monitors, the primary one first; none for a canvas that is no window."""
+        return list(getattr(self.canvas, "monitors", ()))
+
+    def fill_monitor(self, number: int) -> None:
+        """Fill `monitors[number]` with the window. `is_full_screen = False` returns to its old rectangle.
+
+        Raises:
+            ValidationError: `screen-window` for a canvas that is no window, `device-argument` for the number
+                of no monitor.
+        """
+        self._check_window("screen.fill_monitor")
+        check = ArgumentChecker("screen.fill_monitor")
+        self.canvas.fill_monitor(check.integer("number", number, 0, max(len(self.monitors) - 1, 0)))
+
+    def _check_window(self, call: str) -> None:
+        if not hasattr(self.canvas, "is_full_screen"):
+            refuse(SCREEN_WINDOW, call, type(self.canvas).__name__, "a window")
 
     def targets(
         self,

@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from typing import Any, ClassVar, Final
 
 import glfw
@@ -26,7 +27,9 @@ from rendercanvas.glfw import get_glfw_present_info
 
 import rhi
 from rhi.errors import DeviceError, Rule
+from rhi_screen.glfw_gamepads import GlfwGamepads
 from rhi_screen.input import WindowInput
+from rhi_screen.monitors import FullScreenState, Monitor
 from rhi_screen.rules import SCREEN_DISPLAY, SCREEN_DRIVER
 
 __all__ = ["Window", "WindowFrames", "loop"]
@@ -75,6 +78,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
 
     Attributes:
         FRAMES: the class of the context for devices that `open_device` has created.
+        gamepad_source: reads the controllers that GLFW knows.
+        on_poll: is called whenever the window's events are taken, whether or not it draws.
     """
 
     _rc_canvas_group = BaseCanvasGroup(loop)
@@ -93,7 +98,6 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         self._uploads: rhi.Device | None = None
         self._bitmap: rhi.Texture | None = None
         self._cursor: Any = None
-        self._windowed_bounds = (0, 0, 64, 64)
         self._opengl = opengl
         window = _open_window(opengl)
         try:
@@ -103,6 +107,9 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             raise
         self._window = window
         self._input = WindowInput(window, self.submit_event, self._measure_pixel)
+        self._full_screen = FullScreenState(window, glfw)
+        self.gamepad_source = GlfwGamepads()
+        self.on_poll: Callable[[], object] | None = None
         for listen in (
             glfw.set_framebuffer_size_callback,
             glfw.set_window_content_scale_callback,
@@ -127,23 +134,32 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
 
     @property
     def is_full_screen(self) -> bool:
-        """True if the window fills its display. Setting it changes that; back, it has its old place and
-        size."""
-        return self._window is not None and bool(glfw.get_window_monitor(self._window))
+        """True if the window fills a monitor. Setting it fills the monitor that shows most of the window; back,
+        it has its old position and size."""
+        return self.full_screen_monitor is not None
 
     @is_full_screen.setter
     def is_full_screen(self, full: bool) -> None:
         if self._window is None or full == self.is_full_screen:
             return
-        if full:
-            self._windowed_bounds = (*glfw.get_window_pos(self._window), *glfw.get_window_size(self._window))
-            monitor = glfw.get_primary_monitor()
-            mode = glfw.get_video_mode(monitor)
-            glfw.set_window_monitor(self._window, monitor, 0, 0, *mode.size, mode.refresh_rate)
-        else:
-            windowed: Any = None
-            glfw.set_window_monitor(self._window, windowed, *self._windowed_bounds, glfw.DONT_CARE)
+        (self._full_screen.enter if full else self._full_screen.leave)()
         self._on_change()
+
+    @property
+    def monitors(self) -> list[Monitor]:
+        """The connected monitors, the primary one first."""
+        return self._full_screen.monitors if self._window is not None else []
+
+    @property
+    def full_screen_monitor(self) -> int | None:
+        """The number of the monitor that the window fills, an index of `monitors`; None if it fills none."""
+        return self._full_screen.monitor if self._window is not None else None
+
+    def fill_monitor(self, number: int) -> None:
+        """Fill the monitor `monitors[number]`, also from another one."""
+        if self._window is not None:
+            self._full_screen.enter(number)
+            self._on_change()
 
     # -- sizes ---------------------------------------------------------------------------------------------
 
@@ -176,8 +192,10 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         glfw.poll_events()
         if glfw.window_should_close(self._window):
             self.close()
-        else:
-            self._measure()
+            return
+        self._measure()
+        if self.on_poll is not None:
+            self.on_poll()
 
     def _rc_get_present_info(self, present_methods: list[str]) -> dict[str, Any] | None:
         if not self._opengl:

@@ -48,6 +48,66 @@ def test_an_unknown_page_is_one_line(topic: str, hint: str, capsys: pytest.Captu
     assert len(captured.err.splitlines()) == 1
 
 
+QUESTIONS = [
+    ("how do tests see the instances of draw_many", "questions"),
+    ("what does a new pass bind again", "questions"),
+    ("does .sampled inline cost something", "questions"),
+    ("without geometry stages", "questions"),
+    ("textures of many sizes in one draw", "questions"),
+    ("rendering to all layers", "questions"),
+    ("device memory in use", "questions"),
+    ("recover lost device", "questions"),
+    ("two windows of one device", "questions"),
+    ("film of a scene", "questions"),
+    ("dask frames of my own", "questions"),
+    ("warm-up and its progress", "questions"),
+    ("ship kernel cache", "questions"),
+    ("points and shadows on WebGPU", "questions"),
+    ("what may change before 1.0", "questions"),
+]
+
+
+@pytest.mark.parametrize(("words", "topic"), QUESTIONS)
+def test_words_of_a_question_lead_to_its_answer(
+    words: str, topic: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    best = pages.search(words.split())[0]
+    assert best.topic == topic
+    assert main(["docs", *words.split()]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"## {best.heading}\n")
+    assert f"python -m rhi docs {topic}" in printed
+    assert main(["docs", words]) == 0, "in quotes, too"
+    assert capsys.readouterr().out == printed
+
+
+def test_each_question_has_one_section_of_few_words_and_is_found_by_its_heading() -> None:
+    text = (ROOT / "docs" / "questions.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    assert len(sections) == len(QUESTIONS)
+    for section in sections:
+        heading = section.partition("\n")[0]
+        assert pages.search(heading.split())[0].heading == heading
+        assert len(section.split()) <= 600
+    headings = {pages.search(words.split())[0].heading for words, _ in QUESTIONS}
+    assert len(headings) == len(QUESTIONS), "no two questions have one answer"
+
+
+def test_a_word_that_is_no_page_is_searched_and_a_misspelt_page_is_not(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["docs", "dask"]) == 0
+    assert "dask" in capsys.readouterr().out.lower()
+    assert main(["docs", "xyzzyx", "plughx"]) == 2
+    assert capsys.readouterr().err.startswith("error: no page has xyzzyx or plughx")
+
+
+def test_comments_of_programs_are_no_headings() -> None:
+    headings = {section.heading for section in pages.search(["python"])}
+    assert not any(heading.startswith("a value") for heading in headings)
+    assert all(section.text.count("```") % 2 == 0 for section in pages.search(["python"]))
+
+
 def test_a_browser_gets_the_page(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)

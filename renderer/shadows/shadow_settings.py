@@ -38,6 +38,7 @@ class ShadowSettings:
         max_atlas_size: the greatest width of the texture that holds all maps, a power of two.
         budget: how many maps of far local lights, those of at most `far_size` texels, are drawn again in a
             frame.
+        far_size: the greatest width in texels of the maps of far lights, which `budget` limits.
         bias: 1 moves compared points by what texel size and angle call for; 0 shows what that is for.
         back_faces: whether the casters' back faces are drawn instead of their front faces.
     """

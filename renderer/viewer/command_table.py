@@ -87,6 +87,10 @@ class CommandTable:
             refuse_word(rules.UNKNOWN_COMMAND, "command", name, self._commands)
         return self._commands[name]
 
+    def add(self, command: ViewerCommand) -> None:
+        """Add a command, such as that of a screen."""
+        self._commands[command.name] = command
+
     def run(self, line: str) -> str:
         """Run a line and return its message. An empty line, or a comment that begins with #, does nothing.
 

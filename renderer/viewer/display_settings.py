@@ -155,10 +155,17 @@ class TextureViewLayer:
 
 
 class OriginalState:
-    """The state of a device and a scene before display settings changed them."""
+    """The state of a device and a scene before display settings changed them.
+
+    Attributes:
+        timing: whether the device took times.
+        is_timed: whether times are taken with all display settings, where the device can.
+        shadows: the lights that cast shadows, of each kind.
+    """
 
     def __init__(self, device: Device, scene: Scene) -> None:
         self.timing = device.timing
+        self.is_timed = False
         self.shadows = [lights["casts_shadow"].copy() for lights in _list_lights(scene)]
 
 
@@ -234,9 +241,14 @@ class Configurator:
         for lights, casts in zip(_list_lights(renderer.scene), self._original.shadows, strict=True):
             lights["casts_shadow"] = {"scene": casts, "all": True, "off": False}[display.shadows]
         renderer.layers[:] = [*layers, *self._always]
-        shows_times = display.overlay and renderer.device.capabilities.timestamps
-        renderer.device.timing = self._original.timing or shows_times
         self.display, self._applied = display, made_for
+        self.update_timing()
+
+    def update_timing(self) -> None:
+        """Take times of the device's work if the overlay or a panel shows them."""
+        device = self._renderer.device
+        shows_times = self.display.overlay or self._original.is_timed
+        device.timing = self._original.timing or (shows_times and device.capabilities.timestamps)
 
     def list_show_choices(self, camera: Camera) -> list[str]:
         """The names that can be shown: the image, `INSPECTIONS`, and the textures of the technique's plan."""

@@ -29,6 +29,7 @@ _BOX: Final = srgb("#e8b64c")
 _TRIANGLE: Final = srgb("#ffffff")
 _PAD: Final = 8
 _CONSOLE_LINES: Final = 16  # of the console
+_CONSOLE_LINES_WITH_HELP: Final = 6  # of it, while the keys are shown above it
 _EDGES: Final = [(a, b) for a in range(8) for b in range(8) if a < b and (a ^ b).bit_count() == 1]
 
 
@@ -90,19 +91,22 @@ class InterfaceLayer:
         width, height = image.size
         state = self.state
         self._mark(frame.camera, (width, height))
+        top, above = 0, height
         if state.corner:
+            if state.console is not None:  # the room is scarce: help begins below this line
+                top = self._line_height + 2 * _PAD * self.scale
             wide = canvas.measure(state.corner, self.scale)[0]
             self._add_text((width - wide) // 2, _PAD * self.scale, [(state.corner, False)])
         bottom = height - _PAD * self.scale
         if state.console is not None:
-            self._add_console(ScreenRectangle(0, 0, width, bottom))
+            above = self._add_console(ScreenRectangle(0, 0, width, bottom))
         elif state.notes and state.help is None:
             notes = self._wrap(state.notes, width - 4 * _PAD * self.scale)
             self._add_text(
                 2 * _PAD * self.scale, bottom - self._line_height * len(notes) - _PAD * self.scale, notes
             )
         if state.help is not None:
-            self._add_help(width, height)
+            self._add_help(ScreenRectangle(0, top, width, above - top))
         if not len(canvas):
             return
         with device.event("interface"), device.render_pass(image):
@@ -141,18 +145,38 @@ class InterfaceLayer:
             for part in ([text] if len(text) <= most else wrap(text, most) or [""])
         ]
 
-    def _add_help(self, width: int, height: int) -> None:
+    def _add_help(self, room: ScreenRectangle) -> None:
+        """Add the keys in the middle of a part of the image, in as many columns as it takes. Rows for which there
+        is no room are left out, and the last line says so."""
         canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
         rows = self.state.help or ()
-        keys, texts = ("\n".join(column) for column in zip(*rows, strict=True))
-        left, right = canvas.measure(keys, scale)[0], canvas.measure(texts, scale)[0]
-        wide, high = left + right + 2 * pad, self._line_height * len(rows)
-        x, y = max((width - wide) // 2, pad), max((height - high) // 2, pad)
+        lines = min((room.height - 2 * pad) // self._line_height, len(rows))
+        if lines < 1:
+            return
+        columns: list[tuple[str, str, int, int]] = []
+        wide = 0
+        for first in range(0, len(rows), lines):
+            keys, texts = ("\n".join(words) for words in zip(*rows[first : first + lines], strict=True))
+            left, right = canvas.measure(keys, scale)[0], canvas.measure(texts, scale)[0]
+            more = left + right + (4 if columns else 2) * pad
+            if columns and wide + more + 2 * pad > room.width:
+                break
+            columns.append((keys, texts, left, right))
+            wide += more
+        x, high = max((room.width - wide) // 2, pad), self._line_height * lines
+        y = max(room.y + (room.height - high) // 2, pad)
         canvas.rect(x - pad, y - pad, wide + 2 * pad, high + 2 * pad, _PANEL)
-        canvas.text(x, y, keys, _TEXT, scale)
-        canvas.text(x + left + 2 * pad, y, texts, _DIM, scale)
+        if len(columns) * lines < len(rows):
+            keys, texts, left, right = columns[-1]
+            keys, texts = (column.rpartition("\n")[0] for column in (keys, texts))
+            columns[-1] = f"{keys}\n...", f"{texts}\nmore in a larger window", left, right
+        for keys, texts, left, right in columns:
+            canvas.text(x, y, keys, _TEXT, scale)
+            canvas.text(x + left + 2 * pad, y, texts, _DIM, scale)
+            x += left + right + 4 * pad
 
-    def _add_console(self, box: ScreenRectangle) -> None:
+    def _add_console(self, box: ScreenRectangle) -> int:
+        """Add the console at the bottom of a part of the image, and return the row of its upper edge."""
         canvas = self._canvas
         scale = self.scale
         pad = _PAD * self.scale
@@ -163,7 +187,8 @@ class InterfaceLayer:
             if state.choices
             else state.console or ()
         )
-        room = max(min(_CONSOLE_LINES, (box.height - 2 * pad) // row - 1), 0)
+        most = _CONSOLE_LINES if state.help is None else _CONSOLE_LINES_WITH_HELP
+        room = max(min(most, (box.height - 2 * pad) // row - 1), 0)
         lines = self._wrap(lines[max(len(lines) - room, 0) :], box.width - 2 * pad)
         lines = lines[max(len(lines) - room, 0) :]
         top = box.y + box.height - row * (len(lines) + 1) - pad
@@ -173,6 +198,7 @@ class InterfaceLayer:
         canvas.text(box.x + pad, below, f"> {state.line}", _TEXT, scale)
         before = canvas.measure(f"> {state.line[: state.cursor]}", scale)[0]
         canvas.rect(box.x + pad + before, below, 2 * scale, row, _CURSOR)
+        return top - pad
 
     def _mark(self, camera: Camera, size: tuple[int, int]) -> None:
         """Add the edges of the box and of the triangle, as the camera sees them."""

@@ -10,6 +10,8 @@ KEY_BINDINGS: Final[dict[str, tuple[str, str]]] = {
     "F1": ("keys", "what the keys do"),
     "F2": ("console", "the console; Tab completes, arrows up and down recall"),
     "`": ("console", ""),
+    "F3": ("panel", "a panel: settings, scene, statistics, times"),
+    "F11": ("fullscreen", "fill the display, or go back to the window"),
     "c": ("drive next", "fly or orbit"),
     "+": ("speed faster", "faster"),
     "-": ("speed slower", "slower"),
@@ -37,8 +39,28 @@ MOTION: Final = (
     ("arrows, left button", "turn"),
     ("right or middle button", "drag sideways and up"),
     ("wheel, pinch, two fingers", "nearer and farther; in orbit, closer"),
+    ("controller: sticks, triggers", "move, turn, down and up; LB RB slower and faster"),
 )
 """The keys and gestures that move the camera, and what they do."""
+
+
+GAMEPAD_BINDINGS: Final[dict[str, tuple[str, str]]] = {
+    "left_bumper": ("speed slower", "slower"),
+    "right_bumper": ("speed faster", "faster"),
+    "a": ("pick", "pick what is in the middle of the image"),
+    "b": ("clear", "forget what was picked, hide the keys"),
+    "x": ("technique next", "the next technique"),
+    "y": ("show next", "the next buffer or image of the frame"),
+    "start": ("pause", "pause the scene's time, or resume it"),
+    "back": ("keys", "what the keys do"),
+    "left_thumb": ("drive next", "fly or orbit"),
+    "right_thumb": ("fullscreen", "fill the display, or go back to the window"),
+    "dpad_up": ("overlay", "the overlay"),
+    "dpad_right": ("visibility next", "the next visibility algorithm"),
+    "dpad_down": ("panel", "the panel"),
+    "dpad_left": ("shadows next", "the shadows of the scene, of all lights, none"),
+}
+"""By a controller's button: the line that it runs, and what it does. Sticks and triggers move the camera."""
 
 
 def list_cameras(scene: Scene) -> list[str]:

@@ -106,7 +106,7 @@ class ViewerSession:
             RhiError: what refuses to draw it.
         """
         original = OriginalState(self.renderer.device, scene)
-        original.timing = self._original.timing
+        original.timing, original.is_timed = self._original.timing, self._original.is_timed
         opened = self._open(self.renderer.device, scene, self.renderer.size, self.display, original)
         try:
             self._draw_offscreen(opened[0])
@@ -202,6 +202,21 @@ class ViewerSession:
         else:  # which are read when a scene is uploaded
             renderer = self.renderer
             self._take(*self._open(renderer.device, self.scene, renderer.size, display, self._original))
+
+    @property
+    def is_timed(self) -> bool:
+        """True if times of the device's work are taken, with all display settings. Setting it changes that."""
+        return self._original.is_timed
+
+    @is_timed.setter
+    def is_timed(self, on: bool) -> None:
+        self._original.is_timed = on
+        self._configurator.update_timing()
+
+    @property
+    def latest_result(self) -> FrameResult | None:
+        """The latest frame; None before the first one, and after another scene is shown."""
+        return self._result
 
     def list_show_choices(self) -> list[str]:
         """The names of all images that a frame can show."""

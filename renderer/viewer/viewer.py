@@ -15,6 +15,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Final
 
+import numpy as np
+
 from renderer import rules
 from renderer.layers.canvas import Font
 from renderer.scene import Camera, Scene
@@ -27,10 +29,13 @@ from renderer.viewer.console import Console
 from renderer.viewer.display_settings import DisplaySettings
 from renderer.viewer.hot_reload import FileReloader
 from renderer.viewer.interface import InterfaceLayer, InterfaceState
-from renderer.viewer.key_bindings import command_for_key, list_key_bindings
+from renderer.viewer.key_bindings import GAMEPAD_BINDINGS, command_for_key, list_key_bindings
 from renderer.viewer.session import ViewerSession
 from rhi import Device, RhiError, Texture
 from rhi.errors import refuse
+from rhi.math import Floats
+from rhi_screen.controllers import FAST_FACTOR
+from rhi_screen.gamepads import Gamepads
 from rhi_screen.gestures import Event, Gestures
 
 _NOTE_SECONDS: Final = 4.0  # seconds that a line is shown without the console
@@ -51,6 +56,7 @@ class Viewer:
         clock: returns the time in seconds.
         has_keys: whether the keys are listed.
         is_over: whether it has quit.
+        gamepads: the game controllers that move the camera; on a screen, those of the screen.
         set_size: draws the next frames in so many physical pixels; on a screen, asks its canvas for them.
     """
 
@@ -79,6 +85,7 @@ class Viewer:
         self.console = Console(self.commands, self.run)
         self.has_keys = False
         self.is_over = False
+        self.gamepads = Gamepads()
         self._gestures = Gestures()
         self._server: CommandServer | None = None
         self._queue: deque[str] = deque()
@@ -94,10 +101,17 @@ class Viewer:
     @property
     def is_moving(self) -> bool:
         """True if the next frame may differ without an event."""
-        return bool(self.session.is_moving or self._gestures.has_pressed_keys or self._queue or self._notes)
+        return bool(
+            self.session.is_moving
+            or self._gestures.has_pressed_keys
+            or self.gamepads.is_pushed
+            or self._queue
+            or self._notes
+        )
 
     def handle(self, event: Event) -> None:
-        """Handle an event of rendercanvas. Events that it doesn't know are ignored."""
+        """Handle an event of rendercanvas or of a game controller (`rhi_screen.gamepads`). Events that it doesn't
+        know are ignored."""
         if not self.is_moving:
             self._last = self.clock()  # the time in which nothing was drawn moves nothing
         match event["event_type"]:
@@ -112,6 +126,15 @@ class Viewer:
                 self._handle_pointer(event)
             case "pointer_leave":
                 self._pointer = None
+            case "gamepad_button_down":
+                line, _ = GAMEPAD_BINDINGS.get(event["button"], ("", ""))
+                if line == "pick":
+                    width, height = self.session.renderer.size
+                    line = f"pick {width // 2},{height // 2}"
+                if line:
+                    self.run(line)
+            case "gamepad_connected":
+                self.show_message(f"controller: {event['name']}")
 
     def _handle_key(self, event: Event) -> None:
         key = str(event["key"])
@@ -298,7 +321,7 @@ class Viewer:
         now = self.clock()
         self._run_waiting(now)
         self.file_reloader.update()
-        self.session.move(*self._gestures.pushes(), now - self._last)
+        self.session.move(*self._pushes(), now - self._last)
         self._last = now
         while self._notes and self._notes[0][0] < now:
             self._notes.popleft()
@@ -314,6 +337,16 @@ class Viewer:
         self.file_reloader.close()
         self.session.close()
         self._interface.destroy()
+
+    def _pushes(self) -> tuple[Floats, Floats]:
+        """Push (3,) and turn (3,) of the camera by keys and controllers."""
+        push, turn = self._gestures.pushes()
+        if not self.gamepads.is_pushed:
+            return push, turn
+        self._take_over()
+        stick_push, stick_turn = self.gamepads.motion()
+        limited = np.clip(push + stick_push, -FAST_FACTOR, FAST_FACTOR)
+        return limited, np.clip(turn + stick_turn, -1.0, 1.0)
 
     def _describe(self) -> InterfaceState:
         session = self.session

@@ -10,18 +10,25 @@ import os
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from renderer import rules
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
+from renderer.viewer.command_table import Parameter, ViewerCommand
+from renderer.viewer.commands import switch
 from renderer.viewer.display_settings import DisplaySettings
 from renderer.viewer.viewer import Viewer
-from rhi import Reloader, RhiError
+from rhi import Reloader, RhiError, Texture
+from rhi.errors import DeviceError
 from rhi_screen import Screen, open_screen
 from rhi_screen.canvases import get_loop
 from rhi_screen.gestures import Event
+from rhi_screen.rules import INSTALL, SCREEN_MISSING
+
+if TYPE_CHECKING:
+    from renderer.viewer.panel import Panel
 
 _LISTENING: Final = 10.0  # frames a second
 
@@ -33,6 +40,7 @@ class ViewerScreen:
         viewer, screen: these.
         frames: how many frames were shown.
         end_after: how many there are to be, None for no end.
+        panel: the panel of settings, scene, statistics and times, while it is open.
     """
 
     def __init__(self, viewer: Viewer, screen: Screen) -> None:
@@ -42,9 +50,12 @@ class ViewerScreen:
         self.screen = screen
         self.frames = 0
         self.end_after: int | None = None
+        self.panel: Panel | None = None
         self._is_closed = False
-        viewer.session.renderer.show = screen.show
+        viewer.session.renderer.show = self._show
         viewer.set_size = self._set_size
+        viewer.gamepads = screen.gamepads
+        self._add_commands()
         loop = get_loop(screen.canvas)
         if loop is not None:
 
@@ -54,6 +65,7 @@ class ViewerScreen:
 
             viewer.file_reloader.wake = wake
         screen.canvas.add_event_handler(self._handle, "*")
+        screen.gamepads.add_handler(self._handle)
         screen.canvas.request_draw(self.draw)
 
     def run(self) -> None:
@@ -70,12 +82,70 @@ class ViewerScreen:
         """Draw and show a frame; the canvas calls this."""
         viewer, canvas = self.viewer, self.screen.canvas
         viewer.resize(self.screen.size, canvas.get_pixel_ratio())
+        self.screen.gamepads.poll()
+        if self.panel is not None:
+            self.panel.apply_changes()
         viewer.draw()
         self.frames += 1
+        needs_frame = self.panel is not None and self.panel.needs_frame
         if viewer.is_over or self.frames == self.end_after:
             canvas.close()
-        elif viewer.is_moving or self.end_after is not None:
+        elif viewer.is_moving or needs_frame or self.end_after is not None:
             canvas.request_draw()
+
+    def _show(self, image: Texture) -> None:
+        """Draw the panel over a frame's image, and show it."""
+        if self.panel is not None:
+            self.panel.draw(image)
+        self.screen.show(image)
+
+    def open_panel(self, on: bool = True) -> None:
+        """Open the panel, or close it.
+
+        Raises:
+            DeviceError: `screen-missing` without imgui-bundle.
+        """
+        if on == (self.panel is not None):
+            return
+        if self.panel is not None:
+            panel, self.panel = self.panel, None
+            panel.close()
+            return
+        try:
+            from renderer.viewer.panel import Panel
+        except ImportError as error:
+            raise DeviceError(SCREEN_MISSING, "panel", "imgui-bundle is missing", "", INSTALL) from error
+        self.panel = Panel(self.screen, self.viewer)
+
+    def _add_commands(self) -> None:
+        """Add the commands that need a screen."""
+        add, screen = self.viewer.commands.add, self.screen
+        add(
+            switch(
+                "panel",
+                "open a panel with settings, the scene, statistics and times",
+                lambda: self.panel is not None,
+                self.open_panel,
+                is_silent=True,
+            )
+        )
+
+        def fill(word: str | None = None) -> str:
+            if word is not None and word not in _SWITCH:
+                screen.fill_monitor(int(word) - 1)
+            else:
+                screen.is_full_screen = _SWITCH.get(word or "", not screen.is_full_screen)
+            return ""
+
+        def list_words() -> list[str]:
+            return [*_SWITCH, *(str(number + 1) for number in range(len(screen.monitors)))]
+
+        words = Parameter("on|off|MONITOR", words=list_words, is_exhaustive=True, is_optional=True)
+        add(
+            ViewerCommand(
+                "fullscreen", "fill the monitor of the window or another one, or go back", fill, (words,)
+            )
+        )
 
     def _set_size(self, size: tuple[int, int]) -> None:
         """Request so many physical pixels from the canvas. The next frames have the size that it grants."""
@@ -86,6 +156,7 @@ class ViewerScreen:
         """Destroy the viewer and close the screen. A second call does nothing."""
         if not self._is_closed:
             self._is_closed = True
+            self.open_panel(False)
             self.viewer.close()
             self.screen.close()
 
@@ -95,6 +166,7 @@ class ViewerScreen:
             self.screen.canvas.request_draw()
 
 
+_SWITCH: Final = {"on": True, "off": False}
 _SILENT: Final = frozenset({"before_draw", "animate", "close", "pointer_enter"})
 
 

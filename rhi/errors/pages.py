@@ -1,7 +1,11 @@
-"""The pages of the documentation that are installed with the package: `python -m rhi docs TOPIC`."""
+"""The pages of the documentation that are installed with the package: `python -m rhi docs TOPIC`, or words to
+search for."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from html import escape
 from pathlib import Path
@@ -20,8 +24,67 @@ _HTML: Final = """\
 """
 
 
+_COMMON_WORDS: Final = frozenset(
+    [
+        "a",
+        "an",
+        "and",
+        "are",
+        "at",
+        "can",
+        "do",
+        "does",
+        "for",
+        "from",
+        "how",
+        "i",
+        "in",
+        "is",
+        "it",
+        "my",
+        "of",
+        "on",
+        "or",
+        "that",
+        "the",
+        "this",
+        "to",
+        "what",
+        "when",
+        "which",
+        "with",
+    ]
+)
+"""Words of questions that say nothing about what is asked."""
+_HEADING_SCORE: Final = 8
+_MAX_COUNT: Final = 3  # occurrences of a word in a section that count
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page from one heading to the next.
+
+    Attributes:
+        topic: the page.
+        heading: the words of the heading.
+        text: the part as Markdown, with the heading.
+    """
+
+    topic: str
+    heading: str
+    text: str
+
+
 class UnknownPageError(LookupError):
-    """There is no such page; the message says which there are."""
+    """There is no such page; the message says which there are.
+
+    Attributes:
+        close: topics with similar names.
+    """
+
+    def __init__(self, message: str, close: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.close = tuple(close)
 
     def __str__(self) -> str:
         return str(self.args[0])
@@ -51,8 +114,54 @@ def read_page(topic: str) -> str:
     if len(matches) != 1:
         close = matches or get_close_matches(topic, topics, 3)
         hint = f"did you mean {', '.join(close)}? " if close else ""
-        raise UnknownPageError(f"there is no page {topic!r}; {hint}`python -m rhi docs` lists the topics")
+        raise UnknownPageError(
+            f"there is no page {topic!r}; {hint}`python -m rhi docs` lists the topics", close
+        )
     return (_folder() / f"{matches[0]}.md").read_text(encoding="utf-8")
+
+
+def search(words: Sequence[str]) -> list[Section]:
+    """Return the sections that have most of some words, the best first.
+
+    A word counts wherever it begins one, in capitals or not, and more in a heading. Words such as "how" don't
+    count beside others.
+
+    Raises:
+        UnknownPageError: no section has any of the words.
+    """
+    asked = [word for text in words for word in re.findall(r"[\w.]+", text.lower())]
+    asked = [word for word in asked if word not in _COMMON_WORDS] or asked
+    patterns = [re.compile(rf"\b{re.escape(_stem(word))}", re.IGNORECASE) for word in asked]
+    scores: dict[Section, tuple[int, int]] = {}
+    for section in _list_sections():
+        counts = [min(len(pattern.findall(section.text)), _MAX_COUNT) for pattern in patterns]
+        in_heading = sum(bool(pattern.search(section.heading)) for pattern in patterns)
+        if any(counts):
+            scores[section] = sum(count > 0 for count in counts), sum(counts) + _HEADING_SCORE * in_heading
+    if not scores:
+        raise UnknownPageError(f"no page has {' or '.join(asked)}; `python -m rhi docs` lists the topics")
+    return sorted(scores, key=scores.__getitem__, reverse=True)
+
+
+def _stem(word: str) -> str:
+    """Return the beginning that other forms of a word share: "render" of "rendering"."""
+    word = word.strip(".")
+    return re.sub(r"(?<=\w{4})(ing|ed|s)$", "", word)
+
+
+def _list_sections() -> Iterator[Section]:
+    """Split all pages at their headings, but not at comments of programs."""
+    for topic in list_topics():
+        heading, in_program = "", False
+        lines: list[str] = []
+        page = (_folder() / f"{topic}.md").read_text(encoding="utf-8")
+        for line in [*page.splitlines(), "# "]:
+            in_program ^= line.startswith("```")
+            if line.startswith("#") and not in_program:
+                if heading:
+                    yield Section(topic, heading, "\n".join(lines).rstrip())
+                heading, lines = line.strip("# "), []
+            lines.append(line)
 
 
 def write_html(text: str) -> Path:

@@ -26,7 +26,7 @@ from rhi.backends.wgpu import find_obstacle
 
 pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[viewer]")
 
-from rhi_screen import Screen, open_screen
+from rhi_screen import Screen, SimulatedGamepads, open_screen
 
 Check = Callable[..., None]
 requires_xdotool = pytest.mark.skipif(
@@ -147,6 +147,68 @@ def check_full_screen(display: Display, backend: str) -> None:
                 assert shows(display, screen, image)
 
         play(screen, steps())
+
+
+def check_old_rectangle(display: Display) -> None:
+    import glfw
+
+    with open_screen("gl", size=SIZE, update_mode="fastest") as screen:
+        window = screen.canvas._window
+
+        def steps() -> Iterator[None]:
+            glfw.set_window_pos(window, 77, 55)
+            yield
+            assert [monitor.width for monitor in screen.monitors] == [640]
+            for _ in range(2):
+                screen.fill_monitor(0)
+                yield
+                assert (screen.canvas.full_screen_monitor, screen.size) == (0, (640, 480))
+                screen.is_full_screen = False
+                yield
+                assert (*glfw.get_window_pos(window), *glfw.get_window_size(window)) == (77, 55, *SIZE)
+            with pytest.raises(rhi.ValidationError, match="device-argument"):
+                screen.fill_monitor(1)
+
+        play(screen, steps())
+
+
+def test_a_window_comes_back_to_its_rectangle_from_full_screen(windows: Check) -> None:
+    windows(check_old_rectangle)
+
+
+def check_gamepads(display: Display) -> None:
+    """Nothing requests a draw but the controller, which is connected after some time."""
+    with open_screen("gl", size=SIZE) as screen:
+        source = screen.gamepads.source = SimulatedGamepads()
+        buttons: list[str] = []
+
+        def note(event: dict[str, Any]) -> None:
+            buttons.append(event["button"])
+            screen.canvas.request_draw()
+
+        screen.gamepads.add_handler(note, "gamepad_button_down")
+        poll = screen.canvas.on_poll
+        polls: list[None] = []
+
+        def press_later() -> None:
+            polls.append(None)
+            if len(polls) == 5:
+                source.set(0, buttons=("start",))
+            poll()
+
+        screen.canvas.on_poll = press_later
+
+        def draw() -> None:
+            screen.show(make_image(screen))
+            if buttons:
+                screen.canvas.close()
+
+        screen.run(draw)
+        assert buttons == ["start"]
+
+
+def test_a_controller_wakes_a_window_that_draws_nothing(windows: Check) -> None:
+    windows(check_gamepads)
 
 
 @pytest.mark.parametrize("backend", ["gl", "wgpu"])
