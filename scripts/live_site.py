@@ -106,6 +106,7 @@ NOT_LIVE: Final = {
     "film": "it starts processes",
     "life": "the core profile has no images of R8UI",
     "occlusion": "the core profile has no conditional rendering",
+    "text": "it needs Pillow, which the page does not load",
 }
 """The programs of the gallery that don't run in a page, and why."""
 
