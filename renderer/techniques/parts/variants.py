@@ -147,12 +147,12 @@ def _list_switches(bases: tuple[type[Any], ...], names: tuple[str, ...]) -> list
 def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[str, Any]:
     """Bindings of a program: its `own`, and for all other names those of `FrameBindings`."""
     key, descriptor = (bind, program, *own), program.descriptor
-    last = frame.values.get(key)
+    last: tuple[object, list[str], dict[str, Any]] | None = frame.values.get(key)
     if last is None or last[0] is not descriptor:
         bindings = FrameBindings(frame)
         names = [binding.name for binding in descriptor.bindings if not binding.table]
         moving = [name for name in names if name in FOLLOW_CAMERA and name not in own]
-        bound = {name: own[name] if name in own else bindings[name] for name in names}
+        bound: dict[str, Any] = {name: own[name] if name in own else bindings[name] for name in names}
         frame.values[key] = descriptor, moving, bound
         return bound
     _, moving, bound = last
