@@ -257,7 +257,7 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     ]
     group = device.create_bind_group(layout=layout, entries=entries)
     buffers = [device.create_buffer_with_data(data=part, usage=usage.VERTEX) for part in work.corners]
-    pairs = [(each, 256 * number) for number, each in enumerate(buffers)]
+    pairs = [(uniform_buffer, 256 * number) for number, uniform_buffer in enumerate(buffers)]
     view = device.create_texture(
         size=(64, 64, 1), format="rgba8unorm", usage=wgpu.TextureUsage.RENDER_ATTACHMENT
     )
@@ -290,15 +290,15 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
 def measure_draws(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
     work = Work("gl", arguments.draws, arguments.triangles)
-    devices, own = [work.device], work.device.backend_as(GlBackend)
+    devices, gl_backend = [work.device], work.device.backend_as(GlBackend)
     with ExitStack() as opened:
         variants = work.list_variants()
         work.open_pass(opened)
         variants["device.draw"]()  # makes the vertex arrays that the bare loop draws
         opened.close()
-        bare_program = own.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
-        position = own.context.buffer(work.corners[0].tobytes())
-        vertex_array = own.context.vertex_array(bare_program, [(position, "2f", "position")])
+        bare_program = gl_backend.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
+        position = gl_backend.context.buffer(work.corners[0].tobytes())
+        vertex_array = gl_backend.context.vertex_array(bare_program, [(position, "2f", "position")])
         set_offset, set_color = bare_program["offset"], bare_program["color"]
         numbers = [tuple(map(tuple, (row["offset"].tolist(), row["color"].tolist()))) for row in work.rows]
 
@@ -327,7 +327,7 @@ def measure_draws(arguments: argparse.Namespace) -> Iterator[Record]:
             )
 
         if not arguments.rasterize:
-            own.gl.Enable(RASTERIZER_DISCARD)
+            gl_backend.gl.Enable(RASTERIZER_DISCARD)
         rows = subjects(work, {"bare moderngl": make_bare_gl(work), **variants})
         if arguments.wgpu:
             other = Work("wgpu", arguments.draws, arguments.triangles)
@@ -428,9 +428,9 @@ def measure_scopes(count: int, rounds: int) -> Iterator[Record]:
 
         def open_pass(name: str) -> None:
             opened.close()
-            for each in (device, timed):
-                each.present()
-                each.finish()
+            for open_device in (device, timed):
+                open_device.present()
+                open_device.finish()
             if name in in_pass:
                 opened.enter_context(render_pass(image))
 

@@ -173,12 +173,12 @@ ROWS: Final[dict[str, tuple[int, Callable[[str], Iterator[Callable[[int], None]]
 def count_here() -> dict[str, float]:
     """Return the resources of this process."""
     gc.collect()
-    own = Path("/proc/self")
+    process_folder = Path("/proc/self")
     return {
         "RSS, MiB": round(resident_bytes() / 2**20, 1),
-        "descriptors": len(os.listdir(own / "fd")),
-        "threads": len(os.listdir(own / "task")),
-        "maps": len((own / "maps").read_bytes().splitlines()),
+        "descriptors": len(os.listdir(process_folder / "fd")),
+        "threads": len(os.listdir(process_folder / "task")),
+        "maps": len((process_folder / "maps").read_bytes().splitlines()),
     }
 
 

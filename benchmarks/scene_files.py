@@ -37,7 +37,7 @@ def make_grid(side: int, seed: int) -> MeshGeometry:
     heights = np.random.default_rng(seed).uniform(0, 1, side * side)
     first = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).reshape(-1, 1)
     corners = np.array([[0, side, 1], [1, side, side + 1]])
-    triangles = np.concatenate([first + each for each in corners])
+    triangles = np.concatenate([first + corner for corner in corners])
     return make_geometry(np.stack([x, heights, y], 1), triangles, uv=np.stack([x, y], 1) / side)
 
 
@@ -80,8 +80,8 @@ def add_images(path: Path) -> list[bytes]:
 
 
 def decode(images: list[bytes]) -> None:
-    for each in images:
-        np.asarray(Image.open(io.BytesIO(each)).convert("RGBA"))
+    for image in images:
+        np.asarray(Image.open(io.BytesIO(image)).convert("RGBA"))
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
@@ -99,7 +99,7 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
             "decoding": lambda: decode(images),
         }
         total = sum(map(len, images))
-        sizes = [(folder / f"{each}.glb").stat().st_size for each in ("mesh", "meshes")]
+        sizes = [(folder / f"{stem}.glb").stat().st_size for stem in ("mesh", "meshes")]
         sizes += [total + sum(file.stat().st_size for file in folder.glob("images.*")), total]
         subjects = [
             Subject({"file": what, "megabytes": round(size / 1e6)}, lambda _, run=run: run())

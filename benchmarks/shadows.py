@@ -46,10 +46,10 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
             with ExitStack() as opened:
                 resting, moving = [], []
                 for variant, (option, kind) in variants.items():
-                    own = settings if kind is None else settings.change("shadows.filter", kind)
+                    kind_settings = settings if kind is None else settings.change("shadows.filter", kind)
                     scene = load_scene(name + option)
-                    renderer = opened.enter_context(own.open(device, scene, arguments.size))
-                    eye = own.adapt_camera(scene.views[view])
+                    renderer = opened.enter_context(kind_settings.open(device, scene, arguments.size))
+                    eye = kind_settings.adapt_camera(scene.views[view])
                     positions = (
                         eye.position
                         + np.arange(1, arguments.rounds + 1)[:, None] * (0.4, 0.0, 0.0)

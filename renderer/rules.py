@@ -228,7 +228,7 @@ TOO_MANY_MATERIALS: Final = Rule(
 MISSING_BINDING: Final = Rule(
     "technique-missing-binding",
     "a shader binds a name that its frame doesn't provide",
-    "pass values that only this shader uses with the draw (own={name: ...}), or add it to `FrameBindings`",
+    "pass values that only this shader uses with the draw (shader_bindings={name: ...}), or add it to `FrameBindings`",
 )
 NO_WIREFRAME: Final = Rule(
     "technique-no-wireframe", "a wireframe needs a device that draws the edges of triangles"

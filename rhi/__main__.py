@@ -48,17 +48,17 @@ functions of OpenCL.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the report, or run `trace …`, `shading …`, `new …`, `new-backend …` or `docs …`. Return 0 if a
     backend that renders works, else 1."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["trace"]:
-        return trace_cli.main(given[1:])
-    if given[:1] == ["shading"]:
-        return accuracy.main(given[1:])
-    if given[:1] == ["new"]:
-        return _new(given[1:])
-    if given[:1] == ["new-backend"]:
-        return _new_backend(given[1:])
-    if given[:1] == ["docs"]:
-        return _docs(given[1:])
+    command_line = list(sys.argv[1:] if arguments is None else arguments)
+    if command_line[:1] == ["trace"]:
+        return trace_cli.main(command_line[1:])
+    if command_line[:1] == ["shading"]:
+        return accuracy.main(command_line[1:])
+    if command_line[:1] == ["new"]:
+        return _new(command_line[1:])
+    if command_line[:1] == ["new-backend"]:
+        return _new_backend(command_line[1:])
+    if command_line[:1] == ["docs"]:
+        return _docs(command_line[1:])
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         usage="%(prog)s [-h] [--json]\n       %(prog)s COMMAND …",
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    options = parser.parse_args(given)
+    options = parser.parse_args(command_line)
     reports = rhi.report()
     print(json.dumps(_as_json(reports), indent=2) if options.json else _as_text(reports))
     return 0 if any(r.capabilities and r.capabilities.renders for r in reports) else 1
@@ -207,7 +207,7 @@ def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {
-        name: sorted(each.__name__ if isinstance(each, type) else each.name for each in value)
+        name: sorted(member.__name__ if isinstance(member, type) else member.name for member in value)
         if isinstance(value, frozenset)
         else value
         for name, value in values.items()

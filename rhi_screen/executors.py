@@ -358,8 +358,8 @@ def list_cpus() -> list[int]:
 def partition_cpus(count: int) -> list[list[int]]:
     """The CPUs of each of `count` processes: as many for each, none twice unless there are fewer."""
     cpus = list_cpus()
-    each = max(len(cpus) // count, 1)
-    return [[cpus[(number * each + i) % len(cpus)] for i in range(each)] for number in range(count)]
+    share = max(len(cpus) // count, 1)
+    return [[cpus[(number * share + i) % len(cpus)] for i in range(share)] for number in range(count)]
 
 
 @contextmanager

@@ -202,18 +202,18 @@ class ImGuiRenderer:
 
     def _draw(self, data: Any, target_is_srgb: bool) -> None:
         lists = list(data.cmd_lists)
-        vertices = np.concatenate([_view(each.vtx_buffer, _VERTEX) for each in lists])
-        indices = np.concatenate([_view(each.idx_buffer, np.dtype("u4")) for each in lists])
+        vertices = np.concatenate([_view(draw_list.vtx_buffer, _VERTEX) for draw_list in lists])
+        indices = np.concatenate([_view(draw_list.idx_buffer, np.dtype("u4")) for draw_list in lists])
         across, down = data.framebuffer_scale
         rows, first, base = [], 0, 0
-        for each in lists:
-            for command in each.cmd_buffer:
+        for draw_list in lists:
+            for command in draw_list.cmd_buffer:
                 x, y, right, bottom = command.clip_rect
                 left, top = max(int(x * across), 0), max(int(y * down), 0)
                 clip = (left, top, max(int(right * across) - left, 0), max(int(bottom * down) - top, 0))
                 start, corner = first + command.idx_offset, base + command.vtx_offset
                 rows.append((command.get_tex_id(), start, command.elem_count, corner, clip))
-            first, base = first + each.idx_buffer.size(), base + each.vtx_buffer.size()
+            first, base = first + draw_list.idx_buffer.size(), base + draw_list.vtx_buffer.size()
         mesh = self._device.transient.mesh(self._program, vertices, indices)
         size = tuple(data.display_size)
         with self._device.states(BlendFunction.ALPHA, CullMode.NONE, DepthTest.OFF, DepthWrite.OFF):

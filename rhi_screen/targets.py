@@ -126,10 +126,10 @@ class ScreenTargets:
             def make(format: Format, samples: int, label: str) -> Texture:
                 return created.enter_context(device.texture(size, format, samples=samples, label=label))
 
-            drawn = [make(each, self.samples, "screen color") for each in self._formats]
+            drawn = [make(color_format, self.samples, "screen color") for color_format in self._formats]
             images = drawn
             if self.samples > 1:
-                images = [make(each, 1, "screen image") for each in self._formats]
+                images = [make(color_format, 1, "screen image") for color_format in self._formats]
             depth = (
                 None if self._depth_format is None else make(self._depth_format, self.samples, "screen depth")
             )

@@ -94,7 +94,7 @@ class VideoWriter:
                 VIDEO_IMAGE, "VideoWriter.add", "an image after close()", "images before the file is finished"
             )
         texels = read_colors(image, "VideoWriter.add")
-        height, width = (each & ~1 for each in texels.shape[:2])
+        height, width = (length & ~1 for length in texels.shape[:2])
         if self._stream is None and min(width, height) > 0:
             self._stream = self._file.add_stream(self._file.default_video_codec, rate=self._rate)
             self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"

@@ -230,8 +230,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
 
     def _rc_set_logical_size(self, width: float, height: float) -> None:
         if self._window is not None:
-            units = [round(each / self._measure_pixel()) for each in (width, height)]
-            glfw.set_window_size(self._window, *(max(each, 1) for each in units))
+            units = [round(length / self._measure_pixel()) for length in (width, height)]
+            glfw.set_window_size(self._window, *(max(length, 1) for length in units))
             self._measure()
 
     def _rc_close(self) -> None:
@@ -287,5 +287,5 @@ def _open_window(opengl: bool) -> Any:
 
 
 def _unavailable(rule: Rule, message: list[warnings.WarningMessage]) -> DeviceError:
-    reasons = dict.fromkeys(str(each.message).strip() for each in message)
+    reasons = dict.fromkeys(str(warning.message).strip() for warning in message)
     return DeviceError(rule, _CALL, "; ".join(reasons))

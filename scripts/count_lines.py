@@ -33,9 +33,9 @@ def count_python_lines(path: Path) -> int:
     """Return the number of lines of code in a Python file."""
     with path.open("rb") as file:
         tokens = [
-            each
-            for each in tokenize.tokenize(file.readline)
-            if each.type not in (tokenize.COMMENT, tokenize.NL)
+            token_info
+            for token_info in tokenize.tokenize(file.readline)
+            if token_info.type not in (tokenize.COMMENT, tokenize.NL)
         ]
     lines: set[int] = set()
     for before, token, after in zip([None, *tokens], tokens, [*tokens[1:], None], strict=False):

@@ -127,7 +127,9 @@ def run_tests(version: str, numpy: str, arguments: Sequence[str]) -> int:
 def main() -> int:
     """Run the tests everywhere; return 1 if they fail anywhere."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--python", nargs="+", default=[each for each in OLDEST_NUMPY if each != "3.11"])
+    parser.add_argument(
+        "--python", nargs="+", default=[python for python in OLDEST_NUMPY if python != "3.11"]
+    )
     parser.add_argument("--numpy", nargs="+", default=["oldest", "newest"], choices=["oldest", "newest"])
     options, arguments = parser.parse_known_args()
     status = 0

@@ -329,7 +329,9 @@ def list_ratios(text: str, name: str, figure: MeasuredTable, rows: Cells) -> Ite
     base, *others = cells.values()
     for row in others:
         for number, column in enumerate(figure.times, len(figure.columns)):
-            pairs = [(each[titles.index(column)], rows[each[0]][number]) for each in (row, base)]
+            pairs = [
+                (table_row[titles.index(column)], rows[table_row[0]][number]) for table_row in (row, base)
+            ]
             try:
                 (old, new), (old_base, new_base) = [
                     [float(cell.replace(",", "")) for cell in pair] for pair in pairs

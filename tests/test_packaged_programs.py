@@ -60,7 +60,7 @@ def without_metadata(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.usefixtures("without_metadata")
 def test_the_package_has_its_backends_without_metadata() -> None:
     assert sorted(rhi.backend_names()) == sorted(BACKENDS)
-    assert {each.name for each in rhi.report()} == set(BACKENDS)
+    assert {backend.name for backend in rhi.report()} == set(BACKENDS)
     with rhi.create_device("null") as device:
         assert device.backend_name == "null"
     with pytest.raises(rhi.DeviceError, match=r"(?s)device-unknown.*did you mean 'null'"):
@@ -121,7 +121,7 @@ def check(lines: list[str]) -> None:
     assert sorted(lines[0].split()) == sorted(BACKENDS)
     drawn = dict(line.split(" ", 1) for line in lines[1:])
     expected = dict.fromkeys(BACKENDS, "255 0 0 255") | {"null": "0 0 0 0"}
-    usable = {each.name for each in rhi.report() if each.usable}
+    usable = {backend.name for backend in rhi.report() if backend.usable}
     assert {name: drawn[name] for name in usable} == {name: expected[name] for name in usable}
 
 

@@ -44,8 +44,8 @@ def undocumented(module: ModuleType) -> Iterator[str]:
             yield name
         if not inspect.isclass(thing):
             continue
-        own = thing.__dict__.get("__doc__")
-        if not own or own.startswith(f"{name}("):  # what dataclass makes up is no description
+        docstring = thing.__dict__.get("__doc__")
+        if not docstring or docstring.startswith(f"{name}("):  # what dataclass makes up is no description
             yield name
         for attribute, value in vars(thing).items():
             function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)

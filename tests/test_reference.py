@@ -71,9 +71,9 @@ def test_documented_parameters_exist() -> None:
         if inspect.isfunction(entry) and "Args" in sections(entry):
             parameters = set(inspect.signature(entry).parameters)
             wrong += [
-                f"{name}: {each}"
-                for each in documented_parameters(sections(entry)["Args"])
-                if each not in parameters
+                f"{name}: {parameter}"
+                for parameter in documented_parameters(sections(entry)["Args"])
+                if parameter not in parameters
             ]
     assert wrong == []
 
@@ -84,7 +84,7 @@ def test_rules_that_docstrings_name_exist() -> None:
     for name, entry in OBJECTS.items():
         for rule in RULE.findall(sections(entry).get("Raises", "")):
             seen += 1
-            if rule not in rule_ids and not any(each.startswith(rule) for each in rule_ids):
+            if rule not in rule_ids and not any(rule_id.startswith(rule) for rule_id in rule_ids):
                 wrong.append(f"{name}: {rule}")
     assert wrong == []
     assert seen >= 50

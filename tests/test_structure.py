@@ -61,7 +61,7 @@ def read_prose(path: Path) -> tuple[tuple[int, str], ...]:
         tokens = tokenize.tokenize(file.readline)
         kinds = (tokenize.STRING, tokenize.COMMENT)
         return tuple(
-            (each.start[0], each.string) for each in tokens if each.type in kinds and "`" in each.string
+            (token.start[0], token.string) for token in tokens if token.type in kinds and "`" in token.string
         )
 
 
@@ -200,12 +200,12 @@ def list_wrong_imports(folder: Path, leaves: set[str]) -> list[str]:
     """The imports between the modules of techniques that run up, or from one technique to another."""
     wrong = []
     for path in sorted(folder.rglob("*.py")):
-        own = path.relative_to(folder).with_suffix("").parts[0]
-        if own == "__init__":
+        package = path.relative_to(folder).with_suffix("").parts[0]
+        if package == "__init__":
             continue
         allowed = {"parts", "technique"}
         for number, floor in enumerate(FLOORS):
-            if own in floor:
+            if package in floor:
                 allowed |= leaves.union(*FLOORS[number + 1 :])
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("renderer.techniques."):

@@ -107,9 +107,12 @@ def check_prose(path: str, text: str, retired: Sequence[RetiredWord] = RETIRED) 
 def list_foreign_names(text: str) -> set[str]:
     """The names that a program imports from packages that aren't this project's: their words are theirs."""
     nodes = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom))
-    own = ("rhi", "rhi_pytest", "rhi_screen", "renderer")
+    packages = ("rhi", "rhi_pytest", "rhi_screen", "renderer")
     return {
-        alias.name for node in nodes if (node.module or "").split(".")[0] not in own for alias in node.names
+        alias.name
+        for node in nodes
+        if (node.module or "").split(".")[0] not in packages
+        for alias in node.names
     }
 
 

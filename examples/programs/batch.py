@@ -115,7 +115,7 @@ if __name__ == "__main__":
         "--output", type=Path, default=Path("batch"), help="a folder, or the name of the image"
     )
     options = parser.parse_args()
-    width, height = (int(each) for each in options.size.split("x"))
+    width, height = (int(side) for side in options.size.split("x"))
     times, paths = np.arange(options.frames) / 24 + 1.5, [options.output.with_suffix(".png")]
     if options.frames > 1:
         options.output.mkdir(parents=True, exist_ok=True)

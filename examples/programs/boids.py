@@ -46,25 +46,25 @@ class Flock(Shader):
     then: StorageRW[Boid]
 
     def compute(self) -> None:
-        own = self.now[sl.global_id().x]
+        boid = self.now[sl.global_id().x]
         middle, heading, away = vec3(0.0), vec3(0.0), vec3(0.0)
         near = 0.0
         for i in range(COUNT):
             other = self.now[i]
-            gap = other.position - own.position
+            gap = other.position - boid.position
             far = sl.length(gap)
             if far < self.rules.reach and far > 0.0:
                 near += 1.0
                 middle += gap
-                heading += other.velocity - own.velocity
+                heading += other.velocity - boid.velocity
                 away -= gap / (far * far)
-        home = 0.3 if sl.length(own.position) > 3.0 else 0.0
-        push = self.rules.separation * away * 0.02 - own.position * home
+        home = 0.3 if sl.length(boid.position) > 3.0 else 0.0
+        push = self.rules.separation * away * 0.02 - boid.position * home
         if near > 0.0:
             push += (self.rules.cohesion * middle + self.rules.alignment * heading) / near
-        velocity = own.velocity + push * self.rules.seconds * 4.0
+        velocity = boid.velocity + push * self.rules.seconds * 4.0
         velocity = sl.normalize(velocity) * min(max(sl.length(velocity), 0.6), 1.6)
-        position = own.position + velocity * self.rules.seconds
+        position = boid.position + velocity * self.rules.seconds
         self.then[sl.global_id().x] = Boid(position=position, velocity=velocity)
 
 

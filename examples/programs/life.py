@@ -27,8 +27,8 @@ class Generation(sl.Shader):
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 alive += int(self.now.load((at + sl.ivec2(dx, dy) + size) % size).x)
-        own = int(self.now.load(at).x)
-        lives = alive == 3 or (alive == 4 and own == 1)  # the cell itself is counted, too
+        cell = int(self.now.load(at).x)
+        lives = alive == 3 or (alive == 4 and cell == 1)  # the cell itself is counted, too
         self.then.store(at, sl.uvec4(sl.uint(lives), 0, 0, 0))
 
 

@@ -100,12 +100,12 @@ def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
     for number, (key, title) in enumerate(_CHART_COLUMNS.items(), 1):
         axes = figure.add_subplot(1, len(_CHART_COLUMNS), number)
         for test in tests:
-            own = [row for row in rows if tuple(row[name] for name in _TEST_COLUMNS) == test]
-            words = [name.replace("_", " ") for name in ("depth_mask", "pre_filter") if own[0][name]]
-            words += [] if own[0]["cones"] == "sphere" else [f"{own[0]['cones']} cones"]
+            test_rows = [row for row in rows if tuple(row[name] for name in _TEST_COLUMNS) == test]
+            words = [name.replace("_", " ") for name in ("depth_mask", "pre_filter") if test_rows[0][name]]
+            words += [] if test_rows[0]["cones"] == "sphere" else [f"{test_rows[0]['cones']} cones"]
             axes.plot(
-                [row["lights"] for row in own],
-                [row[key] for row in own],
+                [row["lights"] for row in test_rows],
+                [row[key] for row in test_rows],
                 marker=".",
                 label=", ".join((test[0], *words)),
             )

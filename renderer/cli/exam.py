@@ -133,9 +133,11 @@ def format_rows_by_backend(rows: Sequence[ExamRow], *, markdown: bool = False) -
         cells.append([str(number), first.description, first.reference, tolerance, *results])
     counts = []
     for name in backends:
-        own = [row.passed for row in rows if row.backend == name and row.device_use != NOTHING]
-        applied = len(own) - own.count(None)
-        counts.append(f"{name}: {own.count(True)} of {applied} passed, {own.count(None)} not applicable")
+        passes = [row.passed for row in rows if row.backend == name and row.device_use != NOTHING]
+        applied = len(passes) - passes.count(None)
+        counts.append(
+            f"{name}: {passes.count(True)} of {applied} passed, {passes.count(None)} not applicable"
+        )
     others = [row.passed for row in rows if row.backend == backends[0] and row.device_use == NOTHING]
     if others:
         counts.append(f"that ask nothing of a device: {others.count(True)} of {len(others)} passed")

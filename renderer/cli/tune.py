@@ -147,23 +147,23 @@ def write_trials(path: Path, trials: Sequence[Trial]) -> None:
 def plot_trials(trials: Sequence[Trial], finals: Sequence[Trial], title: str, path: Path) -> None:
     """Draw a chart of all trials' values and ratios; circles mark the finalists."""
     with draw_chart(path, title) as figure:
-        both, batch, persistence = figure.subplots(1, 3)
-        points = both.scatter(
+        pair_axes, batch, persistence = figure.subplots(1, 3)
+        points = pair_axes.scatter(
             [t.batch for t in trials],
             [t.persistence for t in trials],
             c=[t.ratio for t in trials],
             cmap="viridis",
         )
-        both.scatter(
+        pair_axes.scatter(
             [t.batch for t in finals],
             [t.persistence for t in finals],
             s=120,
             facecolors="none",
             edgecolors="red",
         )
-        figure.colorbar(points, ax=both)
-        both.set_title("time, default = 1", fontsize="medium")
-        both.set(xscale="log", yscale="log", xlabel="b", ylabel="n")
+        figure.colorbar(points, ax=pair_axes)
+        pair_axes.set_title("time, default = 1", fontsize="medium")
+        pair_axes.set(xscale="log", yscale="log", xlabel="b", ylabel="n")
         for axes, name, label in ((batch, "batch", "b"), (persistence, "persistence", "n")):
             axes.scatter([getattr(t, name) for t in trials], [t.ratio for t in trials], s=12, color="#4477aa")
             axes.axhline(1.0, color="grey", linewidth=0.8)

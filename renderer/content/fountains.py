@@ -61,8 +61,11 @@ class FountainSimulation:
         position[:, :, 1] -= 0.5 * _GRAVITY * self.interval**2  # the parabola, exactly
         velocity[:, :, 1] -= _GRAVITY * self.interval
         np.maximum(position[:, :, 1], 0.0, out=position[:, :, 1])  # the basin
-        each, slot = np.arange(len(members)), numbers % drops
-        position[each, slot], velocity[each, slot] = 0.0, self._throw(members, numbers * DROPS // drops)
+        member_indices, slot = np.arange(len(members)), numbers % drops
+        position[member_indices, slot], velocity[member_indices, slot] = (
+            0.0,
+            self._throw(members, numbers * DROPS // drops),
+        )
         self.position[members], self.velocity[members] = position, velocity
 
     def _throw(self, members: Indices, numbers: Indices) -> Floats:

@@ -228,13 +228,13 @@ class SceneResources:
     def count_triangles(self, object_indices: NDArray[np.int64]) -> int:
         """Number of triangles of the objects `object_indices` (k,). For height fields it is the last
         view's, which is read back from the device."""
-        own = np.isin(object_indices, self.tessellated_indices)
-        if not own.any():
+        is_tessellated = np.isin(object_indices, self.tessellated_indices)
+        if not is_tessellated.any():
             return self.scene.count_triangles(object_indices)
         counts = self.tessellated_draws.read()["count"][
-            np.searchsorted(self.tessellated_indices, object_indices[own])
+            np.searchsorted(self.tessellated_indices, object_indices[is_tessellated])
         ]
-        return self.scene.count_triangles(object_indices[~own]) + int(counts.sum()) // 3
+        return self.scene.count_triangles(object_indices[~is_tessellated]) + int(counts.sum()) // 3
 
     def draw_objects(
         self,

@@ -80,8 +80,8 @@ def ratio(digits: int = 3, *, processor: bool = False, inverse: bool = False) ->
     """A column of the median ratio of times to the base's; with `inverse`, how many times as fast."""
 
     def cell(result: Result, _: str) -> float:
-        own = result.time.compare_to(result.base, processor=processor).median
-        return round(1.0 / own if inverse else own, digits)
+        time_ratio = result.time.compare_to(result.base, processor=processor).median
+        return round(1.0 / time_ratio if inverse else time_ratio, digits)
 
     return cell
 
@@ -90,8 +90,8 @@ def interval(digits: int = 3) -> Column:
     """A column of the 95 % confidence limits of the ratio of processor times."""
 
     def cell(result: Result, _: str) -> list[float]:
-        own = result.time.compare_to(result.base, processor=True)
-        return [round(own.low, digits), round(own.high, digits)]
+        time_interval = result.time.compare_to(result.base, processor=True)
+        return [round(time_interval.low, digits), round(time_interval.high, digits)]
 
     return cell
 

@@ -152,13 +152,15 @@ class _SharedRun:
         self._reference = _ContenderRun(self, NoCulling(scene), scene.make_simulator())
         self._warmed: list[_ContenderRun] = []
         self.subjects: list[Subject] = []
-        for each in contenders:
-            algorithm = make_visibility(each.algorithm, scene, device, each.settings)
+        for contender in contenders:
+            algorithm = make_visibility(contender.algorithm, scene, device, contender.settings)
             # Each has its own simulator, so that no contender's steps change another's frames.
             run = _ContenderRun(self, algorithm, scene.make_simulator())
-            self.subjects.append(Subject({"algorithm": each.name}, run.draw, run.prepare, run.count, device))
+            self.subjects.append(
+                Subject({"algorithm": contender.name}, run.draw, run.prepare, run.count, device)
+            )
             if (
-                scene.simulated or each.algorithm not in HISTORY_FREE
+                scene.simulated or contender.algorithm not in HISTORY_FREE
             ):  # what was simulated before must have been for all
                 self._warmed.append(run)
 

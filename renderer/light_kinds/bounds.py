@@ -51,6 +51,6 @@ def index_in_kind(index: str, ends: Sequence[str]) -> str:
     """
     result = f"{index} - {ends[-1]}"
     for number in reversed(range(len(ends))):
-        own = f"{index} - {ends[number - 1]}" if number else index
-        result = f"({own} if {index} < {ends[number]} else {result})"
+        position = f"{index} - {ends[number - 1]}" if number else index
+        result = f"({position} if {index} < {ends[number]} else {result})"
     return result

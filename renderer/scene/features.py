@@ -158,10 +158,10 @@ class MaterialFeatures:
         first = rows.max(axis=1)
         for column in rows.T:
             read = np.flatnonzero(column >= 0)
-            own, other = textures[column[read]], textures[first[read]]
-            mixed[read] |= own["uv_set"] != other["uv_set"]
-            mixed[read] |= (own["transform"] != other["transform"]).any(axis=(1, 2))
-            mixed[read] |= ~self._repeats[own["sampler"]]
+            texture, first_texture = textures[column[read]], textures[first[read]]
+            mixed[read] |= texture["uv_set"] != first_texture["uv_set"]
+            mixed[read] |= (texture["transform"] != first_texture["transform"]).any(axis=(1, 2))
+            mixed[read] |= ~self._repeats[texture["sampler"]]
         return mixed
 
     def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:

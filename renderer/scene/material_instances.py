@@ -95,14 +95,14 @@ def read_custom_shader(shader: object, call: str) -> CustomShader:
     allowed = "a class derived from renderer.shaders.MaterialShader"
     if not (isinstance(shader, type) and issubclass(shader, sl.Shader) and hasattr(shader, "describe")):
         refuse(rules.BAD_MATERIAL, f"{call}(shader=...)", shader, allowed)
-    own = CustomShader(shader, sl.find_element(shader, "parameters") or int)
+    custom = CustomShader(shader, sl.find_element(shader, "parameters") or int)
     declared: Any = shader
     wrong = [
         name
         for name in (*declared.parameter_defaults, *declared.parameter_textures)
-        if name not in own.fields
+        if name not in custom.fields
     ]
-    wrong += [name for name in own.fields if name in _STANDARD]
+    wrong += [name for name in custom.fields if name in _STANDARD]
     if wrong:
         problem = f"{shader.__name__}, {wrong[0]!r}"
         refuse(
@@ -111,7 +111,7 @@ def read_custom_shader(shader: object, call: str) -> CustomShader:
             problem,
             "names of parameters, and none that a material has",
         )
-    return own
+    return custom
 
 
 class MaterialTable:
@@ -187,10 +187,13 @@ class MaterialTable:
                 f"{len(shaders)} shaders",
                 f"at most {MAX_SHADERS}",
             )
-        own = shaders[number - 1] if number else None
-        check_names(values, own, "add_material")
+        material_shader = shaders[number - 1] if number else None
+        check_names(values, material_shader, "add_material")
         _make(
-            (self.resolve_values(parent) if parent >= 0 else {}) | dict(values), number, own, "add_material"
+            (self.resolve_values(parent) if parent >= 0 else {}) | dict(values),
+            number,
+            material_shader,
+            "add_material",
         )
         return number, shaders
 
@@ -202,14 +205,14 @@ class MaterialTable:
             np.zeros(len(self) if shader.fields else 0, shader.dtype) for shader in self.shaders
         )
         for material in range(len(self)):
-            materials[material], own = self._make_material(material, "add_material")
-            self._write_parameters(material, own, parameters)
+            materials[material], parameter_row = self._make_material(material, "add_material")
+            self._write_parameters(material, parameter_row, parameters)
         return materials, parameters
 
     def change(
         self,
         material: int,
-        own: dict[str, Any],
+        custom_parameters: dict[str, Any],
         materials: NDArray[Any],
         parameters: tuple[NDArray[Any], ...],
         call: str,
@@ -217,9 +220,9 @@ class MaterialTable:
         """Give a material these values of its own, and write what thereby changes in the rows of it and its
         instances."""
         before, changed = self._own[material], self.list_instances(material)
-        check_names(own, self.get_shader(material), call)
+        check_names(custom_parameters, self.get_shader(material), call)
         previous = [self._make_material(row, call) for row in changed]
-        self._own[material] = own
+        self._own[material] = custom_parameters
         try:
             current = [self._make_material(row, call) for row in changed]
         except BaseException:
@@ -235,28 +238,28 @@ class MaterialTable:
         return _make(self.resolve_values(material), self._shader[material], self.get_shader(material), call)
 
     def _write_parameters(
-        self, material: int, own: NDArray[Any] | None, parameters: tuple[NDArray[Any], ...]
+        self, material: int, row: NDArray[Any] | None, parameters: tuple[NDArray[Any], ...]
     ) -> None:
         """Write a material's row of parameters, if its shader has any."""
-        if own is not None and own.dtype.names:
-            parameters[self._shader[material] - 1][material] = own
+        if row is not None and row.dtype.names:
+            parameters[self._shader[material] - 1][material] = row
 
 
-def check_names(values: Mapping[str, Any], own: CustomShader | None, call: str) -> None:
+def check_names(values: Mapping[str, Any], custom: CustomShader | None, call: str) -> None:
     """Refuse names that neither a material nor its shader has."""
-    allowed = [*_STANDARD, *(own.fields if own is not None else ())]
+    allowed = [*_STANDARD, *(custom.fields if custom is not None else ())]
     for name in values:
         if name not in allowed:
             rules.refuse_name(rules.BAD_MATERIAL, f"{call}({name}=...)", name, allowed)
 
 
 def _make(
-    values: Mapping[str, Any], number: int, own: CustomShader | None, call: str
+    values: Mapping[str, Any], number: int, custom: CustomShader | None, call: str
 ) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """Return the rows of a material with these values, and of its parameters."""
     standard = make_material(**{name: value for name, value in values.items() if name in _STANDARD})
     standard["shader"] = number
-    return standard, None if own is None else own.make_parameters(values, call)
+    return standard, None if custom is None else custom.make_parameters(values, call)
 
 
 def needs_tangents(materials: NDArray[Any], shaders: Sequence[CustomShader]) -> NDArray[np.bool_]:
@@ -266,6 +269,6 @@ def needs_tangents(materials: NDArray[Any], shaders: Sequence[CustomShader]) -> 
     return needs
 
 
-def list_textures(own: CustomShader | None) -> dict[str, bool]:
+def list_textures(custom: CustomShader | None) -> dict[str, bool]:
     """Return the values of a material that are textures, and whether these hold colours."""
-    return TEXTURES | dict(own.textures if own is not None else {})
+    return TEXTURES | dict(custom.textures if custom is not None else {})

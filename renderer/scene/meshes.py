@@ -310,7 +310,9 @@ class Meshes:
         self.ranges["index_count"] = [len(g.indices) for g in geometries]
         self.ranges["first_index"][1:] = np.cumsum(self.ranges["index_count"], dtype=np.uint32)[:-1]
         self.ranges["base_vertex"][1:] = np.cumsum([len(g.vertices) for g in geometries])[:-1]
-        corners = np.array([own or g.bounds for own, g in zip(fixed, geometries, strict=True)])
+        corners = np.array(
+            [declared_bounds or g.bounds for declared_bounds, g in zip(fixed, geometries, strict=True)]
+        )
         corners = corners.reshape(count, 2, 3)
         self.lower: Floats = corners[:, 0]
         self.upper: Floats = corners[:, 1]

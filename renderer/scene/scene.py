@@ -329,11 +329,15 @@ class Scene:
                 *self.height_fields,
                 *(int(row) for simulated in self.simulated for row in simulated.objects),
             ]
-            own = objects.mesh[np.array(changing, np.int64)]
+            changing_meshes = objects.mesh[np.array(changing, np.int64)]
             anchor, node = objects.boxes.node[object_indices], objects.node[object_indices]
             is_declared = anchor != node  # bounds that hold at all times, of the mesh that it was built with
-            is_fixed = np.isin(objects.mesh[object_indices], own) | is_declared | ~self.nodes.dynamic[node]
-            if (is_fixed | np.isin(meshes, own)).any():
+            is_fixed = (
+                np.isin(objects.mesh[object_indices], changing_meshes)
+                | is_declared
+                | ~self.nodes.dynamic[node]
+            )
+            if (is_fixed | np.isin(meshes, changing_meshes)).any():
                 refuse(rules.FIXED_MESH, "replace(mesh=...)", f"objects {indices!r}, meshes {mesh!r}")
         mapped = set(meshes[needs_tangents(self.materials, self.shaders)[materials]].tolist())
         if not mapped <= self.meshes.with_tangents:
@@ -397,7 +401,7 @@ class Scene:
             ValidationError: `scene-bad-index`; `scene-bad-material`; `scene-no-tangents`. Nothing is changed
                 then.
         """
-        own = self.get_material_values(material) | values
+        material_values = self.get_material_values(material) | values
         for name, is_color in list_textures(self._table.get_shader(material)).items():
             row = values.get(name, -1)
             if row != -1 and not (
@@ -412,7 +416,7 @@ class Scene:
                 refuse(
                     rules.NO_TANGENTS, "set_material", f"meshes {sorted(meshes - self.meshes.with_tangents)}"
                 )
-        self._table.change(material, own, self.materials, self.parameters, "set_material")
+        self._table.change(material, material_values, self.materials, self.parameters, "set_material")
 
     def unset_material(self, material: int, *names: str) -> None:
         """Remove a material's own values of these names; it inherits them, or has the defaults if it has no
@@ -422,11 +426,11 @@ class Scene:
             ValidationError: `scene-bad-index`; `scene-bad-material` for a name that the material doesn't set
                 itself. Nothing is changed then.
         """
-        own = self.get_material_values(material)
+        material_values = self.get_material_values(material)
         for name in names:
-            if name not in own:
-                rules.refuse_name(rules.BAD_MATERIAL, "unset_material", name, own)
-        remaining = {name: value for name, value in own.items() if name not in names}
+            if name not in material_values:
+                rules.refuse_name(rules.BAD_MATERIAL, "unset_material", name, material_values)
+        remaining = {name: value for name, value in material_values.items() if name not in names}
         self._table.change(material, remaining, self.materials, self.parameters, "unset_material")
 
     def get_material_values(self, material: int) -> dict[str, Any]:
@@ -638,8 +642,8 @@ class SceneBuilder:
         """
         if parent != -1:
             read_ids("add_material(parent=...)", [parent], len(self._table))
-        own = None if shader is None else read_custom_shader(shader, "add_material")
-        custom = own or (self._table.get_shader(parent) if parent >= 0 else None)
+        custom_shader = None if shader is None else read_custom_shader(shader, "add_material")
+        custom = custom_shader or (self._table.get_shader(parent) if parent >= 0 else None)
         maps: dict[str, tuple[TextureMap, bool]] = {}
         for name, is_color in list_textures(custom).items():
             value = values.get(name, -1)
@@ -656,7 +660,7 @@ class SceneBuilder:
                     "a transform or a second set of coordinates",
                     "textures as they are, in a material with a shader of its own",
                 )
-        number, shaders = self._table.check({**values, **dict.fromkeys(maps, 0)}, parent, own)
+        number, shaders = self._table.check({**values, **dict.fromkeys(maps, 0)}, parent, custom_shader)
         for name, (texture, is_color) in maps.items():
             values[name] = self._textures.add(texture, is_color=is_color)
         return self._table.add(values, parent, number, shaders)
@@ -813,7 +817,7 @@ class SceneBuilder:
             nodes,
             meshes,
             (nodes.index_of_id[table[:, 0]], table[:, 1], table[:, 2], table[:, 3]),
-            np.concatenate([np.zeros(0, np.int64), *(each.objects for each in self._simulated)]),
+            np.concatenate([np.zeros(0, np.int64), *(member.objects for member in self._simulated)]),
             animated,
             (lower, upper),
         )

@@ -237,9 +237,9 @@ class Simulator:
         self._which: Indices = np.repeat(np.arange(len(sizes)), sizes)
         self._slot_of = np.full(len(objects), -1, np.int64)  # the slots of members that are objects
         by_node = np.full(len(nodes), -1, np.int64)
-        for each, first in zip(self._begin, self._first, strict=False):
-            self._slot_of[each.objects] = first + np.arange(len(each.objects))
-            by_node[each.nodes] = first + np.arange(len(each.nodes))
+        for member, first in zip(self._begin, self._first, strict=False):
+            self._slot_of[member.objects] = first + np.arange(len(member.objects))
+            by_node[member.nodes] = first + np.arange(len(member.nodes))
         self._starts, self._slots = _list_slots(nodes, objects, by_node, self._slot_of)
         self._has_nodes = np.zeros(len(objects), bool)
         owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
@@ -249,12 +249,12 @@ class Simulator:
             (self._slot_of >= 0)[self.objects] & ~self._has_nodes[self.objects]
         ]
         diverges = np.array(
-            [not each.simulation.catch_up.returns_exactly(len(each)) for each in self._begin], bool
+            [not member.simulation.catch_up.returns_exactly(len(member)) for member in self._begin], bool
         )
         self.diverging: Indices = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
         always = np.zeros(len(self._which), bool)
-        for simulation_index, each in enumerate(self._begin):
-            always[self._first[simulation_index] : self._first[simulation_index + 1]] = not each.is_bounded
+        for simulation_index, member in enumerate(self._begin):
+            always[self._first[simulation_index] : self._first[simulation_index + 1]] = not member.is_bounded
         follows = objects.boxes.node == objects.node  # the bounds follow the node, which must be where it is
         always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
         self._always: Indices = np.flatnonzero(always)

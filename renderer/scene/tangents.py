@@ -112,7 +112,7 @@ def add_stretch(geometry: MeshGeometry, uv: str = "uv") -> MeshGeometry:
     points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
     u, v = _triangle_gradients(points, vertices[uv].astype(np.float64)[corners].reshape(-1, 3, 2))
     lengths = np.repeat(np.linalg.norm([u, v], axis=2), 3, axis=1)
-    along, across = (np.bincount(corners, each, len(vertices)) for each in lengths)
+    along, across = (np.bincount(corners, length, len(vertices)) for length in lengths)
     ratio = np.divide(across, along, out=np.ones_like(along), where=(along > 0.0) & (across > 0.0))
     vertices["tangent"][:, 3] = np.where(vertices["tangent"][:, 3] < 0.0, -ratio, ratio)
     return MeshGeometry(vertices, geometry.indices)

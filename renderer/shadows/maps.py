@@ -448,24 +448,31 @@ class ShadowMaps:
     def _decide(self, scene: Scene, required: list[RequiredMap]) -> MapUpdates:
         """Return which maps are drawn again, copied or kept, and report why."""
         work, late = MapUpdates(), list[tuple[int, RequiredMap, bytes]]()
-        for each in required:
-            shadow_map = self._maps[each.key]
-            dynamic = casters_state_key(scene, each.casters.dynamic, self._tessellations)
-            is_far = each.size <= self.settings.far_size and each.key[0] != DIRECTIONAL
-            if shadow_map.static == each.static and shadow_map.dynamic == dynamic:
-                self._report(each.key, "kept", "nothing in it has moved", each)
-            elif shadow_map.static == each.static and each.is_quiet:
-                self._report(each.key, "kept", "what moved in it shades nothing visible", each)
-            elif shadow_map.static is None or shadow_map.static[0] != each.pose or not is_far:
-                self._add_work(work, each, dynamic)
+        for required_map in required:
+            shadow_map = self._maps[required_map.key]
+            dynamic = casters_state_key(scene, required_map.casters.dynamic, self._tessellations)
+            is_far = required_map.size <= self.settings.far_size and required_map.key[0] != DIRECTIONAL
+            if shadow_map.static == required_map.static and shadow_map.dynamic == dynamic:
+                self._report(required_map.key, "kept", "nothing in it has moved", required_map)
+            elif shadow_map.static == required_map.static and required_map.is_quiet:
+                self._report(
+                    required_map.key, "kept", "what moved in it shades nothing visible", required_map
+                )
+            elif shadow_map.static is None or shadow_map.static[0] != required_map.pose or not is_far:
+                self._add_work(work, required_map, dynamic)
             else:
-                late.append((shadow_map.frame, each, dynamic))
+                late.append((shadow_map.frame, required_map, dynamic))
         late.sort(key=lambda item: item[0])
-        for number, (_, each, dynamic) in enumerate(late):
+        for number, (_, required_map, dynamic) in enumerate(late):
             if number < self.settings.budget:
-                self._add_work(work, each, dynamic)
+                self._add_work(work, required_map, dynamic)
             else:
-                self._report(each.key, "kept", f"{self.settings.budget} far maps are drawn in a frame", each)
+                self._report(
+                    required_map.key,
+                    "kept",
+                    f"{self.settings.budget} far maps are drawn in a frame",
+                    required_map,
+                )
         return work
 
     def _add_work(self, work: MapUpdates, required: RequiredMap, dynamic: bytes) -> None:

@@ -353,8 +353,8 @@ class ClusteredDeferred:
 def light_tiles(frame: Frame, *, name: str, shader: type[TiledLighting], **switches: int) -> None:
     """Accumulate the light of local lights in the resource `name`; with several samples, store each
     pixel's mean colour there."""
-    own = bind_samples(frame) if shader is SampledTiles else {}
-    dispatch_tiles(frame, frame.targets[name], shader, own=own, **switches)
+    shader_bindings = bind_samples(frame) if shader is SampledTiles else {}
+    dispatch_tiles(frame, frame.targets[name], shader, shader_bindings=shader_bindings, **switches)
 
 
 def _show(frame: Frame) -> None:
@@ -362,7 +362,7 @@ def _show(frame: Frame) -> None:
 
 
 def dispatch_tiles(
-    frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[str, Any] = {}, **switches: int
+    frame: Frame, lit: Texture, *bases: type[Any], shader_bindings: Mapping[str, Any] = {}, **switches: int
 ) -> None:
     """Dispatch the compute shader with these bases over all tiles."""
     uploads = frame.view.workspace(_make_uploads)
@@ -373,5 +373,5 @@ def dispatch_tiles(
     switches = {**geometry_buffer_switches(frame), **switches, "has_cones": has_cones}
     program: Any = frame.program(shader_variant(frame, *bases, **switches))
     cones = uploads.cones if has_cones else {}
-    own = {**own, "lit": lit.image(0), **uploads.bindings, **cones}
-    frame.device.dispatch(program, uploads.count[:2], **bind(frame, program, own))
+    shader_bindings = {**shader_bindings, "lit": lit.image(0), **uploads.bindings, **cones}
+    frame.device.dispatch(program, uploads.count[:2], **bind(frame, program, shader_bindings))

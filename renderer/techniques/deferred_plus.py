@@ -245,18 +245,20 @@ class DeferredPlus:
 
     def _shade(self, frame: Frame) -> None:
         targets, has_local_lights = frame.targets, bool(local_light_effects(frame.effects))
-        own: dict[str, Any] = bind_light_lists(frame, CLUSTERS) if has_local_lights else {}
+        shader_bindings: dict[str, Any] = bind_light_lists(frame, CLUSTERS) if has_local_lights else {}
         switches = {**PACKED_READER_SWITCHES, "has_local_lights": has_local_lights}
         if self.samples > 1:
-            own |= bind_samples(frame)
+            shader_bindings |= bind_samples(frame)
             bases = SampleMean, PackedSamples, PackedShading
-            draw_full_screen(frame, bases, frame.image, own, switches={**switches, "samples": self.samples})
+            draw_full_screen(
+                frame, bases, frame.image, shader_bindings, switches={**switches, "samples": self.samples}
+            )
             return
         if self.binned:
-            _shade_bins(frame, own, switches)
+            _shade_bins(frame, shader_bindings, switches)
             return
         if self.multi_pass:
-            draw_rectangles(frame, PackedRectangles, own, switches)
+            draw_rectangles(frame, PackedRectangles, shader_bindings, switches)
             return
         if Effect.MATERIAL_SHADERS in frame.effects.enabled:
             clear: Color | None = frame.background
@@ -265,7 +267,7 @@ class DeferredPlus:
                     frame,
                     (*shader, PackedShaders),
                     frame.image,
-                    {**own, **parameters},
+                    {**shader_bindings, **parameters},
                     depth=targets["material ids"],
                     clear=clear,
                     states=(DepthFunction.EQUAL,),
@@ -274,17 +276,28 @@ class DeferredPlus:
                 clear = None
             return
         targets["depth"].copy_to(targets["depth copy"])
-        own["depth"] = targets["depth copy"]
+        shader_bindings["depth"] = targets["depth copy"]
         depth, background = targets["depth"], frame.background
         draw_full_screen(
-            frame, PackedShading, frame.image, own, depth=depth, clear=background, switches=switches
+            frame,
+            PackedShading,
+            frame.image,
+            shader_bindings,
+            depth=depth,
+            clear=background,
+            switches=switches,
         )
 
 
-def _shade_bins(frame: Frame, own: dict[str, Any], switches: dict[str, Any]) -> None:
+def _shade_bins(frame: Frame, shader_bindings: dict[str, Any], switches: dict[str, Any]) -> None:
     """Shade the listed pixels by one dispatch per material shader."""
     bins = frame.view.workspace(PixelBins)
-    bin_bindings = {**own, "pixels": bins.pixels, "ranges": bins.ranges, "lit": frame.targets["lit"].image(0)}
+    bin_bindings = {
+        **shader_bindings,
+        "pixels": bins.pixels,
+        "ranges": bins.ranges,
+        "lit": frame.targets["lit"].image(0),
+    }
     for number, bases, parameters in list_shaders(frame):
         program: Program[...] = frame.program(
             shader_variant(frame, *bases, PackedBins, **switches, shader=number)

@@ -236,7 +236,7 @@ def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) 
     draws["base_instance"] = np.arange(len(objects))
     kinds = {**NO_LOCAL_LIGHTS, f"has_{kind.name}_lights": True}
     programs = bind_programs(
-        frame, *bases, own={"pairs": device.transient.storage(LightPair, pairs)}, switches=kinds
+        frame, *bases, shader_bindings={"pairs": device.transient.storage(LightPair, pairs)}, switches=kinds
     )
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for group in resources.groups:

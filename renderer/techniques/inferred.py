@@ -246,10 +246,10 @@ class Inferred:
         lights, last = declare_lights(effects, list_terms(effects), lit, collect, scale, self.light_bits)
         if not lights:
             return forward_passes(effects)
-        own = dict(zip(list_terms(effects), last, strict=True), surface=lit[0])
+        shader_bindings = dict(zip(list_terms(effects), last, strict=True), surface=lit[0])
         formats = (surface_format(effects), SHININESS_FORMAT, DEPTH_FORMAT)
         lighting = Lighting(
-            (InferredLightShader,), bind=partial(bind_resources, names=own), reads=(lit[0], *last)
+            (InferredLightShader,), bind=partial(bind_resources, names=shader_bindings), reads=(lit[0], *last)
         )
         through = replace(
             lighting, bases=(StippledShader, InferredLightShader), switches={"is_stippled": True}

@@ -245,9 +245,11 @@ def _show(frame: Frame, shader: type[BackgroundScreen]) -> None:
     draw_full_screen(frame, shader, frame.targets["image"])
 
 
-def _blend_over(frame: Frame, shader: type[BackgroundScreen], own: Mapping[str, Any] = {}) -> None:
+def _blend_over(
+    frame: Frame, shader: type[BackgroundScreen], shader_bindings: Mapping[str, Any] = {}
+) -> None:
     """Blend the shader's colour over the image, by its alpha."""
-    draw_full_screen(frame, shader, frame.targets["image"], own, states=(BlendFunction.ALPHA,))
+    draw_full_screen(frame, shader, frame.targets["image"], shader_bindings, states=(BlendFunction.ALPHA,))
 
 
 _IMAGE: Final = Target("image", IMAGE_FORMAT)

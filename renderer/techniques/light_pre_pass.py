@@ -102,9 +102,9 @@ class LightPrePass:
         lights, last = declare_lights(effects, buffers, reads, collect, bits=self.light_bits)
         if not lights:
             return forward_passes(effects)
-        own, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1
+        shader_bindings, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1
         lighting = Lighting(
-            (LitByTerms,), {"is_packed": packed}, partial(bind_resources, names=own), tuple(last)
+            (LitByTerms,), {"is_packed": packed}, partial(bind_resources, names=shader_bindings), tuple(last)
         )
         reason = "draws the visible objects, lit by what was collected"
         return (

@@ -99,7 +99,9 @@ class CommandServer:
     def _make_room(self, has_greeted: bool) -> None:
         """Close the connection of a kind that has been silent for longest, if their number is at the
         limit."""
-        connections = [each for each in self._connections.values() if each.has_greeted == has_greeted]
+        connections = [
+            connection for connection in self._connections.values() if connection.has_greeted == has_greeted
+        ]
         if len(connections) == _MAX_CONNECTIONS:
             self._drop(connections[0])
 

@@ -101,10 +101,10 @@ class BufferBytes:
         the stream was cleared."""
         if index < self.done or self.generation != self.stream.generation:
             self._start()
-        for each in range(self.done, index):
-            self._follow_skipped(each)
-            if each not in self.stream.failures:
-                op, values, _, _ = self.stream.entry(each)
+        for command_index in range(self.done, index):
+            self._follow_skipped(command_index)
+            if command_index not in self.stream.failures:
+                op, values, _, _ = self.stream.entry(command_index)
                 self._follow(op, values)
         self._follow_skipped(index)
         self.done = index

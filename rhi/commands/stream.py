@@ -280,8 +280,8 @@ class Commands(DeviceObject, Sequence[Command]):
         """
         ops = frozenset(Op) if op is None else frozenset((op,)) if isinstance(op, Op) else frozenset(op)
         for name in arguments:
-            for each in ops if op is not None else ():
-                _check_argument(each, name)
+            for single_op in ops if op is not None else ():
+                _check_argument(single_op, name)
             if op is None:
                 refuse(COMMAND_ARGUMENT, f"filter({name}=…)", "no op", "an op along with arguments")
         expected = arguments.items()
@@ -290,8 +290,8 @@ class Commands(DeviceObject, Sequence[Command]):
             if label is not None and label not in command.labels:
                 return False
             if expected:
-                given = command.arguments
-                if any(given[name] != value for name, value in expected):
+                arguments = command.arguments
+                if any(arguments[name] != value for name, value in expected):
                     return False
             return where is None or where(command)
 

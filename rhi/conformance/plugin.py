@@ -195,7 +195,7 @@ def describe_next(board: Board) -> list[str]:
         return []
     step = STEPS[number - 1]
     lines = [f"next: step {number}, {step.title} (python -m rhi docs porting)"]
-    early = {method for each in STEPS[:number] for method in each.methods}
+    early = {method for earlier_step in STEPS[:number] for method in earlier_step.methods}
     lacking = [method for method in board.missing if method in early]
     lacking.sort(key=lambda method: -len(board.missing[method]))
     if lacking:

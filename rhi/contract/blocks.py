@@ -296,8 +296,8 @@ def _decode_bc7_mode(bits: NDArray[np.uint8], mode: _Bc7Mode, start: int) -> NDA
     if mode.unique_bits or mode.shared_bits:
         for end in range(0, 2 * mode.subsets, 1 if mode.unique_bits else 2):
             bit = read(1)
-            for each in (end,) if mode.unique_bits else (end, end + 1):
-                part = ends[:, each // 2, each % 2, : len(sizes)]
+            for index in (end,) if mode.unique_bits else (end, end + 1):
+                part = ends[:, index // 2, index % 2, : len(sizes)]
                 part[:] = part << 1 | bit[:, None]
         sizes = [size + 1 for size in sizes]
     for channel, size in enumerate(sizes):  # repeat the highest bits below
@@ -317,9 +317,9 @@ def _decode_bc7_mode(bits: NDArray[np.uint8], mode: _Bc7Mode, start: int) -> NDA
             np.where(swapped, second, color_weights),
             np.where(swapped, color_weights, second),
         )
-    own = ends[np.arange(len(bits))[:, None], subset_of[partition]]  # (n, 16, 2, 4)
+    pixel_ends = ends[np.arange(len(bits))[:, None], subset_of[partition]]  # (n, 16, 2, 4)
     weights = np.stack([color_weights] * 3 + [alpha_weights], axis=-1)
-    texels = _mix(own[:, :, 0], own[:, :, 1], weights)
+    texels = _mix(pixel_ends[:, :, 0], pixel_ends[:, :, 1], weights)
     for channel in range(3):  # a rotation exchanges alpha with a color
         turned = rotation == channel + 1
         texels[turned] = texels[turned][..., _ROTATIONS[channel]]
@@ -432,10 +432,10 @@ _FIELD: Final = r"([rgb])([wxyz])(\d+)(?::(\d+))?"
 def _decode_floats(blocks: NDArray[np.uint8], signed: bool) -> NDArray[np.float16]:
     texels = np.zeros((len(blocks), 16, 4), np.uint16)  # a reserved mode is black
     number = np.where(blocks[:, 0] & 2, blocks[:, 0] & 31, blocks[:, 0] & 1)
-    for each, mode in _FLOAT_MODES.items():
-        block_indices = np.flatnonzero(number == each)
+    for mode_number, mode in _FLOAT_MODES.items():
+        block_indices = np.flatnonzero(number == mode_number)
         if len(block_indices):
-            start = 2 if each < 2 else 5
+            start = 2 if mode_number < 2 else 5
             texels[block_indices, :, :3] = _decode_float_mode(
                 _bits(blocks[block_indices]), mode, start, signed
             )
@@ -472,8 +472,8 @@ def _decode_float_mode(
     subset_of, anchors = _partitions(subsets)
     count = 3 if subsets == 2 else 4
     indices = _indices(bits, 82 if subsets == 2 else 65, count, anchors[partition])
-    own = ends.reshape(-1, 2, 2, 3)[np.arange(len(bits))[:, None], subset_of[partition]]
-    mixed = _mix(own[:, :, 0], own[:, :, 1], _WEIGHTS[count][indices][..., None])
+    pixel_ends = ends.reshape(-1, 2, 2, 3)[np.arange(len(bits))[:, None], subset_of[partition]]
+    mixed = _mix(pixel_ends[:, :, 0], pixel_ends[:, :, 1], _WEIGHTS[count][indices][..., None])
     if not signed:
         return np.asarray(mixed * 31 >> 6, np.uint16)
     size_bits = np.abs(mixed) * 31 >> 5

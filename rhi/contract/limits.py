@@ -634,7 +634,7 @@ _REQUIRED_CAPABILITIES: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
 def state_faults(state: Any, limits: Capabilities) -> Faults:
     """Yield the capabilities that a device lacks for a state."""
     if isinstance(state, states.PlatformState) and type(state) not in limits.platform_states:
-        have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
+        have = ", ".join(sorted(kind.__name__ for kind in limits.platform_states)) or "none"
         yield Fault(
             rules.PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}"
         )

@@ -170,11 +170,11 @@ class CommandBuffer(Encoder):
         if self._state is not _RECORDING:
             self._recorder.check_open()
         try:
-            own: Program[...] = self._programs[program]
+            resolved: Program[...] = self._programs[program]
         except (KeyError, TypeError, ValueError):  # a memoryview's hash may raise the last one
-            own = self._resolve_program(program, "commands.draw")
+            resolved = self._resolve_program(program, "commands.draw")
         check_mesh(self._recorder, mesh, "commands.draw", Drawable)
-        own.draw_with(mesh, instances, bindings)
+        resolved.draw_with(mesh, instances, bindings)
 
     if not TYPE_CHECKING:
         draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
@@ -294,10 +294,10 @@ class CommandBuffer(Encoder):
             core.refuse(rules.DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not core.device:
             core.refuse(rules.RESOURCE_FOREIGN, call, repr(program))
-        own = self._programs.get(program)
-        if own is None:
-            own = self._programs[program] = RecordedProgram(core, self._transient.uniforms, program)
-        return own
+        resolved = self._programs.get(program)
+        if resolved is None:
+            resolved = self._programs[program] = RecordedProgram(core, self._transient.uniforms, program)
+        return resolved
 
     # -- execution ---------------------------------------------------------------------------------------
 

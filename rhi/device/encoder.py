@@ -143,9 +143,9 @@ class Encoder(DeviceObject):
         counts from `base_instance`) or `draw_index()`.
         """
         call = f"{self.NAME}.draw_many"
-        own, array = self._check_draws(program, mesh, draws, call)
+        resolved, array = self._check_draws(program, mesh, draws, call)
         self._refuse_quads(mesh, call)
-        vertex_array = self._bind_draws(own, mesh, bindings)
+        vertex_array = self._bind_draws(resolved, mesh, bindings)
         if not len(array):
             return
         buffer, offset = self._upload_draws(array)
@@ -178,9 +178,9 @@ class Encoder(DeviceObject):
             ValidationError: the errors of `draw` and `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_clipped"
-        own, array = self._check_draws(program, mesh, draws, call)
+        resolved, array = self._check_draws(program, mesh, draws, call)
         rectangles = check_clips(self._core, clips, len(array), call)
-        vertex_array = self._bind_draws(own, mesh, bindings)
+        vertex_array = self._bind_draws(resolved, mesh, bindings)
         visible = (rectangles[:, 2:] > 0).all(1) & (array["count"] > 0) & (array["instances"] > 0)
         array, rectangles = array[visible], rectangles[visible]
         if len(array):
@@ -212,14 +212,14 @@ class Encoder(DeviceObject):
                 and `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
-        own, array = self._check_draws(program, mesh, draws, call)
+        resolved, array = self._check_draws(program, mesh, draws, call)
         check = ArgumentChecker(call, self._core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
-        each = queries.check_query_indices(query_indices, len(array), call)
-        vertex_array = self._bind_draws(own, mesh, bindings)
+        set_indices = queries.check_query_indices(query_indices, len(array), call)
+        vertex_array = self._bind_draws(resolved, mesh, bindings)
         core = self._core
-        counted = queries.draw(core, vertex_array, mesh.primitive, array, each)
+        counted = queries.draw(core, vertex_array, mesh.primitive, array, set_indices)
         core.draws += len(array)
         self._mark_queries_drawn(queries, counted)
 
@@ -251,7 +251,7 @@ class Encoder(DeviceObject):
                 inside another condition; and the errors of `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_conditional"
-        own, array = self._check_draws(program, mesh, draws, call)
+        resolved, array = self._check_draws(program, mesh, draws, call)
         core = self._core
         check = ArgumentChecker(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
@@ -264,14 +264,14 @@ class Encoder(DeviceObject):
         if core.condition_open:
             core.refuse(rules.CONDITION_NESTED, call, "a condition inside another")
         self._refuse_quads(mesh, call)
-        each = queries.check_conditions(
+        set_indices = queries.check_conditions(
             query_indices, len(array), self._get_counted_queries(queries, call), call
         )
-        vertex_array = self._bind_draws(own, mesh, bindings)
+        vertex_array = self._bind_draws(resolved, mesh, bindings)
         if not len(array):
             return
-        queries.draw_conditional(core, vertex_array, mesh.primitive, *self._upload_draws(array), each)
-        runs = len(run_starts(each))
+        queries.draw_conditional(core, vertex_array, mesh.primitive, *self._upload_draws(array), set_indices)
+        runs = len(run_starts(set_indices))
         core.condition_count += runs
         core.draws += runs
 
@@ -279,9 +279,9 @@ class Encoder(DeviceObject):
         self, program: Program[...], mesh: Drawable, draws: NDArray[Any], call: str
     ) -> tuple[Program[...], NDArray[Any]]:
         """Return the program as this encoder uses it, and the array of draws as backends need it."""
-        own = self._resolve_program(program, call)
+        resolved = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call, Drawable)
-        return own, check_draws(self._core, mesh, draws, own.descriptor.attributes, call)
+        return resolved, check_draws(self._core, mesh, draws, resolved.descriptor.attributes, call)
 
     def _refuse_quads(self, mesh: Drawable, call: str) -> None:
         """Refuse quads: their indices can't be expanded for draws whose arguments the GPU reads."""
@@ -319,7 +319,7 @@ class Encoder(DeviceObject):
     ) -> None:
         """Draw with arguments that the GPU reads from a buffer when it executes the command."""
         call = f"{self.NAME}.draw_indirect"
-        own = self._resolve_program(program, call)
+        resolved = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call)
         core = self._core
         check = ArgumentChecker(call, core.refuse)
@@ -333,7 +333,7 @@ class Encoder(DeviceObject):
         if count is not None:
             core.check_usable(count, call)
             core.require(call, limits.count_faults(arguments.count_offset, count.size, core.capabilities))
-        vertex_array = self._bind_draws(own, mesh, bindings)
+        vertex_array = self._bind_draws(resolved, mesh, bindings)
         core.backend.draw_indirect(
             vertex_array,
             mesh.primitive,
@@ -354,14 +354,14 @@ class Encoder(DeviceObject):
         Its writes are visible to all later commands; no barrier is needed.
         """
         call = f"{self.NAME}.dispatch"
-        own = self._resolve_program(program, call)
+        resolved = self._resolve_program(program, call)
         self._core.check_ready()
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
-        given: Any = groups if several else (groups,)
-        sizes: list[int | None] = [*map(to_integer, given), *_ONES[len(given) :]]
-        faults = limits.dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
+        counts: Any = groups if several else (groups,)
+        sizes: list[int | None] = [*map(to_integer, counts), *_ONES[len(counts) :]]
+        faults = limits.dispatch_faults(sizes if len(counts) else (), repr(groups), self._core.capabilities)
         self._core.require(call, faults)
-        own.bind(own.check_can_dispatch, None, bindings)
+        resolved.bind(resolved.check_can_dispatch, None, bindings)
         x, y, z = (size or 0 for size in sizes)
         if x and y and z:
             self._core.backend.dispatch(x, y, z)
@@ -379,14 +379,14 @@ class Encoder(DeviceObject):
         """Dispatch work-groups whose three counts (uint32) the GPU reads at byte `offset` of `buffer` during
         execution."""
         call = f"{self.NAME}.dispatch_indirect"
-        own = self._resolve_program(program, call)
+        resolved = self._resolve_program(program, call)
         check = ArgumentChecker(call, self._core.refuse)
         source = check_buffer(check, "buffer", buffer)
         offset = check.integer("offset", offset)
         self._core.check_ready()
         self._core.check_usable(source, call)
         self._core.require(call, limits.indirect_dispatch_faults(offset, source.size))
-        own.bind(own.check_can_dispatch, None, bindings)
+        resolved.bind(resolved.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1
 
@@ -398,9 +398,9 @@ class Encoder(DeviceObject):
         The vertices that are added inside are drawn at its end.
         """
         call = f"{self.NAME}.immediate"
-        own = self._resolve_program(program, call)
+        resolved = self._resolve_program(program, call)
         ArgumentChecker(call, self._core.refuse).choice("primitive", primitive, Primitive)
-        return Immediate(self._transient, own, primitive, bindings)
+        return Immediate(self._transient, resolved, primitive, bindings)
 
     @property
     def transient(self) -> TransientMemory:

@@ -220,9 +220,9 @@ def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
         check.fail("clear", clear, _CLEAR)
     parts: list[Any] = list(clear)
     several = any(part is None or isinstance(part, (list, tuple, np.ndarray)) for part in parts)
-    each = parts if several else [parts] * count
-    if len(each) != count:
+    values = parts if several else [parts] * count
+    if len(values) != count:
         core.refuse(
-            rules.PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target"
+            rules.PASS_CLEAR, call, f"{len(values)} clear values", f"one, or {count}: one per color target"
         )
-    return [None if part is None else check.color("clear", part) for part in each]
+    return [None if part is None else check.color("clear", part) for part in values]

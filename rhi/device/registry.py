@@ -141,10 +141,10 @@ def default_precision() -> Precision:
     Raises:
         ValidationError: `device-argument` if it names none.
     """
-    given = os.environ.get("RHI_PRECISION") or Precision.EXACT.value
-    if given.lower() not in {each.value for each in Precision}:
-        refuse(DEVICE_ARGUMENT, "rhi.create_device", f"RHI_PRECISION={given}", "fast, exact")
-    return Precision(given.lower())
+    name = os.environ.get("RHI_PRECISION") or Precision.EXACT.value
+    if name.lower() not in {precision.value for precision in Precision}:
+        refuse(DEVICE_ARGUMENT, "rhi.create_device", f"RHI_PRECISION={name}", "fast, exact")
+    return Precision(name.lower())
 
 
 def _note_fork() -> None:

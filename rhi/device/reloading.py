@@ -129,16 +129,19 @@ class Reloader:
         """
         call = "Reloader.watch"
         reloads, modules, links = dict(self._reloads), dict(self._modules), dict(self._links)
-        for each in sources:
-            name = Path(file_of(each) if isinstance(each, ModuleType) else each)
+        for source in sources:
+            name = Path(file_of(source) if isinstance(source, ModuleType) else source)
             path = links[_unlinked(name)] = name.resolve()
             if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
-                refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
-            if isinstance(each, ModuleType):
-                reloads[path], modules[path] = partial(self._reload_saved, each), each
+                refuse(RELOAD_WATCH, call, f"{source!r}, which is no file")
+            if isinstance(source, ModuleType):
+                reloads[path], modules[path] = partial(self._reload_saved, source), source
             elif reload is None:
                 refuse(
-                    DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function"
+                    DEVICE_ARGUMENT,
+                    call,
+                    f"{source!r} without reload=…",
+                    "a module, or a file and a function",
                 )
             else:
                 reloads[path] = reload

@@ -94,7 +94,7 @@ class TransientMemory(DeviceObject):
     def capacity(self) -> int:
         """Total size in bytes."""
         memories = {
-            id(each): each for each in (self.uniforms.memory, self._vertices, self._indices, self.arguments)
+            id(ring): ring for ring in (self.uniforms.memory, self._vertices, self._indices, self.arguments)
         }
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
@@ -197,15 +197,17 @@ class TransientMemory(DeviceObject):
     ) -> TransientMesh:
         """Upload a mesh whose arrays were checked."""
         core, attributes = self._core, program.descriptor.attributes
-        given = [(array, per) for array, per in ((vertices, False), (instances, True)) if array is not None]
-        layout = (program.id, *((array.dtype, per_instance) for array, per_instance in given))
+        array_sources = [
+            (array, per) for array, per in ((vertices, False), (instances, True)) if array is not None
+        ]
+        layout = (program.id, *((array.dtype, per_instance) for array, per_instance in array_sources))
         if layout not in self._layouts:
             # Before anything is uploaded: do the arrays have the fields that the program reads?
-            parts = [StreamSource(0, array.dtype, per_instance) for array, per_instance in given]
+            parts = [StreamSource(0, array.dtype, per_instance) for array, per_instance in array_sources]
             describe_streams(core, parts, attributes, IMMEDIATE_VERTEX, "transient.mesh")
             self._layouts.add(layout)
         sources, start = [], 0
-        for array, per_instance in given:
+        for array, per_instance in array_sources:
             stride = array.dtype.itemsize
             offset = self._upload(self._vertices, array, stride)
             # Vertices are counted from the start of the ring, so that all meshes of a layout share a vertex
@@ -372,13 +374,13 @@ def pack_vertices(
         ValidationError: `immediate-vertex` if a field is missing or has a type that the vertex stage can't
             read.
     """
-    given = as_structured(core, source, IMMEDIATE_VERTEX, call, minimum=0)
-    if given.dtype == dtype:
-        return np.array(given)
-    describe_streams(core, [StreamSource(0, given.dtype, False)], attributes, IMMEDIATE_VERTEX, call)
-    packed = np.empty(len(given), dtype)
+    rows = as_structured(core, source, IMMEDIATE_VERTEX, call, minimum=0)
+    if rows.dtype == dtype:
+        return np.array(rows)
+    describe_streams(core, [StreamSource(0, rows.dtype, False)], attributes, IMMEDIATE_VERTEX, call)
+    packed = np.empty(len(rows), dtype)
     for attribute in attributes:
-        field, column = given[attribute.name], packed[attribute.name]
+        field, column = rows[attribute.name], packed[attribute.name]
         if field.ndim > 1:
             field = field[:, : column.shape[1]] if column.ndim > 1 else field[:, 0]
         if attribute_shape(attribute)[1] == "float" and field.dtype.kind in "iu":  # normalised

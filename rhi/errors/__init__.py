@@ -124,8 +124,8 @@ class ShaderErrors:
 
     def add(self, error: ShaderError) -> None:
         """Add an error and its `others`."""
-        for each in (error, *error.others):
-            self._errors.setdefault((each.rule.id, each.call), each)
+        for single in (error, *error.others):
+            self._errors.setdefault((single.rule.id, single.call), single)
 
     @contextlib.contextmanager
     def collect(self) -> Iterator[None]:

@@ -133,7 +133,7 @@ class ArgumentChecker:
     def members(self, name: str, value: Any, collection: type[C], kind: type) -> C:
         """Return a tuple or frozenset of objects of one class; a bool is no int."""
         if not isinstance(value, collection) or not all(
-            isinstance(each, kind) and not isinstance(each, bool) for each in value
+            isinstance(member, kind) and not isinstance(member, bool) for member in value
         ):
             self.fail(name, value, f"a {collection.__name__} of {kind.__name__}")
         return value

@@ -110,7 +110,7 @@ def read_page(topic: str) -> str:
     """
     topics = list_topics()
     topic = topic.removeprefix("docs/").removesuffix(".md").lower()
-    matches = [topic] if topic in topics else [each for each in topics if topic and each.startswith(topic)]
+    matches = [topic] if topic in topics else [name for name in topics if topic and name.startswith(topic)]
     if len(matches) != 1:
         close = matches or get_close_matches(topic, topics, 3)
         hint = f"did you mean {', '.join(close)}? " if close else ""

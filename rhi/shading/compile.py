@@ -123,9 +123,9 @@ def forget_compiled(edit: Edit) -> CompiledShaders:
     """
     with SHARED:
         concerned = {
-            each: code
-            for each, code in _compiled.items()
-            if _is_concerned(each, code[1], edit.module, edit.structs)
+            compiled_shader: code
+            for compiled_shader, code in _compiled.items()
+            if _is_concerned(compiled_shader, code[1], edit.module, edit.structs)
         }
         for shader in concerned:
             del _compiled[shader]
@@ -146,8 +146,12 @@ def restore_compiled(compiled: CompiledShaders) -> None:
 def depends_on_module(shader: type[Shader], module: ModuleType) -> bool:
     """Return whether a compiled shader has classes, functions or structs of a module, or a base has imported
     it."""
-    own = [value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__]
-    structs = {value.shading_type for value in own if isinstance(value, type) and issubclass(value, Struct)}
+    members = [
+        value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__
+    ]
+    structs = {
+        value.shading_type for value in members if isinstance(value, type) and issubclass(value, Struct)
+    }
     compiled = _compiled.get(shader)
     return compiled is not None and _is_concerned(shader, compiled[1], module, structs)
 

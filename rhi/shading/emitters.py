@@ -101,8 +101,10 @@ class ShaderCode:
         """Return the same stages in the other precision, with texts of their own."""
         with SHARED:
             if self._other_precision is None:
-                own = self.interface, self.varyings
-                self._other_precision = ShaderCode(self.stages, *own, precision, self.checked, self.unused)
+                expected = self.interface, self.varyings
+                self._other_precision = ShaderCode(
+                    self.stages, *expected, precision, self.checked, self.unused
+                )
             return self._other_precision
 
     def list_exact_functions(self) -> list[str]:

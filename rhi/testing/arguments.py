@@ -124,9 +124,9 @@ def check_resources(call: str, resources: Mapping[str, object]) -> None:
     for name, value in resources.items():
         is_label = isinstance(value, str) and bool(value)
         is_id = (to_integer(value) or 0) > 0
-        is_resource = any(hasattr(value, each) for each in ("id", "buffer", "texture")) and not isinstance(
-            value, type
-        )
+        is_resource = any(
+            hasattr(value, attribute) for attribute in ("id", "buffer", "texture")
+        ) and not isinstance(value, type)
         if not (is_label or is_id or is_resource):
             checker(call).fail(name, value, "a buffer, a texture, a part of one, a label, or an id")
 

@@ -27,9 +27,11 @@ class BufferTracker(BufferBytes):
         """Return the contents of a binding at a command, see `binding_data`."""
         self.advance(command.index)
         bindings = bindings_of(command)
-        binding = next((each for each in bindings if each.name == name and each.kind in RANGES), None)
+        binding = next(
+            (candidate for candidate in bindings if candidate.name == name and candidate.kind in RANGES), None
+        )
         if binding is None:
-            names = ", ".join(each.name for each in bindings if each.kind in RANGES) or "none"
+            names = ", ".join(candidate.name for candidate in bindings if candidate.kind in RANGES) or "none"
             raise UnknownDataError(f"the program has no uniform or storage {name!r} (it has: {names})")
         if name not in command.bindings:
             raise UnknownDataError(f"nothing is bound as {name!r}")
@@ -84,7 +86,7 @@ def describe_differences(values: Any, expected: Mapping[str, object], tolerance:
 def as_fields(value: Mapping[str, object] | Struct) -> Mapping[str, object]:
     """Return the fields of a struct's value by name; a mapping is returned as it is."""
     if isinstance(value, Struct):
-        return {each.name: getattr(value, each.name) for each in type(value).shading_type.fields}
+        return {field.name: getattr(value, field.name) for field in type(value).shading_type.fields}
     return value
 
 

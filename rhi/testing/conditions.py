@@ -160,8 +160,17 @@ class HasStates:
         """Return the current values to compare with `state`: one, or one for each target that it applies
         to."""
         if isinstance(state, PlatformState):
-            own: Any = current.get(PlatformState)
-            return (next((each for each in own if type(each) is type(state)), state.default()),)
+            platform_states: Any = current.get(PlatformState)
+            return (
+                next(
+                    (
+                        platform_state
+                        for platform_state in platform_states
+                        if type(platform_state) is type(state)
+                    ),
+                    state.default(),
+                ),
+            )
         value: Any = current.get(type(state))
         if type(state) not in PER_TARGET:
             return (value,)
@@ -238,15 +247,15 @@ class HasData:
         if programs and self.binding not in {binding.name for binding in ranges}:
             refuse_name("with_data", "binding", self.binding, {binding.name for binding in ranges})
         for path in self.expected if types else ():
-            if all(part_type(each, path) is None for each in types):
-                fields = {field.name for each in types for field in getattr(each, "fields", ())}
+            if all(part_type(data_type, path) is None for data_type in types):
+                fields = {field.name for data_type in types for field in getattr(data_type, "fields", ())}
                 refuse_name("with_data", f"field of {self.binding}", path, fields)
 
     def check_shapes(self, programs: Sequence[ProgramDescriptor]) -> None:
         """Refuse numbers of another shape than the field's: a part of them would be compared."""
         types = self._list_types(programs)
         for path, value in self.expected.items():
-            parts = [part for each in types if (part := part_type(each, path)) is not None]
+            parts = [part for data_type in types if (part := part_type(data_type, path)) is not None]
             shapes = {shape_of(part) for part in parts if not isinstance(part, StructType)}
             numbers: Any = value
             if parts and np.shape(numbers) not in shapes:
@@ -255,12 +264,14 @@ class HasData:
 
     def _list_types(self, programs: Sequence[ProgramDescriptor]) -> list[HostType]:
         """The types that the binding has in these programs; a loaded trace has none."""
-        bindings = [each for program in programs for each in program.bindings if each.name == self.binding]
+        bindings = [
+            binding for program in programs for binding in program.bindings if binding.name == self.binding
+        ]
         types: list[HostType] = []
-        for each in bindings:
-            if each.kind in RANGES and not isinstance(each.type, str):
-                type = value_type_of(each.type)
-                types.append(ArrayType(type, _ANY_LENGTH) if each.kind is BindingKind.STORAGE else type)
+        for binding in bindings:
+            if binding.kind in RANGES and not isinstance(binding.type, str):
+                type = value_type_of(binding.type)
+                types.append(ArrayType(type, _ANY_LENGTH) if binding.kind is BindingKind.STORAGE else type)
         return types
 
     def miss(self, command: Command) -> str:

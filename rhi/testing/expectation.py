@@ -185,12 +185,12 @@ class Expectation:
         names."""
         stream = self._commands.stream
         descriptors = list(stream.context(len(stream)).resources.values())
-        descriptors += [each["descriptor"] for each in stream.filter(Op.CREATE_PROGRAM)]
-        programs = [each for each in descriptors if isinstance(each, ProgramDescriptor)]
+        descriptors += [item["descriptor"] for item in stream.filter(Op.CREATE_PROGRAM)]
+        programs = [item for item in descriptors if isinstance(item, ProgramDescriptor)]
         for condition in self._conditions:
             if isinstance(condition, UsesProgram) and isinstance(condition.program, str):
                 name = condition.program
-                named = [each for each in programs if name in (each.name, each.name.rpartition(".")[2])]
+                named = [item for item in programs if name in (item.name, item.name.rpartition(".")[2])]
                 programs = named or programs
         return programs
 
@@ -221,8 +221,8 @@ class Expectation:
     def _select(self) -> Commands:
         data = [condition for condition in self._conditions if isinstance(condition, HasData)]
         programs = self._list_programs() if data else []
-        for each in data:
-            each.check_shapes(programs)
+        for row in data:
+            row.check_shapes(programs)
         commands = self._commands
         for condition in self._conditions:
             commands = (

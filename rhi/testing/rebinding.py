@@ -71,7 +71,7 @@ def why_bound(command: Command) -> BoundBecause:
         checker("why_bound").fail("command", command, "a command that binds, such as Op.BIND_TEXTURE")
     stream, index = command.stream, command.index
     before = _find_same_slot(stream, command)
-    names = {(each.kind, each.slot): each.name for each in bindings_of(command)}
+    names = {(binding.kind, binding.slot): binding.name for binding in bindings_of(command)}
     name = "" if command.op is Op.BIND_PROGRAM else names.get((_KINDS[command.op], command["slot"]), "")
     if before is None:
         return BoundBecause(command, name, BindReason.FIRST, None)
@@ -95,7 +95,7 @@ def needless_bindings(commands: Commands | Device) -> list[BoundBecause]:
     lines."""
     selected = read_commands("needless_bindings", "commands", commands)
     reasons = (why_bound(command) for command in selected.filter(frozenset(_KINDS)))
-    return [each for each in reasons if each.reason is BindReason.NEEDLESS]
+    return [reason for reason in reasons if reason.reason is BindReason.NEEDLESS]
 
 
 def _find_same_slot(stream: CommandStream, command: Command) -> Command | None:
@@ -110,10 +110,10 @@ def _find_same_slot(stream: CommandStream, command: Command) -> Command | None:
 
 def _find_program_of_this_draw(stream: CommandStream, index: int) -> int | None:
     """The index of the BIND_PROGRAM that belongs to the same draw or dispatch, None if it binds no program."""
-    for each in range(index - 1, -1, -1):
-        op = stream.op(each)
+    for earlier in range(index - 1, -1, -1):
+        op = stream.op(earlier)
         if op is Op.BIND_PROGRAM:
-            return each
+            return earlier
         if op in WORK:
             return None
     return None
@@ -121,6 +121,6 @@ def _find_program_of_this_draw(stream: CommandStream, index: int) -> int | None:
 
 def _explain_program(stream: CommandStream, before: int, index: int) -> BindReason:
     """Return why a program was bound again, with no other one bound in between."""
-    if any(stream.op(each) in _PASS_ENDS for each in range(before + 1, index)):
+    if any(stream.op(between) in _PASS_ENDS for between in range(before + 1, index)):
         return BindReason.NEW_PASS
     return BindReason.LOST

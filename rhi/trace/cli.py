@@ -111,7 +111,9 @@ def _add_trust(parser: argparse.ArgumentParser) -> None:
 def _show(options: argparse.Namespace) -> int:
     trace = load(options.file)
     commands = trace.stream if options.label is None else trace.stream.filter(label=options.label)
-    refusals = [each for each in trace.refusals if options.label is None or options.label in each.labels]
+    refusals = [
+        refusal for refusal in trace.refusals if options.label is None or options.label in refusal.labels
+    ]
     print(commands.format(options.limit, refusals))
     failed, refused = len(trace.stream.failures), len(trace.refusals)
     note = f"{len(trace)} commands, {len(trace.stream.draws())} draws, {failed} failed, {refused} refused"

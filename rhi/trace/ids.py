@@ -41,9 +41,9 @@ def _parts_of(value: object) -> tuple[_IdField, ...]:
     if parts is None:
         fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
         parts = _FIELDS[type(value)] = tuple(
-            _IdField(each.name, ID_KINDS.get(str(each.type)), each.default is not dataclasses.MISSING)
-            for each in fields
-            if each.type not in _PLAIN
+            _IdField(field.name, ID_KINDS.get(str(field.type)), field.default is not dataclasses.MISSING)
+            for field in fields
+            if field.type not in _PLAIN
         )
     return parts
 
@@ -75,8 +75,8 @@ def kinds_of(op: Op, values: Sequence[Any]) -> Iterator[tuple[Id, type]]:
 
 def _kinds_in(value: Any) -> Iterator[tuple[Id, type]]:
     if type(value) is tuple:
-        for each in value:
-            yield from _kinds_in(each)
+        for element in value:
+            yield from _kinds_in(element)
         return
     for name, kind, optional in _parts_of(value):
         part = getattr(value, name)

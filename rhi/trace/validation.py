@@ -290,13 +290,13 @@ def _create_vertex_array(
     resources: _Resources, device: Capabilities, vertex_array: Id, descriptor: VertexArrayDescriptor
 ) -> Faults:
     yield from limits.vertex_array_faults(descriptor, lambda buffer: int(resources[buffer].size))
-    given = [attribute for stream in descriptor.streams for attribute in stream.attributes]
+    attributes = [attribute for stream in descriptor.streams for attribute in stream.attributes]
     inputs = {attribute.location: attribute.type for attribute in resources[descriptor.program].attributes}
-    if sorted(attribute.location for attribute in given) != sorted(inputs):
-        yield Fault(rules.MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
+    if sorted(attribute.location for attribute in attributes) != sorted(inputs):
+        yield Fault(rules.MESH_ATTRIBUTE, f"{attributes}", f"each of the locations {sorted(inputs)} once")
     if not all(stream.attributes for stream in descriptor.streams):
         yield Fault(rules.MESH_DATA, "a stream without attributes", "one or more in each")
-    for attribute in given:
+    for attribute in attributes:
         input_type = inputs[attribute.location]
         size, scalar = (
             (input_type.size, input_type.scalar) if isinstance(input_type, VectorType) else (1, input_type)

@@ -82,7 +82,7 @@ def test_each_example_needs_only_installed_packages() -> None:
         for program in PROGRAMS
         for node in ast.walk(ast.parse((FOLDER / f"{program}.py").read_text()))
         for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [])
-        + ([each.name for each in node.names] if isinstance(node, ast.Import) else [])
+        + ([alias.name for alias in node.names] if isinstance(node, ast.Import) else [])
     }
     assert imported & set(PROGRAMS) == set()
     assert imported <= {

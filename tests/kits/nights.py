@@ -60,7 +60,7 @@ _UNKNOWN_SECONDS: Final = 10.0
 _KIT: Final = (
     "--pyargs",
     "rhi.conformance",
-    *(f"--rhi-backend={each}" for each in ("gl", "cl", "wgpu", "null")),
+    *(f"--rhi-backend={item}" for item in ("gl", "cl", "wgpu", "null")),
 )
 _KIT_PROPERTY: Final = "rhi-conformance"  # of the kit's tests; its plugin can't be imported before pytest
 _PART_OF_SHARD: Final = 0.25
@@ -126,7 +126,7 @@ def _join(first: Row, second: Row) -> Row:
     return replace(newer, commit=passed.commit, passed=passed.passed)
 
 
-_TITLES: Final = "\t".join(each.name for each in fields(Row)) + "\n"
+_TITLES: Final = "\t".join(item.name for item in fields(Row)) + "\n"
 
 
 def format_record(rows: Mapping[str, Row]) -> str:
@@ -189,7 +189,9 @@ def choose_shard(
     for test in sorted(set(tests)):
         files[test.partition("::")[0]].append(test)
     typical = statistics.median(seconds.values()) if seconds else _UNKNOWN_SECONDS
-    duration = {test: seconds.get(test, typical) for each in files.values() for test in each}
+    duration = {
+        test: seconds.get(test, typical) for tests_of_file in files.values() for test in tests_of_file
+    }
     largest = _PART_OF_SHARD * sum(duration.values()) / count
     units: list[tuple[float, list[str]]] = []
     for members in files.values():
@@ -223,7 +225,7 @@ def order_tests(
             return 2
         if row.outcome == "started":
             return 3
-        if any(file == each or file.startswith(f"{each}/") for each in changed.get(row.commit, ())):
+        if any(file == path or file.startswith(f"{path}/") for path in changed.get(row.commit, ())):
             return 0
         return 1 if row.outcome == "failed" else 2
 
@@ -330,10 +332,10 @@ class Night:
         item = waiting.pop(0) if waiting else None
         while item is not None:
             following = None
-            for index, each in enumerate(waiting):
-                if self._fits(each, self._seconds(item)):
+            for index, waiting_item in enumerate(waiting):
+                if self._fits(waiting_item, self._seconds(item)):
                     self.left += [skipped.nodeid for skipped in waiting[:index]]
-                    following = each
+                    following = waiting_item
                     del waiting[: index + 1]
                     break
             self._run(item, following)
@@ -345,7 +347,7 @@ class Night:
                 self.left.append(following.nodeid)
                 following = None
             item = following
-        self.left += [each.nodeid for each in waiting]
+        self.left += [waiting_item.nodeid for waiting_item in waiting]
         return True
 
     def _run(self, item: pytest.Item, following: pytest.Item | None) -> None:
@@ -427,8 +429,8 @@ def _git(*arguments: str) -> str | None:
 def _name_commit() -> str:
     """Return the tree's commit, with a `+` if files other than the record differ from it."""
     commit = (_git("rev-parse", "HEAD") or "-").strip()
-    own = RECORD.relative_to(ROOT).as_posix()
-    return commit + ("+" if _git("status", "--porcelain", "--", ".", f":!{own}") else "")
+    path = RECORD.relative_to(ROOT).as_posix()
+    return commit + ("+" if _git("status", "--porcelain", "--", ".", f":!{path}") else "")
 
 
 def _list_recent_commits() -> tuple[list[str], str]:
@@ -457,7 +459,7 @@ def _list_changed(record: Mapping[str, Row]) -> dict[str, list[str]]:
             if file not in responsible:
                 responsible[file] = choose_changed_tests(ROOT, [file])
             tests |= dict.fromkeys(responsible[file])
-        changed[commit] = [each for each in tests if (ROOT / each).exists()]
+        changed[commit] = [test for test in tests if (ROOT / test).exists()]
     return changed
 
 
@@ -495,14 +497,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command == "merge":
         if rest:
             parser.error(f"unknown: {' '.join(rest)}")
-        missing = [str(each) for each in options.records if not each.is_file()]
+        missing = [str(path) for path in options.records if not path.is_file()]
         if missing:
             parser.error(f"no such file: {', '.join(missing)}")
         settle_record(options.record, *map(read_record, options.records))
         return 0
     sys.path.insert(0, str(ROOT))
     record = read_record(options.record)
-    named = [each for each in rest if Path(each.partition("::")[0]).exists()]
+    named = [path for path in rest if Path(path.partition("::")[0]).exists()]
     every = ["-m", "", "--hypothesis-profile", "nightly", *rest]
     every += [] if named else [str(ROOT / "tests"), *_KIT]
     if options.command == "overdue":

@@ -309,8 +309,8 @@ class _FaultCollector(ast.NodeVisitor):
         """The type of a parameter."""
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-        for each in (*node.args.defaults, *filter(None, node.args.kw_defaults), *node.body):
-            self.visit(each)
+        for default in (*node.args.defaults, *filter(None, node.args.kw_defaults), *node.body):
+            self.visit(default)
 
     def visit_Subscript(self, node: ast.Subscript) -> None:
         name = getattr(node.value, "id", getattr(node.value, "attr", ""))

@@ -87,15 +87,15 @@ def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
     while not folder.is_dir():
         folder = folder.parent
     stem = path.stem.strip("_").removeprefix("test_")
-    named = sorted(each for each in folder.rglob("test_*.py") if stem and stem in each.stem)
-    own = folder.relative_to(root).as_posix()
-    stages = [(*(each.relative_to(root).as_posix() for each in named), own)]
+    named = sorted(test for test in folder.rglob("test_*.py") if stem and stem in test.stem)
+    folder_name = folder.relative_to(root).as_posix()
+    stages = [(*(test.relative_to(root).as_posix() for test in named), folder_name)]
     if path.parts[0] == "rhi":
         is_examined = path.parts[1] == "backends" and path.parts[2] in _KITS
         backends = [_KITS[path.parts[2]]] if is_examined else []
         if not backends:
             backends = ["gl", "cl"] if path.parts[1] == "shading" else ["null", "gl"]
-        stages += _list_wider(root, path, own)
+        stages += _list_wider(root, path, folder_name)
         stages += [("--pyargs", "rhi.conformance", "--rhi-backend", backend) for backend in backends]
     else:
         users = _list_users(root, path, folder)
@@ -105,14 +105,14 @@ def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
     return stages
 
 
-def _list_wider(root: Path, path: PurePosixPath, own: str) -> list[tuple[str, ...]]:
+def _list_wider(root: Path, path: PurePosixPath, folder_name: str) -> list[tuple[str, ...]]:
     """Return the stage of a module's package of `rhi`, and for a backend of what stands beside all."""
     is_backend = path.parts[1] == "backends"
     top = "/".join(("tests", *path.parts[: 3 if is_backend else 2]))
     beside = [
-        each.relative_to(root).as_posix() for each in sorted((root / "tests/rhi/backends").glob("test_*.py"))
+        test.relative_to(root).as_posix() for test in sorted((root / "tests/rhi/backends").glob("test_*.py"))
     ]
-    wider = ([top] if top != own and (root / top).is_dir() else []) + (beside if is_backend else [])
+    wider = ([top] if top != folder_name and (root / top).is_dir() else []) + (beside if is_backend else [])
     return [tuple(wider)] if wider else []
 
 
@@ -123,9 +123,13 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path, *, inside: bool =
     package = ".".join(path.with_suffix("").parts[:2])
     named = re.compile(rf"\b{re.escape(package)}\b")
     tree = ast.parse((root / path).read_text())
-    names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
+    names = [
+        re.escape(definition.name)
+        for definition in tree.body
+        if isinstance(definition, ast.ClassDef | ast.FunctionDef)
+    ]
     if inside:
-        assigned = [each.target for each in tree.body if isinstance(each, ast.AnnAssign)]
+        assigned = [definition.target for definition in tree.body if isinstance(definition, ast.AnnAssign)]
         names += [re.escape(target.id) for target in assigned if isinstance(target, ast.Name)]
     words = re.compile(
         "|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_"))
@@ -157,12 +161,12 @@ def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
     )
     counts = Counter[str]()
     for file in sorted((root / path.parts[0]).rglob("*.py")):
-        own = file.relative_to(root).parts
-        if len(own) <= 2 or own[1] in (path.parts[1], *_MEASURING):
+        folder_name = file.relative_to(root).parts
+        if len(folder_name) <= 2 or folder_name[1] in (path.parts[1], *_MEASURING):
             continue
         text = _read(file)
         if f"from {package}" in text and imports.search(text):
-            counts["/".join(("tests", *own[:2]))] += 1
+            counts["/".join(("tests", *folder_name[:2]))] += 1
     return [folder for folder, _ in counts.most_common() if (root / folder).is_dir()]
 
 
@@ -210,14 +214,14 @@ def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
         elif (root / "tests" / path.parts[0]).is_dir():
             paths[f"tests/{path.parts[0]}"] = None
     paths |= dict.fromkeys(_ALWAYS)
-    existing = [each for each in paths if (root / each).exists()]
+    existing = [candidate for candidate in paths if (root / candidate).exists()]
     if kits:
         existing += [
             "--pyargs",
             "rhi.conformance",
             *(part for kit in kits for part in ("--rhi-backend", kit)),
         ]
-    elif any(each.startswith("rhi/conformance") for each in existing):
+    elif any(candidate.startswith("rhi/conformance") for candidate in existing):
         existing += ["--rhi-backend", "gl", "--rhi-backend", "cl", "--rhi-backend", "null"]
     elif languages and (root / _LANGUAGE).exists():
         existing += [_LANGUAGE, *(part for device in languages for part in ("--rhi-backend", device))]
@@ -228,13 +232,13 @@ def _choose_near_tests(root: Path, path: PurePosixPath) -> list[str]:
     """Return the tests that are named after a module and those that use it most, or else its folder's."""
     if path.suffix == ".cl":
         return ["tests/rhi/backends/cl/raster"]
-    *named, own = choose_tests(root, path.as_posix())[0]
-    beside = _list_users(root, path, root / own, inside=True)
-    is_small = len(list((root / own).rglob("test_*.py"))) <= _MAX_FOLDER
+    *named, folder_tests = choose_tests(root, path.as_posix())[0]
+    beside = _list_users(root, path, root / folder_tests, inside=True)
+    is_small = len(list((root / folder_tests).rglob("test_*.py"))) <= _MAX_FOLDER
     is_main = path.stem in ("__init__", path.parent.name)
     is_hardly_named = not named and len(beside) < 2
-    near = [own] if is_small and (is_main or is_hardly_named) else [*named, *beside]
-    return [*near, *_list_users(root, path, root / own)]
+    near = [folder_tests] if is_small and (is_main or is_hardly_named) else [*named, *beside]
+    return [*near, *_list_users(root, path, root / folder_tests)]
 
 
 def _list_readers(root: Path, path: PurePosixPath) -> list[str]:

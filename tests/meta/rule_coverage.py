@@ -82,7 +82,7 @@ def collect_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[i
     ) -> Iterator[tuple[int, Check]]:
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
             decorators = getattr(node, "decorator_list", [])
-            function = min([node.lineno, *(each.lineno for each in decorators)])
+            function = min([node.lineno, *(decorator.lineno for decorator in decorators)])
             loop = condition = frozenset()
             if getattr(node, "name", "") in helpers:
                 return

@@ -74,7 +74,9 @@ rows = st.builds(
     commit=st.sampled_from(["-", "aaaa", "bbbb+"]),
     passed=st.sampled_from(["-", "2020-01-01T00:00:00Z", "2020-01-03T00:00:00Z"]),
 )
-records = st.lists(rows, max_size=6).map(lambda lines: merge_records(*({each.test: each} for each in lines)))
+records = st.lists(rows, max_size=6).map(
+    lambda lines: merge_records(*({table_row.test: table_row} for table_row in lines))
+)
 
 
 # -- the record ----------------------------------------------------------------------------------------------
@@ -85,8 +87,8 @@ def test_records_are_merged_in_any_order_and_any_number_of_times(
     first: dict[str, Row], second: dict[str, Row], third: dict[str, Row]
 ) -> None:
     merged = merge_records(first, second, third)
-    for each in itertools.permutations([first, second, third]):
-        assert merge_records(*each, first) == merged
+    for order in itertools.permutations([first, second, third]):
+        assert merge_records(*order, first) == merged
     assert merge_records(merge_records(first, second), third) == merged
     assert parse_record(format_record(merged)) == merged
     assert parse_record(format_record(first) + format_record(second) + format_record(third)) == merged
@@ -121,8 +123,8 @@ def test_the_record_is_merged_by_a_command(tmp_path: Path) -> None:
 
 def test_tests_without_a_recent_pass_are_overdue() -> None:
     record = {
-        each.test: each
-        for each in [
+        text.test: text
+        for text in [
             row("a.py::recent", commit="new", passed="2020-01-02T00:00:00Z"),
             row("a.py::old", commit="old", passed="2020-01-01T00:00:00Z"),
             row("a.py::differs", commit="new+", passed="2020-01-02T00:00:00Z"),
@@ -133,7 +135,7 @@ def test_tests_without_a_recent_pass_are_overdue() -> None:
     }
     since = "2020-01-02T00:00:00Z"
     overdue = list_overdue([*record, "a.py::unknown"], record, ["new"], since)
-    assert [each.partition(":")[2].partition(": ")[0] for each in overdue] == [
+    assert [text.partition(":")[2].partition(": ")[0] for text in overdue] == [
         ":differs",
         ":failed",
         ":old",
@@ -153,7 +155,7 @@ def test_shards_have_every_test_exactly_once(count: int, number: int, seed: int)
     chance = random.Random(seed)
     tests = [f"{chance.choice('abc')}.py::test_{index}" for index in range(number)]
     seconds = {test: chance.uniform(0.0, 90.0) for test in tests if chance.random() < 0.8}
-    shards = [choose_shard(tests, seconds, each, count) for each in range(1, count + 1)]
+    shards = [choose_shard(tests, seconds, shard_number, count) for shard_number in range(1, count + 1)]
     assert sorted(test for shard in shards for test in shard) == sorted(tests)
     assert shards[0] == choose_shard(reversed(tests), seconds, 1, count)
 
@@ -161,7 +163,7 @@ def test_shards_have_every_test_exactly_once(count: int, number: int, seed: int)
 def test_shards_take_about_equally_long() -> None:
     chance = random.Random(1)
     seconds = {f"{file}.py::test_{n}": chance.uniform(0.1, 60.0) for file in "abcdefgh" for n in range(40)}
-    loads = [sum(seconds[test] for test in choose_shard(seconds, seconds, each, 8)) for each in range(1, 9)]
+    loads = [sum(seconds[test] for test in choose_shard(seconds, seconds, shard, 8)) for shard in range(1, 9)]
     assert max(loads) < 1.1 * sum(loads) / 8
 
 
@@ -170,7 +172,7 @@ def test_a_short_file_stays_in_one_shard() -> None:
         f"short.py::test_{n}": 1.0 for n in range(9)
     }
     short = [
-        sum("short" in test for test in choose_shard(seconds, seconds, each, 4)) for each in (1, 2, 3, 4)
+        sum("short" in test for test in choose_shard(seconds, seconds, shard, 4)) for shard in (1, 2, 3, 4)
     ]
     assert sorted(short) == [0, 0, 0, 9]
 
@@ -221,14 +223,14 @@ def folder(pytester: pytest.Pytester) -> pytest.Pytester:
 def run(folder: pytest.Pytester, night: Night, *arguments: str) -> list[str]:
     """Run a night, and return the tests in the order in which they ran."""
     result = folder.inline_run("-p", "no:randomly", *arguments, plugins=[night])
-    return [each.item.nodeid for each in result.getcalls("pytest_runtest_protocol")]
+    return [call.item.nodeid for call in result.getcalls("pytest_runtest_protocol")]
 
 
 def test_a_run_records_every_outcome(folder: pytest.Pytester) -> None:
     path = folder.path / "record.tsv"
     assert len(run(folder, Night(path, "aaaa"))) == 9
     record = read_record(path)
-    outcomes = {test.partition("::")[2]: (each.outcome, each.commit) for test, each in record.items()}
+    outcomes = {test.partition("::")[2]: (row.outcome, row.commit) for test, row in record.items()}
     assert outcomes.pop("test_fails") == ("failed", "-")
     assert outcomes.pop("test_skips") == ("skipped", "-")
     assert set(outcomes.values()) == {("passed", "aaaa")}
@@ -240,9 +242,9 @@ def test_the_next_night_begins_with_the_failure_and_rotates_seeds(folder: pytest
     run(folder, Night(path, "aaaa"))
     again = run(folder, Night(path, "bbbb"))
     assert again[0] == "test_some.py::test_fails"
-    assert {each.seed for each in read_record(path).values()} == {2}
+    assert {row.seed for row in read_record(path).values()} == {2}
     run(folder, Night(path, "bbbb"), "--hypothesis-seed", "7")
-    assert {each.seed for each in read_record(path).values()} == {7}
+    assert {row.seed for row in read_record(path).values()} == {7}
 
 
 def test_a_night_leaves_out_tests_of_the_default_run_except_property_tests(pytester: pytest.Pytester) -> None:
@@ -269,9 +271,9 @@ def test_tests_of_several_folders_with_plugins_of_their_own_run(pytester: pytest
 
 def test_shards_of_a_run_cover_it_once(folder: pytest.Pytester) -> None:
     path = folder.path / "record.tsv"
-    ran = [run(folder, Night(path, "a", (each, 3), durations={})) for each in (1, 2, 3)]
+    ran = [run(folder, Night(path, "a", (shard, 3), durations={})) for shard in (1, 2, 3)]
     assert all(ran)
-    tests = [test for each in ran for test in each]
+    tests = [test for shard in ran for test in shard]
     assert len(tests) == len(set(tests)) == len(read_record(path)) == 9
 
 
@@ -334,7 +336,9 @@ def test_fixtures_of_a_file_are_set_up_once_though_a_test_is_left_out(pytester: 
     path.write_text(format_record({long: row(long, seconds=900.0)}))
     run(pytester, Night(path, "a", budget=600.0))
     record = read_record(path)
-    assert [each.outcome for each in record.values() if each.passed != "-"] == ["passed"] * 3
+    assert [outcome_row.outcome for outcome_row in record.values() if outcome_row.passed != "-"] == [
+        "passed"
+    ] * 3
 
 
 def run_apart(folder: pytest.Pytester, path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -366,12 +370,12 @@ def test_an_interrupted_run_records_the_tests_that_passed(pytester: pytest.Pytes
     )
     path = pytester.path / "record.tsv"
     assert run_apart(pytester, path).returncode != 0
-    record = {test.partition("::")[2]: each for test, each in read_record(path).items()}
+    record = {test.partition("::")[2]: row for test, row in read_record(path).items()}
     assert set(record) == {"test_a", "test_b"}
     assert (record["test_a"].outcome, record["test_a"].commit) == ("passed", "a")
     assert record["test_b"].outcome != "passed"
     assert run_apart(pytester, path, "-k", "not test_b").returncode == 0
-    after = {test.partition("::")[2]: each.outcome for test, each in read_record(path).items()}
+    after = {test.partition("::")[2]: row.outcome for test, row in read_record(path).items()}
     assert (after["test_a"], after["test_c"]) == ("passed", "passed")
 
 

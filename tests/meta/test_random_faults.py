@@ -127,7 +127,7 @@ def test_a_fault_that_is_explained_is_no_survivor(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(random_faults, "explain", lambda *fault: "for a reason")
-    (fault,) = (each for each in list_faults("thing/numbers.py", TESTED) if each.old == "2")
+    (fault,) = (listed for listed in list_faults("thing/numbers.py", TESTED) if listed.old == "2")
     assert try_faults(project, [fault]) == []
     assert capsys.readouterr().out.endswith(
         "for a reason\n0 of 0 that can be seen are noticed; 1 can't be seen\n"
@@ -144,7 +144,7 @@ def test_tests_that_fail_without_a_fault_are_reported(project: Path) -> None:
 @pytest.mark.parametrize("unseen", UNDETECTABLE_FAULTS, ids=lambda fault: f"{fault.file}: {fault.text[:40]}")
 def test_each_undetectable_fault_exists_and_has_a_reason(unseen: tuple[str, ...]) -> None:
     file, text, old, new, why = unseen
-    there = {(each.text, each.old, each.new) for each in list_faults(file, (ROOT / file).read_text())}
+    there = {(listed.text, listed.old, listed.new) for listed in list_faults(file, (ROOT / file).read_text())}
     assert (text, old, new) in there
     assert explain(file, text, old, new) == why
     assert not explain(file, text, old, "another")

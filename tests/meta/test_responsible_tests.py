@@ -38,8 +38,8 @@ def test_a_module_s_tests_are_its_folder_s_and_then_the_kit_s(
 
 
 def test_a_part_of_the_renderer_is_also_tested_where_it_is_used() -> None:
-    own, users, exam, importers = choose_tests(ROOT, "renderer/scene/meshes.py")
-    assert own == ("tests/renderer/scene",)
+    direct, users, exam, importers = choose_tests(ROOT, "renderer/scene/meshes.py")
+    assert direct == ("tests/renderer/scene",)
     assert 1 < len(users) <= 8
     assert all("renderer.scene" in (ROOT / file).read_text() for file in users)
     assert exam == ("tests/renderer/lab/exam/test_cases.py",)

@@ -57,7 +57,7 @@ def run(folder: Path, end: str, *options: str, seconds: float = 60.0) -> subproc
 
 def outcomes(folder: Path) -> dict[str, str]:
     record = read_record(folder / "record.tsv")
-    return {test.partition("::")[2]: each.outcome for test, each in record.items()}
+    return {test.partition("::")[2]: row.outcome for test, row in record.items()}
 
 
 def test_a_night_goes_on_after_a_test_that_aborts(tmp_path: Path) -> None:
@@ -143,10 +143,10 @@ os.abort()
         [sys.executable, "-c", text], [], tmp_path / "reports", 2.0, lambda test, seconds: ends.append(test)
     )
     assert status == 1
-    minutes = [float(each) for each in ends]
+    minutes = [float(end) for end in ends]
     assert 1 <= len(minutes) <= 4
     assert minutes == sorted(minutes, reverse=True)
-    assert all(0.0 <= each <= 2.0 / 60 for each in minutes)
+    assert all(0.0 <= end <= 2.0 / 60 for end in minutes)
 
 
 @pytest.mark.parametrize(

@@ -138,9 +138,11 @@ def compare(device: Device, technique: str, algorithm: str, edits: int, *, every
                     assert frame.statistics.draws == expected.statistics.draws, number
                     assert frame.statistics.triangles == expected.statistics.triangles, number
                     assert renderer.shadows.casters_drawn == other.shadows.casters_drawn == 0
-                    expected_casters = sorted((each.name, each.casters) for each in other.shadows.reports)
+                    expected_casters = sorted(
+                        (report.name, report.casters) for report in other.shadows.reports
+                    )
                     assert (
-                        sorted((each.name, each.casters) for each in renderer.shadows.reports)
+                        sorted((report.name, report.casters) for report in renderer.shadows.reports)
                         == expected_casters
                     )
 
@@ -183,7 +185,7 @@ def test_a_hidden_object_needs_nothing(null: Device) -> None:
             frame = draw(renderer)
             assert (Effect.TRANSPARENCY in frame.frames[0].effects.enabled) == effects
             assert frame.statistics.draws == drawn
-            skipped = {each.reason for each in renderer.shadows.reports if each.state == "skipped"}
+            skipped = {report.reason for report in renderer.shadows.reports if report.state == "skipped"}
             assert ("it reaches nothing visible" in skipped) == (drawn == 0)
 
 
@@ -301,7 +303,7 @@ def test_nodes_animated_within_bounds_keep_their_parents_and_others_may_change_t
 def test_a_handle_names_its_object_until_that_is_removed() -> None:
     scene = make_edited()
     handles = [scene.add_object(1, 1) for _ in range(SPARE)]
-    assert len({scene.get_object_index(each) for each in handles}) == SPARE
+    assert len({scene.get_object_index(handle) for handle in handles}) == SPARE
     assert refused_rule(lambda: scene.add_object(1, 1)) == "scene-no-room"
     scene.nodes.set_parent(scene.objects.node[handles[3].object_index], scene.nodes.find("group"))
     scene.remove_object(handles[3])

@@ -60,9 +60,9 @@ def draw_with_interruptions(interruptions: Interruptions, scene: Scene, renderer
         else:
             return number
         interruptions.left = -1
-        for each in (before, size):
-            renderer.size = each
-            assert renderer.render(camera).image.size == each
+        for size_or_before in (before, size):
+            renderer.size = size_or_before
+            assert renderer.render(camera).image.size == size_or_before
     raise AssertionError("creations never end")
 
 

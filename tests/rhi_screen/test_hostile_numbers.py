@@ -131,7 +131,7 @@ def test_steps_take_a_whole_number_of_them(value: Any) -> None:
         FixedSteps(60.0, value)
 
 
-@pytest.mark.parametrize("value", [each for each in NO_NUMBERS if each is not None] + [-0.1])
+@pytest.mark.parametrize("value", [number for number in NO_NUMBERS if number is not None] + [-0.1])
 def test_steps_take_time_that_has_passed(value: Any) -> None:
     steps = FixedSteps(10.0)
     with pytest.raises(RhiError, match=r"^\[device-argument\]"):
@@ -139,7 +139,7 @@ def test_steps_take_time_that_has_passed(value: Any) -> None:
     assert len(steps.advance(0.25)) == 2  # the refused call has changed nothing
 
 
-@pytest.mark.parametrize("value", [*(each for each in NO_NUMBERS), 0.0, -1.0, 1e6])
+@pytest.mark.parametrize("value", [*(number for number in NO_NUMBERS), 0.0, -1.0, 1e6])
 def test_a_video_has_a_rate(tmp_path: Path, value: Any) -> None:
     pytest.importorskip("av", reason='no PyAV: pip install "rhi[video]"')
     with pytest.raises(RhiError, match=r"^\[device-argument\]"):

@@ -73,9 +73,9 @@ def enter(page: Any, *, path: str = "", origin: str | None = "same", host: str |
     """Open a WebSocket as a page of `origin` does, with other words where they are given."""
     port = page.address.split(":")[2].split("/")[0]
     url = page.address.replace("http", "ws") if not path else f"ws://127.0.0.1:{port}{path}"
-    own = f"http://127.0.0.1:{port}"
+    address = f"http://127.0.0.1:{port}"
     headers = {} if host is None else {"Host": host}
-    return connect(url, origin=own if origin == "same" else origin, additional_headers=headers)  # type: ignore[arg-type]
+    return connect(url, origin=address if origin == "same" else origin, additional_headers=headers)  # type: ignore[arg-type]
 
 
 async def fetch(page: Any, path: str, host: str = "") -> tuple[int, str]:
@@ -274,7 +274,7 @@ def test_no_more_than_two_frames_are_sent_that_a_page_has_not_shown() -> None:
             with pytest.raises(asyncio.TimeoutError):
                 while True:
                     received.append(await asyncio.wait_for(client.recv(), 0.5))
-        assert len([each for each in received if isinstance(each, bytes)]) in (
+        assert len([message for message in received if isinstance(message, bytes)]) in (
             2,
             3,
         )  # one may precede what it said

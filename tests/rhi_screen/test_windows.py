@@ -349,7 +349,7 @@ def check_density(_display: Display, density: int, ratio: float) -> None:
         def steps() -> Iterator[None]:
             yield
             for _ in range(1000):
-                coordinates = [str(round(each * ratio)) for each in (30, 12)]
+                coordinates = [str(round(length * ratio)) for length in (30, 12)]
                 subprocess.run(
                     ["xdotool", "mousemove", "--window", str(x_window(screen)), *coordinates], check=True
                 )

@@ -36,7 +36,7 @@ def pack(source: str, mistakes: list[tuple[str, str, str]]) -> list[dict[int, tu
         line = source.count("\n", 0, at) + 1
         taken = range(line, line + old.count("\n") + 1)
         for file in files:
-            if not any(each in file for each in taken):
+            if not any(taken_name in file for taken_name in taken):
                 break
         else:
             files.append(file := {})
@@ -64,8 +64,8 @@ def mistakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
         json.dumps({"extraPaths": [str(ROOT)], "pythonVersion": "3.11"})
     )
     environment = os.environ | {"PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
-    own = ["--pythonpath", sys.executable]  # not the first that PATH has, which may lack NumPy
-    command = [sys.executable, "-m", "pyright", "--outputjson", "-p", str(folder), *own]
+    arguments = ["--pythonpath", sys.executable]  # not the first that PATH has, which may lack NumPy
+    command = [sys.executable, "-m", "pyright", "--outputjson", "-p", str(folder), *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     lines: dict[str, set[int]] = {}
     for row in json.loads(done.stdout)["generalDiagnostics"]:

@@ -212,7 +212,7 @@ def list_unread_extensions(root: JsonObject) -> Iterator[tuple[str, str]]:
         where, value = waiting.pop()
         if isinstance(value, list):
             objects = [
-                (f"{where}[{at}]", each) for at, each in enumerate(value) if isinstance(each, dict | list)
+                (f"{where}[{at}]", part) for at, part in enumerate(value) if isinstance(part, dict | list)
             ]
             waiting += reversed(objects)
             continue
@@ -223,8 +223,8 @@ def list_unread_extensions(root: JsonObject) -> Iterator[tuple[str, str]]:
                 yield name, where
             elif isinstance(fields, dict | list):
                 waiting.append((f"{where}.extensions.{name}".lstrip("."), fields))
-        parts = [(key, each) for key, each in value.items() if isinstance(each, dict | list)]
-        below = [(f"{where}.{key}".lstrip("."), each) for key, each in parts if key not in _OPAQUE]
+        parts = [(key, part) for key, part in value.items() if isinstance(part, dict | list)]
+        below = [(f"{where}.{key}".lstrip("."), part) for key, part in parts if key not in _OPAQUE]
         waiting += reversed(below)
 
 

@@ -407,11 +407,11 @@ class _GltfWriter:
                 if not kind.gltf.is_allowed(light):
                     self.omissions.add(kind.gltf.omission, f"lights[{number}]")
                 fields |= kind.gltf.write(light)
-                own: dict[str, Any] = {"casts_shadow": True} if light["casts_shadow"] else {}
+                extras: dict[str, Any] = {"casts_shadow": True} if light["casts_shadow"] else {}
                 if kind.has_range and light["source_radius"] > 0.0:
-                    own["source_radius"] = float(light["source_radius"])
-                if own:
-                    fields["extras"] = {KEY: own}
+                    extras["source_radius"] = float(light["source_radius"])
+                if extras:
+                    fields["extras"] = {KEY: extras}
                 self._lights.append(fields)
                 position = light["position"].astype(np.float64) if kind.has_range else np.zeros(3)
                 axes = _look_along(light["direction"].astype(np.float64)) if kind.has_direction else np.eye(3)

@@ -62,9 +62,9 @@ def count_effect_costs(numbers: Iterable[int]) -> list[EffectRow]:
     """Count what steps add, each to the one before it."""
     rows, counted = [], dict[int, FrameCosts]()
     for number in numbers:
-        for each in (number - 1, number):
-            if each >= 0 and each not in counted:
-                counted[each] = count_step(each).costs
+        for step in (number - 1, number):
+            if step >= 0 and step not in counted:
+                counted[step] = count_step(step).costs
         costs, before = counted[number], counted.get(number - 1)
         leftovers: Leftovers | None = None
         faults: list[str] = []

@@ -40,7 +40,7 @@ def time_steps(device: rhi.Device, numbers: Sequence[int], rounds: Iterable[int]
 
     A step adds its difference to the step before it.
     """
-    drawn = sorted({each for number in numbers for each in (number - 1, number) if each >= 0})
+    drawn = sorted({step for number in numbers for step in (number - 1, number) if step >= 0})
     with ExitStack() as stack:
         step_renderers = {}
         for number in drawn:

@@ -18,13 +18,13 @@ def late_query_results(looks: int) -> Iterator[None]:
     """Delay each query and query set of this process until `is_finished` was read `looks` times, regardless
     of how fast the GPU is. Waiting for a result always works."""
     late = delay_methods(looks)
-    own = [(kind, name, kind.__dict__.get(name)) for kind, name, _ in late]
+    attributes = [(kind, name, kind.__dict__.get(name)) for kind, name, _ in late]
     for kind, name, method in late:
         setattr(kind, name, method)
     try:
         yield
     finally:
-        for kind, name, method in own:
+        for kind, name, method in attributes:
             if method is None:  # inherited
                 delattr(kind, name)
             else:

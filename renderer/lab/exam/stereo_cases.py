@@ -125,13 +125,14 @@ def measure_two_eyes_in_one_frame(device: Device) -> CaseResult:
     scene, _ = make_street()
     with Renderer(device, scene, size=SIZE, visibility="frustum") as renderer:
         renderer.stereo = Stereo(RIG, "color")
-        both = [eye_image.read() for eye_image in renderer.render(camera, 10.0).eye_images]
+        eye_images = [eye_image.read() for eye_image in renderer.render(camera, 10.0).eye_images]
         renderer.stereo = None
         alone = [renderer.render(eye, 10.0).image.read() for eye in RIG.place_eyes(camera)]
     wrong = [
-        int((eye_image != expected).any(2).sum()) for eye_image, expected in zip(both, alone, strict=True)
+        int((eye_image != expected).any(2).sum())
+        for eye_image, expected in zip(eye_images, alone, strict=True)
     ]
-    holds = {"eyes see differently": not np.array_equal(both[0], both[1])}
+    holds = {"eyes see differently": not np.array_equal(eye_images[0], eye_images[1])}
     return CaseResult(sum(wrong), {"left": wrong[0], "right": wrong[1]}, holds)
 
 

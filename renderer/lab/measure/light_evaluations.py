@@ -141,8 +141,8 @@ class CountingTechnique(WrappedTechnique):
 
     def declare(self, effects: FrameEffects) -> Sequence[FramePass[Frame]]:
         """The technique's passes, and one that writes `light evaluations` if there are local lights."""
-        own, count = self._technique.declare(effects), find_counting_pass(self._technique)
-        return (*own, count) if count is not None and local_light_effects(effects) else own
+        passes, count = self._technique.declare(effects), find_counting_pass(self._technique)
+        return (*passes, count) if count is not None and local_light_effects(effects) else passes
 
 
 def count_light_evaluations(renderer: Renderer, camera: Camera) -> int | None:
@@ -220,7 +220,7 @@ def _count_fragments(frame: Frame, *, lighting: Lighting, after_depth: bool) -> 
         frame,
         LightCounter,
         *lighting.bases,
-        own=lighting.bind(frame),
+        shader_bindings=lighting.bind(frame),
         switches=lighting.switches,
         color=frame.targets[EVALUATIONS],
         depth=frame.targets["depth" if after_depth else "counted depth"],
@@ -233,9 +233,11 @@ def _count_fragments(frame: Frame, *, lighting: Lighting, after_depth: bool) -> 
 
 def _count_pixels(frame: Frame) -> None:
     targets, shader = frame.targets, (LightCounter, LitByLists)
-    own, switches = bind_light_lists(frame, CLUSTERS), geometry_buffer_switches(frame)
+    bindings, switches = bind_light_lists(frame, CLUSTERS), geometry_buffer_switches(frame)
     depth = targets["depth"]
-    draw_full_screen(frame, shader, targets[EVALUATIONS], own, depth=depth, clear=_NONE, switches=switches)
+    draw_full_screen(
+        frame, shader, targets[EVALUATIONS], bindings, depth=depth, clear=_NONE, switches=switches
+    )
 
 
 def _count_clusters(frame: Frame) -> None:

@@ -64,7 +64,7 @@ class Rectangle(NamedTuple):
 
 
 def draw_graph(
-    canvas: Canvas, box: Rectangle, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int
+    canvas: Canvas, box: Rectangle, frames: NDArray[np.float64], python_times: NDArray[np.float64], bar: int
 ) -> None:
     """Draw a bar for each frame, the latest at the right edge; its foot is the overlay's own time.
 
@@ -78,14 +78,14 @@ def draw_graph(
         top *= 2.0
     x = box.x + box.width - bar * np.arange(len(frames), 0, -1)
     high = np.ceil(frames * (box.height / top))
-    foot = np.minimum(np.ceil(own * (box.height / top)), high)
+    foot = np.minimum(np.ceil(python_times * (box.height / top)), high)
     under = box.y + box.height
     kinds = np.stack([FAST, FAIR, SLOW])[np.searchsorted((BUDGET, 2.0 * BUDGET), frames)]
     wide = np.full(len(frames), max(bar - 1, 1))
     canvas.rects(np.stack([x, under - high, wide, high - foot], axis=1), kinds)
     canvas.rects(np.stack([x, under - foot, wide, foot], axis=1), OWN)
-    heights = [round(each * box.height / top) for each in (BUDGET, 2.0 * BUDGET) if each <= top]
-    canvas.rects([(box.x, under - each, box.width, 1) for each in heights], RULE)
+    heights = [round(budget * box.height / top) for budget in (BUDGET, 2.0 * BUDGET) if budget <= top]
+    canvas.rects([(box.x, under - budget, box.width, 1) for budget in heights], RULE)
 
 
 def draw_objects(

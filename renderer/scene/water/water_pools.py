@@ -208,8 +208,8 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         heights = np.asarray(self.pool.heights, np.float64)
         before = (heights + 0.5 * self._curvature(heights[None])[0]) / self.pool.damping_factor
         is_odd = (self._number - self._due)[:, None] % 2
-        both: NDArray[Any] = np.stack([heights, before]).astype(np.float32)[(is_odd + np.arange(2)) % 2]
-        return both
+        layers: NDArray[Any] = np.stack([heights, before]).astype(np.float32)[(is_odd + np.arange(2)) % 2]
+        return layers
 
     def step(self, members: Indices, numbers: Indices) -> None:
         """Note one more step for `members` (j,); one that isn't the next of a member begins flat."""

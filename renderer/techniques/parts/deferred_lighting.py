@@ -160,20 +160,30 @@ def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1) -> No
         lights: the name of the resource with the accumulated light, the last of its passes; empty without
             any.
     """
-    own = {"light": frame.targets[lights[0]]} if lights else {}
-    resolve_geometry(frame, GeometryResolve, own, samples=samples, has_light=bool(lights))
+    shader_bindings = {"light": frame.targets[lights[0]]} if lights else {}
+    resolve_geometry(frame, GeometryResolve, shader_bindings, samples=samples, has_light=bool(lights))
 
 
 def resolve_geometry(
-    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: bool
+    frame: Frame,
+    shader: type[GeometryResolve],
+    shader_bindings: Mapping[str, Any],
+    *,
+    samples: int = 1,
+    **switches: bool,
 ) -> None:
     """Make the image with a shader, its own bindings, and its switches."""
     all_switches = geometry_buffer_switches(frame) | switches
     if samples == 1:
         depth, clear = frame.targets["depth"], frame.background
-        draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=all_switches)
+        draw_full_screen(
+            frame, shader, frame.image, shader_bindings, depth=depth, clear=clear, switches=all_switches
+        )
     else:
-        bases, sample_bindings = (SampleMean, GeometrySamples, shader), {**own, **bind_samples(frame)}
+        bases, sample_bindings = (
+            (SampleMean, GeometrySamples, shader),
+            {**shader_bindings, **bind_samples(frame)},
+        )
         draw_full_screen(
             frame, bases, frame.image, sample_bindings, switches={**all_switches, "samples": samples}
         )

@@ -3,7 +3,7 @@
 A shader declares `fog: sl.Uniform[FogConstants]`, and whoever draws with it need not mention the fog: the
 binding is looked up by the name of the declaration, here. A name is read only if a program has it, so a frame
 makes nothing that its shaders don't bind. A technique passes the bindings that only it has with the draw
-(`own`).
+(`shader_bindings`).
 """
 
 from __future__ import annotations

@@ -202,7 +202,7 @@ def collect_terms(
         effect,
         shaders[len(targets)],
         targets,
-        own={name: frame.targets[f"{prefix}{name}"] for name in ("surface", "shininess")},
+        shader_bindings={name: frame.targets[f"{prefix}{name}"] for name in ("surface", "shininess")},
         switches={"is_downscaled": bool(prefix)},
         depth=f"{prefix}depth",
         clears=clears,

@@ -238,7 +238,7 @@ def draw_volumes(
     shader: type[VolumeShader],
     targets: Sequence[str],
     *,
-    own: Mapping[str, Any] = {},
+    shader_bindings: Mapping[str, Any] = {},
     switches: Mapping[str, Any] = {},
     depth: str = "depth",
     clears: bool,
@@ -248,7 +248,7 @@ def draw_volumes(
     """Draw the volumes of one kind of lights in view, and add what the shader returns to the targets.
 
     Args:
-        shader: lights what is in a volume, with bindings of its `own` and its `switches`.
+        shader: lights what is in a volume, with its `shader_bindings` and its `switches`.
         targets, depth: names of resources.
         clears: whether they are cleared to 0 first.
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
@@ -270,7 +270,7 @@ def draw_volumes(
     ):
         for mesh, volume_lights in list_volumes(frame, effect):
             volume_bindings = {
-                **own,
+                **shader_bindings,
                 "volume_lights": device.transient.storage(int, volume_lights.astype(np.int32)),
             }
             bindings = bind(frame, program, volume_bindings)

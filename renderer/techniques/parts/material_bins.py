@@ -145,7 +145,7 @@ class PixelBins:
         )
         self._bounds.write(bounds)
         self._counts.clear()
-        own = {
+        shader_bindings = {
             "keys": self._keys.buffer,
             "counts": self._counts,
             "pixels": self.pixels,
@@ -162,7 +162,7 @@ class PixelBins:
         )
         for shader, groups in steps:
             program: Program[...] = device.program(shader)
-            device.dispatch(program, groups, **bind(frame, program, own))
+            device.dispatch(program, groups, **bind(frame, program, shader_bindings))
 
     def _reserve(self, pixels: int, materials: int, shaders: int) -> None:
         """Allocate buffers for as many pixels, materials and shaders."""

@@ -299,11 +299,14 @@ def rectangles_pass() -> FramePass[Frame]:
 
 
 def draw_rectangles(
-    frame: Frame, shader: type[RectangleShader], own: Mapping[str, Any], switches: Mapping[str, Any]
+    frame: Frame,
+    shader: type[RectangleShader],
+    shader_bindings: Mapping[str, Any],
+    switches: Mapping[str, Any],
 ) -> None:
     """Make the image: clear it to the background, and run a shader for the pixels of each material."""
     device, rectangles = frame.device, frame.view.workspace(MaterialRectangles)
-    bound = {**own, "rectangles": rectangles.rectangles}
+    bound = {**shader_bindings, "rectangles": rectangles.rectangles}
     drawn = []
     shaders = list_shaders(frame)
     for number, bases, parameters in shaders:

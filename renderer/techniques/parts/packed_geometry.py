@@ -221,7 +221,7 @@ def can_pack(effects: FrameEffects) -> bool:
 
 
 def _has_textures(effects: FrameEffects) -> bool:
-    own = Effect.MATERIAL_SHADERS
+    shaders = Effect.MATERIAL_SHADERS
     maps = (
         Effect.IMAGES,
         Effect.NORMAL_MAPS,
@@ -229,7 +229,7 @@ def _has_textures(effects: FrameEffects) -> bool:
         Effect.OCCLUSION_MAPS,
         Effect.EMISSIVE_MAPS,
     )
-    return not effects.enabled.isdisjoint((own, *maps))
+    return not effects.enabled.isdisjoint((shaders, *maps))
 
 
 def packed_pass(effects: FrameEffects, *, samples: int = 1) -> FramePass[Frame]:

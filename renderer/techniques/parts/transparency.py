@@ -242,7 +242,7 @@ def _draw(
         frame,
         shader,
         *lighting.bases,
-        own=lighting.bind(frame),
+        shader_bindings=lighting.bind(frame),
         switches=lighting.switches,
         color=[targets[name] for name in resources],
         depth=targets[depth],

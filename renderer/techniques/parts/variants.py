@@ -144,15 +144,17 @@ def _list_switches(bases: tuple[type[Any], ...], names: tuple[str, ...]) -> list
     return [name for name in names if any(hasattr(base, name) for base in bases)]
 
 
-def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Bindings of a program: its `own`, and for all other names those of `FrameBindings`."""
-    key, descriptor = (bind, program, *own), program.descriptor
+def bind(frame: Frame, program: Program[...], shader_bindings: Mapping[str, Any]) -> dict[str, Any]:
+    """Bindings of a program: its `shader_bindings`, and for all other names those of `FrameBindings`."""
+    key, descriptor = (bind, program, *shader_bindings), program.descriptor
     last: tuple[object, list[str], dict[str, Any]] | None = frame.values.get(key)
     if last is None or last[0] is not descriptor:
         bindings = FrameBindings(frame)
         names = [binding.name for binding in descriptor.bindings if not binding.table]
-        moving = [name for name in names if name in FOLLOW_CAMERA and name not in own]
-        bound: dict[str, Any] = {name: own[name] if name in own else bindings[name] for name in names}
+        moving = [name for name in names if name in FOLLOW_CAMERA and name not in shader_bindings]
+        bound: dict[str, Any] = {
+            name: shader_bindings[name] if name in shader_bindings else bindings[name] for name in names
+        }
         frame.values[key] = descriptor, moving, bound
         return bound
     _, moving, bound = last
@@ -160,21 +162,21 @@ def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[st
         bindings = FrameBindings(frame)
         for name in moving:
             bindings[name]
-    if own:
+    if shader_bindings:
         bound = bound.copy()
-        for name, resource in own.items():
+        for name, resource in shader_bindings.items():
             if name in bound:
                 bound[name] = resource
     return bound
 
 
 def bind_programs(
-    frame: Frame, *bases: type[Any], own: Mapping[str, Any] = {}, switches: Mapping[str, Any] = {}
+    frame: Frame, *bases: type[Any], shader_bindings: Mapping[str, Any] = {}, switches: Mapping[str, Any] = {}
 ) -> list[BoundProgram]:
     """Programs that draw the scene's geometry with these bases: one, and one more for each shader of
     materials, if there are any."""
     program: Program[...] = frame.program(shader_variant(frame, *bases, **switches))
-    bound = [BoundProgram(program, bind(frame, program, own))]
+    bound = [BoundProgram(program, bind(frame, program, shader_bindings))]
     enabled = frame.effects.enabled
     if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in enabled):
         return bound
@@ -185,7 +187,7 @@ def bind_programs(
     bound *= 1 + len(frame.effects.shaders)
     for number, shader, parameters in list_shaders(frame)[1:]:
         program = frame.program(shader_variant(frame, *shader, *bases, **switches))
-        bound[number] = BoundProgram(program, bind(frame, program, {**own, **parameters}))
+        bound[number] = BoundProgram(program, bind(frame, program, {**shader_bindings, **parameters}))
     return bound
 
 
@@ -206,14 +208,14 @@ def make_scene_drawer(
     frame: Frame,
     *bases: type[Any],
     color: Texture | list[Texture] | None,
-    own: Mapping[str, Any] = {},
+    shader_bindings: Mapping[str, Any] = {},
     depth: Texture | None = None,
     switches: Mapping[str, Any] = {},
     **options: Any,
 ) -> TechniqueDrawer:
     """The drawer of the scene's geometry with these bases; `options` are those of `TechniqueDrawer`."""
     programs, depth = (
-        bind_programs(frame, *bases, own=own, switches=switches),
+        bind_programs(frame, *bases, shader_bindings=shader_bindings, switches=switches),
         depth or frame.targets["depth"],
     )
     return TechniqueDrawer(
@@ -225,7 +227,7 @@ def draw_full_screen(
     frame: Frame,
     shader: type[Any] | tuple[type[Any], ...],
     color: Texture | list[Texture],
-    own: Mapping[str, Any] = {},
+    shader_bindings: Mapping[str, Any] = {},
     *,
     depth: Texture | None = None,
     clear: Color | None = None,
@@ -236,7 +238,7 @@ def draw_full_screen(
     in a pass of its own.
 
     Args:
-        own: bindings that `FrameBindings` doesn't have, or that are others here.
+        shader_bindings: those that `FrameBindings` doesn't have, or that are others here.
         depth: the depth that geometry was drawn to. Then the shader runs only for pixels with a surface. It
             can't be among the bindings.
         clear: the colour of pixels for which the shader isn't run, or that it discards; None keeps what the
@@ -254,7 +256,7 @@ def draw_full_screen(
     program: Any = frame.program(shader_variant(frame, *bases, **switches))
     triangle = frame.view.workspace(make_triangle)
     with device.render_pass(color, depth, clear=clear), device.states(*states_by_kind.values()):
-        device.draw(program, triangle, **bind(frame, program, own))
+        device.draw(program, triangle, **bind(frame, program, shader_bindings))
 
 
 def name_samples(resource: str, samples: int) -> str:
@@ -296,7 +298,7 @@ def draw_lit(
     lit = make_scene_drawer(
         frame,
         *lighting.bases,
-        own=lighting.bind(frame),
+        shader_bindings=lighting.bind(frame),
         switches=lighting.switches,
         color=targets[0],
         depth=targets[1],

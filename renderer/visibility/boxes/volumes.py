@@ -112,10 +112,10 @@ class TightestBoxes:
         moving = self._scene.objects.following_indices
         if not len(moving):
             return self._static
-        both = (self._static, compute_rotated_boxes(self._scene, moving))
+        box_sets = (self._static, compute_rotated_boxes(self._scene, moving))
         return RotatedBoxes(
             *(
-                np.concatenate([getattr(boxes, field.name) for boxes in both])
+                np.concatenate([getattr(boxes, field.name) for boxes in box_sets])
                 for field in fields(RotatedBoxes)
             )
         )

@@ -56,9 +56,9 @@ class DeviceCulling(ABC):
         """Draw the objects that were likely to be visible, then those that the depth shows to be visible."""
         scene_drawer.close()
         self._occludees.aim(camera)
-        own = self._aim(camera, scene_drawer.depth.size)
+        aim = self._aim(camera, scene_drawer.depth.size)
         direction = camera.projection.depth
-        key = (*scene_drawer.key, scene_drawer.arrays, scene_drawer.depth, direction, *own)
+        key = (*scene_drawer.key, scene_drawer.arrays, scene_drawer.depth, direction, *aim)
         for draws in (self.first, self.second):
             draws.renew()
             scene_drawer.begin_list(draws)

@@ -125,11 +125,11 @@ class BoxQueries:
         rows, box_indices = self._rows, self._box_indices
         if not len(rows):
             return
-        each = np.zeros((len(boxes.centre), 8), np.float32)
+        box_rows = np.zeros((len(boxes.centre), 8), np.float32)
         with np.errstate(over="ignore"):  # what is too far for float32 is drawn without a query
-            each[:, 0:3] = boxes.centre - camera.position
-            each[:, 4:7] = boxes.half
-        each.take(box_indices, axis=0, out=rows, mode="clip")  # "clip" avoids a copy
+            box_rows[:, 0:3] = boxes.centre - camera.position
+            box_rows[:, 4:7] = boxes.half
+        box_rows.take(box_indices, axis=0, out=rows, mode="clip")  # "clip" avoids a copy
         self._buffer.write(rows.view(self._buffer.dtype)[:, 0])
         directions = (boxes.x, boxes.y)
         if not all(map(np.array_equal, self._directions, directions)):

@@ -70,8 +70,8 @@ class TreeCulling(QueryCulling):
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings, *, is_tight: bool) -> None:
         """`is_tight` queries draw several boxes inside of a node's in its place."""
         self._forest = forest = Forest(scene, settings.leaf_size)
-        each = np.arange(len(forest))
-        boxes = (forest.tight_sizes, forest.tight) if is_tight else (np.ones_like(each), each)
+        node_indices = np.arange(len(forest))
+        boxes = (forest.tight_sizes, forest.tight) if is_tight else (np.ones_like(node_indices), node_indices)
         super().__init__(scene, device, settings, *boxes)
         self._room = max(len(forest), 1)
         self._history = NodeHistory(forest)

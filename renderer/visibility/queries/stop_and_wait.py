@@ -23,8 +23,8 @@ class StopAndWait(QueryCulling):
     """
 
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
-        each = np.arange(len(scene.objects))
-        super().__init__(scene, device, settings, np.ones_like(each), each)
+        object_indices = np.arange(len(scene.objects))
+        super().__init__(scene, device, settings, np.ones_like(object_indices), object_indices)
         self._frustum = FrustumCulling(scene)
         self._tightest = TightestBoxes(scene)
 

@@ -109,8 +109,8 @@ def _query_samples(gl: EntryPoints, formats: Sequence[Format]) -> set[int]:
         query = enums.TEXTURE_2D_MULTISAMPLE, PIXEL_FORMATS[texel].internal
         gl.GetInternalformativ(*query, enums.NUM_SAMPLE_COUNTS, 1, ctypes.byref(count))
         gl.GetInternalformativ(*query, enums.SAMPLES, _MAX_SAMPLE_COUNTS, ctypes.byref(counts))
-        own = set(counts[: min(count.value, _MAX_SAMPLE_COUNTS)])
-        common = own if common is None else common & own
+        reported = set(counts[: min(count.value, _MAX_SAMPLE_COUNTS)])
+        common = reported if common is None else common & reported
     return common or set()
 
 
@@ -120,9 +120,9 @@ def _list_compressed_formats(extensions: Container[str]) -> frozenset[Compressed
     has_srgb = has_s3tc and (
         "GL_EXT_texture_sRGB" in extensions or "GL_EXT_texture_compression_s3tc_srgb" in extensions
     )
-    lacking = {each for each in CompressedFormat if each.name.startswith(("BC1", "BC2", "BC3"))}
+    lacking = {format for format in CompressedFormat if format.name.startswith(("BC1", "BC2", "BC3"))}
     if has_s3tc:
-        lacking = {each for each in lacking if each.name.endswith("_SRGB") and not has_srgb}
+        lacking = {format for format in lacking if format.name.endswith("_SRGB") and not has_srgb}
     return frozenset(CompressedFormat) - lacking
 
 

@@ -248,11 +248,11 @@ class SharedContext:
     """
 
     def __init__(
-        self, api: ContextApi, host: ContextBinding, own: ContextBinding, before: ContextBinding
+        self, api: ContextApi, host: ContextBinding, shared_binding: ContextBinding, before: ContextBinding
     ) -> None:
         self.api = api
         self.host = host
-        self._own = own
+        self._own = shared_binding
         self._before: ContextBinding | None = before
         self._thread = get_ident()
 
@@ -305,15 +305,15 @@ def open_shared_context(host: HostContext) -> tuple[moderngl.Context, SharedCont
         )
     api, binding = current_context
     before = current[1] if current is not None else ContextBinding(0, binding.display, 0, 0)
-    own = api.create_shared(binding)
-    if own is None or not api.make_current(own):
+    shared_binding = api.create_shared(binding)
+    if shared_binding is None or not api.make_current(shared_binding):
         api.make_current(binding)
         version = _describe_version(api)
         api.make_current(before)
         tip = "the host's own context may be of any version from 3.2"
         given = f"a context ({version}) whose driver shares none of OpenGL 4.5 with it"
         raise DeviceError(DEVICE_DRIVER, _CALL, given, "a driver for OpenGL 4.5", tip)
-    shared = SharedContext(api, binding, own, before)
+    shared = SharedContext(api, binding, shared_binding, before)
     settings: Any = {"context": shared}
     return moderngl.create_context(100 * _MAJOR + 10 * _MINOR, **settings), shared
 
@@ -364,7 +364,7 @@ class HostFramebuffer:
         )  # the viewport may not have the window's size yet
         self._idle = None
         read = gl.get_integer(enums.READ_FRAMEBUFFER_BINDING)
-        switched = [each for each in (enums.SCISSOR_TEST, enums.FRAMEBUFFER_SRGB) if gl.IsEnabled(each)]
+        switched = [switch for switch in (enums.SCISSOR_TEST, enums.FRAMEBUFFER_SRGB) if gl.IsEnabled(switch)]
         area = (ctypes.c_int * 4)()
         if gl.get_integer(enums.DRAW_FRAMEBUFFER_BINDING):
             gl.GetIntegerv(enums.VIEWPORT, area)
@@ -377,8 +377,8 @@ class HostFramebuffer:
             self._framebuffer = gl.create(gl.GenFramebuffers)
         gl.BindFramebuffer(enums.READ_FRAMEBUFFER, self._framebuffer)
         gl.FramebufferTexture2D(enums.READ_FRAMEBUFFER, enums.COLOR_ATTACHMENT0, enums.TEXTURE_2D, texture, 0)
-        for each in switched:
-            gl.Disable(each)
+        for switch in switched:
+            gl.Disable(switch)
         scaled = (width, height) != size  # unscaled images aren't filtered, so that nothing is rounded
         gl.BlitFramebuffer(
             0,
@@ -391,8 +391,8 @@ class HostFramebuffer:
             enums.COLOR_BUFFER_BIT,
             enums.LINEAR if scaled else enums.NEAREST,
         )
-        for each in switched:
-            gl.Enable(each)
+        for switch in switched:
+            gl.Enable(switch)
         gl.FramebufferTexture2D(enums.READ_FRAMEBUFFER, enums.COLOR_ATTACHMENT0, enums.TEXTURE_2D, 0, 0)
         gl.BindFramebuffer(enums.READ_FRAMEBUFFER, read)
 

@@ -250,18 +250,18 @@ class Queries:
 
         Counts that began or ended in such calls are lost."""
         gl = self._gl
-        own = self._active
+        tracked = self._active
         active = ctypes.c_int()
         gl.GetQueryiv(enums.SAMPLES_PASSED, enums.CURRENT_QUERY, ctypes.byref(active))
-        name = self._counter.active or (own.name if own is not None else 0)
+        name = self._counter.active or (tracked.name if tracked is not None else 0)
         if active.value != name:
             if active.value:
                 self._end_segment()
             if self._counter.is_running:
                 self._counter.restart()
-            elif own is not None:
-                self.renew(own)
-                gl.BeginQuery(enums.SAMPLES_PASSED, own.name)
+            elif tracked is not None:
+                self.renew(tracked)
+                gl.BeginQuery(enums.SAMPLES_PASSED, tracked.name)
         gl.EndConditionalRender()
         if condition is not None:
             self.begin_conditional(*condition)

@@ -270,9 +270,9 @@ class RenderStates:
         scissor = self._gl.Scissor
         try:
             self._gl.Enable(enums.SCISSOR_TEST)
-            for corner, each in zip(corners.tolist(), arguments, strict=True):
+            for corner, values in zip(corners.tolist(), arguments, strict=True):
                 scissor(*corner)
-                call(*each)
+                call(*values)
         finally:
             self._scissor(self.values[states.Scissor])
 

@@ -52,19 +52,19 @@ AnswerFunction: TypeAlias = Callable[[Id, int, int], object]
 
 def make_answer_function(answers: Answers) -> AnswerFunction:
     """Return answers of any form as one function, which returns None for unknown answers."""
-    given: Any = answers
+    answer: Any = answers
     if isinstance(answers, RecordedAnswers):
         return lambda query, use, result_index: answers.samples.get((query, use))
     if callable(answers):
-        return lambda query, use, result_index: given(query)
+        return lambda query, use, result_index: answer(query)
     if isinstance(answers, Mapping):
-        return lambda query, use, result_index: given.get(query)
+        return lambda query, use, result_index: answer.get(query)
     if isinstance(answers, Sequence) and not isinstance(answers, str):
         script = tuple(answers)
         return lambda query, use, result_index: (
             script[result_index] if 0 <= result_index < len(script) else None
         )
-    return lambda query, use, result_index: given
+    return lambda query, use, result_index: answer
 
 
 class AnswerLog(ForwardingBackend):

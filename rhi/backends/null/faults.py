@@ -163,5 +163,5 @@ class FaultInjector(ForwardingBackend):
 
     def _observe(self, value: int) -> None:
         self._observed = max(self._observed, value)
-        for each in [each for each in self._signalled if each <= value]:
-            del self._signalled[each]
+        for signal in [signal for signal in self._signalled if signal <= value]:
+            del self._signalled[signal]

@@ -588,7 +588,9 @@ class Draws:
             draws = min(draws, int.from_bytes(self._buffers.read(count_buffer, count_offset, 4), "little"))
         array = self.arrays[vertex_array]
         indexed = array.indexed
-        elements = count_elements(array.descriptor, lambda each: self._buffers[each].descriptor.size)
+        elements = count_elements(
+            array.descriptor, lambda buffer_id: self._buffers[buffer_id].descriptor.size
+        )
         data = self._buffers.read(buffer, offset, (draws - 1) * stride + _RECORD) if draws else b""
         for number in range(draws):
             words = np.frombuffer(data, np.uint32, 5, number * stride)

@@ -327,7 +327,7 @@ class Textures:
             encoder.copy_buffer_to_texture(layout, copy_location, size)
         else:
             # Mesa's lavapipe copies only the first of several slices of a volume to layers, so each is copied.
-            volumes = {each.descriptor.kind is TextureKind.D3 for each in (old, new)}
+            volumes = {texture.descriptor.kind is TextureKind.D3 for texture in (old, new)}
             layers = 1 if len(volumes) == 2 else r.layers
             for first in range(0, r.layers, layers):
                 encoder.copy_texture_to_texture(

@@ -360,7 +360,7 @@ def test_a_number_of_draws_is_an_equal_number(device: Device) -> None:
 # -- textures ----------------------------------------------------------------------------------------------
 
 
-WIDE_FORMATS = [each for each in COLOR_FORMATS if each.dtype.itemsize > 1]
+WIDE_FORMATS = [color_format for color_format in COLOR_FORMATS if color_format.dtype.itemsize > 1]
 
 
 @pytest.mark.parametrize("format", WIDE_FORMATS, ids=lambda format: format.name)

@@ -196,7 +196,7 @@ def make_texture(device: Device) -> None:
     device.texture(np.zeros((3, 3, 4), np.uint8), Format.RGBA8).destroy()
 
 
-@pytest.mark.parametrize("between", [make_mesh, write_storage, make_texture], ids=lambda each: each.__name__)
+@pytest.mark.parametrize("between", [make_mesh, write_storage, make_texture], ids=lambda make: make.__name__)
 def test_other_commands_may_stand_between_a_clear_and_its_draws(
     device: Device, between: Callable[[Device], None]
 ) -> None:

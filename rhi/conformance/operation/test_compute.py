@@ -192,7 +192,7 @@ def test_structs_lie_where_their_dtype_says(device: Device) -> None:
         rows[name][(1, *map(slice, np.shape(part)))] = part
     for name in ("weight", "axis"):
         rows["h"][name][1] = getattr(inner[0], name)
-        rows["o"][name][1] = [getattr(each, name) for each in inner[1:]]
+        rows["o"][name][1] = [getattr(field, name) for field in inner[1:]]
     expected = [(1, 4, 5, 7), (15, 22, -23, 24), (26, 35, 40, 63), (72, 76, 104, 107), (78, 87, 94, 2)] * 2
     with (
         device.uniform(value) as constants,

@@ -50,9 +50,11 @@ def created(device: Device, since: int) -> list[int]:
 def destroyed(device: Device, since: int) -> list[int]:
     """Return those that were destroyed, in ascending order. What other tests have left behind doesn't
     count."""
-    own = created(device, since)
+    created_now = created(device, since)
     return sorted(
-        command.values[0] for command in device.stream[since:].filter(Op.DESTROY) if command.values[0] in own
+        command.values[0]
+        for command in device.stream[since:].filter(Op.DESTROY)
+        if command.values[0] in created_now
     )
 
 

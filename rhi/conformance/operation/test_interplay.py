@@ -386,19 +386,27 @@ def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> Non
     columns = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
     with rhi.create_device(backend, validation=True) as other:
         parts = []
-        for number, each in enumerate((device, other)):
-            tints = each.uniform_array(Tint, 8)
+        for number, drawing_device in enumerate((device, other)):
+            tints = drawing_device.uniform_array(Tint, 8)
             rows = np.zeros(8, tints.dtype)
             rows["color"][:, 0] = np.arange(8) + 100 * number
             tints.write(rows)
             parts.append(
-                (each, each.program(Tinted), each.texture(SIZE, Format.R32F), each.mesh(columns), tints)
+                (
+                    drawing_device,
+                    drawing_device.program(Tinted),
+                    drawing_device.texture(SIZE, Format.R32F),
+                    drawing_device.mesh(columns),
+                    tints,
+                )
             )
-        passes = [each.render_pass(image, clear=(-1, 0, 0, 0)) for each, _, image, _, _ in parts]
+        passes = [
+            drawing_device.render_pass(image, clear=(-1, 0, 0, 0)) for drawing_device, _, image, _, _ in parts
+        ]
         with passes[0], passes[1], other.states(Scissor(0, 4, 8, 4)):
             for i in range(8):
-                for each, program, _, mesh, tints in parts:
-                    each.draw(program, mesh.view(6 * i, 6), tint=tints[i])
+                for drawing_device, program, _, mesh, tints in parts:
+                    drawing_device.draw(program, mesh.view(6 * i, 6), tint=tints[i])
         assert_same(parts[0][2].read(), COLUMNS)
         assert_same(parts[1][2].read(), np.where(np.arange(8)[:, None] < 4, -1, COLUMNS + 100))
         for resource in parts[0][2:]:
@@ -412,9 +420,21 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
     rows = corners(centers([(i, 0) for i in range(8)], SIZE))
     with rhi.create_device(backend) as other:
         counted = []
-        for each, count in ((device, 3), (other, 5)):
-            image, mesh = each.texture(SIZE, Format.R8), each.mesh(rows, primitive=Primitive.POINTS)
-            counted.append((each, each.program(Colored), image, mesh, each.occlusion_query(), count))
+        for drawing_device, count in ((device, 3), (other, 5)):
+            image, mesh = (
+                drawing_device.texture(SIZE, Format.R8),
+                drawing_device.mesh(rows, primitive=Primitive.POINTS),
+            )
+            counted.append(
+                (
+                    drawing_device,
+                    drawing_device.program(Colored),
+                    image,
+                    mesh,
+                    drawing_device.occlusion_query(),
+                    count,
+                )
+            )
         (a, pa, ia, ma, qa, na), (b, pb, ib, mb, qb, nb) = counted
         with a.render_pass(ia), b.render_pass(ib), qa, qb:
             a.draw(pa, ma.view(0, na))

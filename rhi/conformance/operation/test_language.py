@@ -577,12 +577,12 @@ class Waterfall(sl.Shader):
     target: sl.StorageRW[int]
 
     def compute(self) -> None:
-        own = self.source[sl.global_id().x]
-        if own >= 0:
+        number = self.source[sl.global_id().x]
+        if number >= 0:
             total = 0
             while True:
-                shared = sl.broadcast_first(own)
-                if own == shared:
+                shared = sl.broadcast_first(number)
+                if number == shared:
                     for k in range(shared):
                         total += k * shared
                     break
@@ -591,9 +591,9 @@ class Waterfall(sl.Shader):
 
 def test_a_loop_over_broadcast_values_gives_each_invocation_its_own_result(device: Device) -> None:
     random = np.random.default_rng(3)
-    own = np.r_[random.integers(-3, 9, 64), np.repeat([4, 7], [21, 12]), np.arange(31)].astype("i4")
-    sums = run(device, Waterfall, int, own, 1)[:, 0]
-    assert_same(sums, [sum(k * n for k in range(n)) if n >= 0 else 0 for n in own.tolist()])
+    counts = np.r_[random.integers(-3, 9, 64), np.repeat([4, 7], [21, 12]), np.arange(31)].astype("i4")
+    sums = run(device, Waterfall, int, counts, 1)[:, 0]
+    assert_same(sums, [sum(k * n for k in range(n)) if n >= 0 else 0 for n in counts.tolist()])
 
 
 class Short(sl.Shader):

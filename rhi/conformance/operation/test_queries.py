@@ -199,12 +199,12 @@ def test_many_queries_keep_their_own_counts(device: rhi.Device, query: rhi.Occlu
     with device.texture(SIZE, rhi.Format.R8) as image:
         meshes = [device.mesh(texel_rectangle(0, 0, i % 16, 1 + i // 16, SIZE)) for i in range(50)]
         with device.render_pass(image):
-            for each, mesh in zip(queries, meshes, strict=True):
-                with each:
+            for single_query, mesh in zip(queries, meshes, strict=True):
+                with single_query:
                     device.draw(device.program(Colored), mesh)
-        for index, each in enumerate(queries):
-            assert each.wait() == (index % 16) * (1 + index // 16)
-            each.destroy()
+        for index, single_query in enumerate(queries):
+            assert single_query.wait() == (index % 16) * (1 + index // 16)
+            single_query.destroy()
         for mesh in meshes:
             mesh.destroy()
 

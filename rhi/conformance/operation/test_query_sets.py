@@ -218,7 +218,7 @@ def test_sets_in_several_passes_keep_their_own_counts(
 def test_queries_beside_a_set_count_their_own(
     device: Device, queries: QuerySet, emulated: bool, bars: Mesh, image: Any
 ) -> None:
-    single = [device.occlusion_query(emulated=each) for each in (emulated, False, emulated)]
+    single = [device.occlusion_query(emulated=is_emulated) for is_emulated in (emulated, False, emulated)]
     program = device.program(Colored)
     with device.render_pass(image):
         with single[0]:

@@ -624,7 +624,7 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
     storage = {f"s{i}": device.storage(sl.vec4, np.full((1, 4), i + 20.0, "f4")) for i in range(3)}
     uniforms = {f"u{i}": device.uniform(Constant(value=(i + 30.0, 0, 0, 0))) for i in range(4)}
     with device.storage(sl.vec4, 4) as results:
-        bound = {**textures, **storage, **uniforms, **{name: each.image() for name, each in images.items()}}
+        bound = {**textures, **storage, **uniforms, **{name: image.image() for name, image in images.items()}}
         device.dispatch(device.program(Slots), 1, results=results, **bound)
         expected = [(1, 2, 3, 4), (5, 6, 7, 8), (20, 21, 22, 50), (30, 31, 32, 33)]
         assert_same(results.read(), expected)

@@ -22,8 +22,8 @@ def states_of_draws(device: rhi.Device, *draws: object) -> list[dict[type, objec
             device.draw(program, mesh)
 
         with device.render_pass(image):
-            for each in draws:
-                each(draw)  # type: ignore[operator]
+            for draw_index in draws:
+                draw_index(draw)  # type: ignore[operator]
     return [command.states for command in device.stream[before:].draws()]
 
 

@@ -189,7 +189,7 @@ class _ProgramGenerator:
             self._float_shapes = [self._make_shape(None) for _ in range(random.choice([2, 3]))]
         integers = [f for f in formats if f.is_integer]
         if integers:  # shared by all integer targets, so negative only if all are signed
-            sign = min((f.kind for f in integers), key=lambda each: each is ChannelKind.INT)
+            sign = min((f.kind for f in integers), key=lambda channel_kind: channel_kind is ChannelKind.INT)
             most = min(map(largest, integers))
             self._integer_shapes = [self._make_shape((sign, most)) for _ in range(2)]
         steps: list[Step] = [self._make_pass(clear=True)]
@@ -263,9 +263,9 @@ class _ProgramGenerator:
             color = self._color(integers)
             smooth = random.random() < 0.5
             for x, y in points:
-                own = random.choice([0.5, 1.0, 2.0, 4.0]) if perspective else w
+                weight = random.choice([0.5, 1.0, 2.0, 4.0]) if perspective else w
                 z = min(max(depth + slope * x / width, 0.0), 1.0)
-                corners.append((x, y, z, own, *(self._color(integers) if smooth else color)))
+                corners.append((x, y, z, weight, *(self._color(integers) if smooth else color)))
 
         for _ in range(random.choice([1, 3, 6])):
             slope = random.choice([0.0, 0.0, 0.0, 0.25, -0.5])
@@ -358,12 +358,12 @@ class _ProgramGenerator:
 
     def _choose_subresource(self, image: int, size: tuple[int, int] | None = None) -> Subresource | None:
         """Return a random level and layer of an image, of the given size."""
-        own = self._images[image]
-        levels = [i for i in range(own.levels) if size is None or own.level_size(i) == size]
+        shape = self._images[image]
+        levels = [i for i in range(shape.levels) if size is None or shape.level_size(i) == size]
         if not levels:
             return None
         level = self._random.choice(levels)
-        return Subresource(image, level, self._random.randrange(own.level_layers(level)))
+        return Subresource(image, level, self._random.randrange(shape.level_layers(level)))
 
     def _make_pass(self, clear: bool = False, recorded: bool = False) -> Pass:
         random = self._random

@@ -311,13 +311,13 @@ class _Machine:
         moved = clip[list(corners)].copy()
         step = np.array(context.draw.step, np.float32) * np.float32(instance)
         moved[:, :2] += step * moved[:, 3:]
-        own = colors[list(corners)].astype(np.float64)
+        vertex_colors = colors[list(corners)].astype(np.float64)
         covered = compute_coverage(
             context.states,
             context.size,
             context.samples,
             moved,
-            own,
+            vertex_colors,
             self._rules,
             smooth=context.draw.shader is model.ShaderKind.SMOOTH,
             spills=bool(context.effects & Effect.SPILL),

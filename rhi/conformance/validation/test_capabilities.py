@@ -143,9 +143,9 @@ def test_formats_that_cannot_be_drawn_to_are_refused(recording: rhi.Device) -> N
     [(rhi.Format.R8, "max_color_targets", 1), (rhi.Format.RGBA32F, "max_target_bytes", 16)],
 )
 def test_targets_are_no_more_than_the_device_says(
-    recording: rhi.Device, format: rhi.Format, limit: str, each: int
+    recording: rhi.Device, format: rhi.Format, limit: str, count: int
 ) -> None:
-    most = getattr(recording.capabilities, limit) // each
+    most = getattr(recording.capabilities, limit) // count
     targets = [recording.texture(SIZE, format) for _ in range(most + 1)]
     with refuses(rules.DEVICE_CAPABILITY, recording):
         recording.render_pass(targets)

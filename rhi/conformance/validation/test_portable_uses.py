@@ -267,13 +267,13 @@ def test_a_pass_samples_its_resolve_target_or_refuses_to(recording: Device) -> N
         target,
         mesh,
         recording.texture(SIZE, Format.RGBA8) as end,
-        recording.texture(SIZE, Format.RGBA8) as own,
+        recording.texture(SIZE, Format.RGBA8) as resolved,
     ):
         allowed = recording.capabilities.resolve_feedback
         with recording.render_pass(target, clear=(0, 0, 0, 1), resolve=end):
             with nullcontext() if allowed else refuses(rules.PASS_FEEDBACK, recording):
                 recording.draw(program, mesh, source=end)
-            recording.draw(program, mesh, source=own)
+            recording.draw(program, mesh, source=resolved)
         with recording.render_pass(target, clear=(0, 0, 0, 1)):
             recording.draw(program, mesh, source=end)
 

@@ -48,8 +48,8 @@ class Things:
             self.query,
             self.answered,
         )
-        for each in resources:
-            each.destroy()
+        for resource in resources:
+            resource.destroy()
 
 
 ORDERED: dict[str, Callable[[Things], Block]] = {

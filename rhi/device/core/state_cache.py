@@ -258,10 +258,10 @@ def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]
     """Return the states of the platform that differ from their defaults, after one of them has changed."""
     assert isinstance(values, tuple)
     assert isinstance(state, PlatformState)
-    remaining = [each for each in values if type(each) is not type(state)]
+    remaining = [value for value in values if type(value) is not type(state)]
     if state is not state.default():
         remaining.append(state)
-    return tuple(sorted(remaining, key=lambda each: each.full_name))
+    return tuple(sorted(remaining, key=lambda value: value.full_name))
 
 
 class StateScope(Scope):

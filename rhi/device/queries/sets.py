@@ -95,26 +95,26 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
     def check_query_indices(self, query_indices: object, draws: int, call: str) -> NDArray[np.int64]:
         """Return the query that counts each draw, (draws,) int64; `query-indices` if `query_indices` don't
         fit."""
-        each = self._resolve_query_indices(query_indices, draws, call)
+        set_indices = self._resolve_query_indices(query_indices, draws, call)
         if query_indices is None:
-            return each
-        repeated = np.bincount(run_starts(each)) > 1
+            return set_indices
+        repeated = np.bincount(run_starts(set_indices)) > 1
         if repeated.any():
             repeat = f"query {repeated.argmax()} again after other queries"
             self._core.refuse(QUERY_INDICES, call, repeat, "consecutive draws for each query")
-        return each
+        return set_indices
 
     def check_conditions(
         self, query_indices: object, draws: int, counted: NDArray[np.int64], call: str
     ) -> NDArray[np.int64]:
         """Return the query that each draw depends on, (draws,) int64; `query-indices` if `query_indices`
         don't fit, or name one that isn't among `counted`."""
-        each = self._resolve_query_indices(query_indices, draws, call)
-        missing = each[~np.isin(each, counted)]
+        set_indices = self._resolve_query_indices(query_indices, draws, call)
+        missing = set_indices[~np.isin(set_indices, counted)]
         if len(missing):
             given = f"query {missing[0]}, in which the latest draw_counted counted nothing"
             self._core.refuse(QUERY_INDICES, call, given, "queries that this command buffer has used")
-        return each
+        return set_indices
 
     def _resolve_query_indices(self, query_indices: object, draws: int, call: str) -> NDArray[np.int64]:
         """Return the query of each draw, by default query i for draw i; `query-indices` if the set has none
@@ -124,20 +124,20 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
             if draws > size:
                 self._core.refuse(QUERY_INDICES, call, f"{draws} draws", f"up to {size}, or `query_indices`")
             return self._in_order[:draws]
-        given = ArgumentChecker(call, self._core.refuse).array("query_indices", query_indices)
-        if given.shape != (draws,) or (draws and given.dtype.kind not in "iu"):
+        array = ArgumentChecker(call, self._core.refuse).array("query_indices", query_indices)
+        if array.shape != (draws,) or (draws and array.dtype.kind not in "iu"):
             self._core.refuse(
                 QUERY_INDICES,
                 call,
-                f"indices of shape {given.shape} and {given.dtype}",
+                f"indices of shape {array.shape} and {array.dtype}",
                 f"({draws},) of integers",
             )
-        each: NDArray[np.int64] = given.astype(np.int64)
-        if draws and not 0 <= each.min() <= each.max() < size:
+        set_indices: NDArray[np.int64] = array.astype(np.int64)
+        if draws and not 0 <= set_indices.min() <= set_indices.max() < size:
             self._core.refuse(
-                QUERY_INDICES, call, f"indices {given.min()} to {given.max()}", f"0 to {size - 1}"
+                QUERY_INDICES, call, f"indices {array.min()} to {array.max()}", f"0 to {size - 1}"
             )
-        return each
+        return set_indices
 
     @property
     def counted(self) -> NDArray[np.int64]:

@@ -263,16 +263,16 @@ def select_vertex_format(
     """
     base, shape = dtype.subdtype or (dtype, ())
     components, scalar = attribute_shape(attribute)
-    given = int(np.prod(shape)) if shape else 1
+    component_count = int(np.prod(shape)) if shape else 1
     form = (
-        _FORMATS.get((base.str[1:], given, scalar == "float" and base.kind in "iu"))
+        _FORMATS.get((base.str[1:], component_count, scalar == "float" and base.kind in "iu"))
         if base.isnative
         else None
     )
     if form is None or form.components < components or form.kind != scalar:
         formats = (f for f in VertexFormat if f.kind == scalar and f.components >= components)
         allowed = f"{attribute.name} as {attribute.type}: {', '.join(map(_format_text, formats))}"
-        core.refuse(rule, call, f"{attribute.name} as {given}×{base.str.lstrip('<|=')}", allowed)
+        core.refuse(rule, call, f"{attribute.name} as {component_count}×{base.str.lstrip('<|=')}", allowed)
     return form
 
 
@@ -425,14 +425,14 @@ class Drawable(DeviceObject):
         core = self.core
         total = self.element_count
         call = f"{type(self).__name__}.draws"
-        given = {
+        arguments = {
             "first": first,
             "count": total if count is None else count,
             "instances": instances,
             "base_vertex": base_vertex,
             "base_instance": base_instance,
         }
-        columns = _integer_columns(ArgumentChecker(call, core.refuse), given)
+        columns = _integer_columns(ArgumentChecker(call, core.refuse), arguments)
         if len(columns["first"]) and int((columns["first"] + columns["count"]).max()) > total:
             core.refuse(MESH_RANGE, call, "first + count beyond the mesh", f"within {total} elements")
         draws = np.zeros(len(columns["first"]), DRAW if self.is_indexed else DRAW_UNINDEXED)
@@ -528,10 +528,10 @@ _COLUMNS: Final = {
 """The range of each column of an array of draws: (minimum, maximum)."""
 
 
-def _integer_columns(check: ArgumentChecker, given: dict[str, Any]) -> dict[str, NDArray[np.int64]]:
+def _integer_columns(check: ArgumentChecker, arguments: dict[str, Any]) -> dict[str, NDArray[np.int64]]:
     """Return numbers and arrays of whole numbers as arrays of equal length, (n,) int64."""
     columns = {}
-    for name, value in given.items():
+    for name, value in arguments.items():
         minimum, maximum = _COLUMNS[name]
         column = check.array(name, value)
         if column.size and (
@@ -545,7 +545,7 @@ def _integer_columns(check: ArgumentChecker, given: dict[str, Any]) -> dict[str,
         shapes = ", ".join(f"{name} {column.shape}" for name, column in columns.items())
         check.fail("shapes", shapes, f"numbers, and arrays of one length ({error})")
     if parts[0].ndim > 1:
-        check.fail("first", given["first"], "a number or an array of one dimension")
+        check.fail("first", arguments["first"], "a number or an array of one dimension")
     return dict(zip(columns, map(np.atleast_1d, parts), strict=True))
 
 
@@ -586,8 +586,8 @@ def instance_field_names(
     """Return the names of the fields that a mesh reads once per instance. A vertex field of the same name
     takes precedence."""
     names = () if instances is None else instances.dtype.names or ()
-    own = () if vertices is None else vertices.dtype.names or ()
-    return frozenset(names).difference(own)
+    vertex_names = () if vertices is None else vertices.dtype.names or ()
+    return frozenset(names).difference(vertex_names)
 
 
 def reads_instances(mesh: Drawable, attributes: tuple[Attribute, ...]) -> bool:

@@ -57,7 +57,9 @@ class StageWriter:
         self.writer.exact = exact
         if not any("glsl" in function.native for function in stage.functions):
             buffers = [
-                (each.name, each.type) for each in stage.bindings if isinstance(each.type, StorageType)
+                (binding.name, binding.type)
+                for binding in stage.bindings
+                if isinstance(binding.type, StorageType)
             ]
             self.writer.by_columns = {
                 name for name, type in buffers if not type.writable and has_plain_matrices(type.element)

@@ -335,8 +335,8 @@ class Writer(TextWriter):
         return f"int({base}.length())"
 
     def operation(self, node: tree.Binary, left: str) -> str:
-        both = isinstance(node.type, layout.MatrixType) and node.left.type == node.right.type
-        if both and node.operator is Operator.MULTIPLY:
+        are_matrices = isinstance(node.type, layout.MatrixType) and node.left.type == node.right.type
+        if are_matrices and node.operator is Operator.MULTIPLY:
             return f"matrixCompMult({left}, {self.expression(node.right)})"
         return super().operation(node, left)
 

@@ -175,7 +175,7 @@ class Edit:
         if id(value) in self._exchanges:
             return self._exchanges[id(value)]
         origin, arguments = get_origin(value), get_args(value)
-        if origin is None or not any(id(each) in self._exchanges for each in arguments):
+        if origin is None or not any(id(argument) in self._exchanges for argument in arguments):
             return value
         return origin[tuple(map(self._translate, arguments))]
 
@@ -193,7 +193,7 @@ class Edit:
         )
         adopted.__kwdefaults__ = function.__kwdefaults__
         adopted.__annotations__ = {
-            name: self._translate(each) for name, each in function.__annotations__.items()
+            name: self._translate(annotation) for name, annotation in function.__annotations__.items()
         }
         adopted.__qualname__, adopted.__doc__ = function.__qualname__, function.__doc__
         adopted.__module__ = function.__module__
@@ -277,7 +277,7 @@ class Edit:
             elif isinstance(value, staticmethod):
                 value = staticmethod(self._adopt(cast("FunctionType", value.__func__), old))
             elif name == "__annotations__":
-                value = {each: self._translate(annotation) for each, annotation in value.items()}
+                value = {key: self._translate(annotation) for key, annotation in value.items()}
             else:
                 value = self._translate(value)
             setattr(old, name, value)
@@ -298,7 +298,7 @@ class Edit:
         self.structs.update(types)
         for old, new in pairs:
             attributes = ("shading_type", "_roles", "_defaults", "_depth", "_leaves", "__annotations__")
-            fields = [field.name for each in (old, new) for field in each.shading_type.fields]
+            fields = [field.name for struct in (old, new) for field in struct.shading_type.fields]
             names = dict.fromkeys((*attributes, *fields))
             before = {name: vars(old)[name] for name in names if name in vars(old)}
             self._undo.append(partial(_set_members, old, before, names))
@@ -439,8 +439,8 @@ def _subclasses(cls: type[C]) -> Iterator[type[C]]:
 def _recollect_bindings(cls: type[Shader], names: dict[str, Any]) -> None:
     """Collect the bindings of a class and its subclasses again."""
     collect_bindings(cls, names)
-    for derived in sorted(_subclasses(cls), key=lambda each: len(each.__mro__)):
-        own = {
+    for derived in sorted(_subclasses(cls), key=lambda subclass: len(subclass.__mro__)):
+        own_bindings = {
             name: declared
             for name, declared in derived._declared.items()
             if (declared.table or name) in inspect.get_annotations(derived)
@@ -449,7 +449,7 @@ def _recollect_bindings(cls: type[Shader], names: dict[str, Any]) -> None:
         inherited: dict[str, Any] = {}
         for base in reversed(derived.__mro__[1:]):
             inherited.update(base.__dict__.get("_declared", {}))
-        derived._declared = {**inherited, **own}
+        derived._declared = {**inherited, **own_bindings}
 
 
 def _contains(type: Any, part: HostType) -> bool:

@@ -114,13 +114,13 @@ class Struct:
     _bytes: bytes
 
     def __init_subclass__(cls) -> None:
-        own = inspect.get_annotations(cls)
+        annotations = inspect.get_annotations(cls)
         names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
         module = globals_of(cls, sys._getframe(1))
         fields = {field.name: field for field in cls.shading_type.fields}
         roles, defaults = dict(cls._roles), dict(cls._defaults)
         depth, leaves = max(cls._depth, 1), cls._leaves
-        for name, annotation in own.items():
+        for name, annotation in annotations.items():
             if isinstance(annotation, str):
                 try:
                     annotation = eval(annotation, module, names)
@@ -149,7 +149,7 @@ class Struct:
             raise ShaderError(rules.TOO_DEEP, f"class {cls.__name__}", actual, allowed, site=find_call_site())
         cls.shading_type = StructType(cls.__name__, tuple(fields.values()))
         cls._roles, cls._defaults = roles, defaults
-        for name in own:
+        for name in annotations:
             setattr(cls, name, FieldAccess(fields[name]))
         if "__init__" not in cls.__dict__:
             cls.__init__ = _make_first_constructor(cls)  # type: ignore[method-assign]

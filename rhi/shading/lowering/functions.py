@@ -333,8 +333,8 @@ def lower_loop(
         if masked:
             assert mask is not None
             if not (isinstance(condition, lanes.Literal) and condition.value):
-                both = lanes.apply("and", lanes.get(mask), condition)
-                lowering.emit(lanes.Set(lowering.line, mask, both, None))
+                going = lanes.apply("and", lanes.get(mask), condition)
+                lowering.emit(lanes.Set(lowering.line, mask, going, None))
             lowering.emit(lanes.Break(lowering.line, mask))
         elif not (isinstance(condition, lanes.Literal) and condition.value):
             stop: lanes.Block = [lanes.Break(lowering.line)]
@@ -414,8 +414,8 @@ def discard(lowering: Lowering) -> None:
             needed = lowering.let(lanes.apply("quads", lowering.result_mask))
             for scope in scopes[:-1]:
                 if scope.owns_mask and scope.mask is not None:
-                    both = lanes.get(scope.mask) & needed
-                    lowering.emit(lanes.Set(lowering.line, scope.mask, both, None))
+                    leaving = lanes.get(scope.mask) & needed
+                    lowering.emit(lanes.Set(lowering.line, scope.mask, leaving, None))
         lowering.jump_pending = True
         lowering.discards += 1
         lowering.returns += 1

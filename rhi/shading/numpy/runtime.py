@@ -143,8 +143,8 @@ def ddy(value: Any) -> Any:
 def quads(mask: Any) -> Any:
     """Extend a mask to all lanes of each quad in which it has a lane."""
     rows = mask[..., 0::2, :] | mask[..., 1::2, :]
-    both = rows[..., 0::2] | rows[..., 1::2]
-    return np.repeat(np.repeat(both, 2, axis=-2), 2, axis=-1)
+    row_pairs = rows[..., 0::2] | rows[..., 1::2]
+    return np.repeat(np.repeat(row_pairs, 2, axis=-2), 2, axis=-1)
 
 
 def check(wrong: Any, value: Any, limit: Any, mask: Any, line: tuple[str, int]) -> None:

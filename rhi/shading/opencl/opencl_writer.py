@@ -504,16 +504,16 @@ class OpenCLWriter:
         """
         operation, name, results = node.operation, node.memory.name, node.results
         self.textures.add(node.memory.shape)
-        each = self.width > 1
-        varies = each and bool(results) and results[0].uniformity is Uniformity.VARYING
-        first = ".s0" if each and not varies else ""
-        texts = [self.wide(value, each) for value in node.arguments]
+        is_wide = self.width > 1
+        varies = is_wide and bool(results) and results[0].uniformity is Uniformity.VARYING
+        first = ".s0" if is_wide and not varies else ""
+        texts = [self.wide(value, is_wide) for value in node.arguments]
         if operation in ("size", "levels"):
             texts = [self.wide(value, varies) for value in node.arguments]
             function, first = f"rhi_{operation}{'_each' * varies}", ""
         elif operation == "store":
-            mask, values = self.mask(node.mask) if each else "1", node.arguments[3:]
-            texts = [*texts[:3], *(self.bits(value, each) for value in values)]
+            mask, values = self.mask(node.mask) if is_wide else "1", node.arguments[3:]
+            texts = [*texts[:3], *(self.bits(value, is_wide) for value in values)]
             self.add(node, f"rhi_store({name}_, {mask}, {name}__words, {', '.join(texts)});")
             return
         elif operation == "load" and self.is_vector(node.arguments[-1]):
@@ -527,7 +527,7 @@ class OpenCLWriter:
             axes = [f", {axis}" if operation == "size" else "" for axis in range(len(results))]
             words = [f"{function}({arguments}{axis}){first}" for axis in axes]
         else:
-            kind, whole = self.type(UINT, each), f"{results[0].name}_words"
+            kind, whole = self.type(UINT, is_wide), f"{results[0].name}_words"
             self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
             words = [
                 self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)

@@ -62,8 +62,8 @@ def place_declaration(variable: TrackedLocal) -> None:
     home, index = variable.path[-1], variable.indices[len(variable.path) - 1]
     if variable.loops:
         loop = variable.loops[0]
-        own = len(variable.loops) == 1 and home is loop.body
-        if own and variable.local.writes == 1:
+        is_own_loop = len(variable.loops) == 1 and home is loop.body
+        if is_own_loop and variable.local.writes == 1:
             return  # the `For` declares it
         for loop in variable.loops:
             # The body assigns the variable, or it outlives the loop: the loop gets a counter of its own.

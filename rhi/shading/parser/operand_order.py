@@ -123,8 +123,8 @@ class _Ordering:
         results = []
         for number, operand in enumerate(operands):
             result = self._expression(operand, before)
-            own = self._effects.of(result)
-            if any(own.conflicts_with(later) for later in effects[number + 1 :]):
+            result_effects = self._effects.of(result)
+            if any(result_effects.conflicts_with(later) for later in effects[number + 1 :]):
                 result = _hoist(result, before, "operand" if number else first_name)
             results.append(result)
         return results

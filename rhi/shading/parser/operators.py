@@ -102,8 +102,8 @@ def typed(op: Operator, left: Expression, right: Expression, span: SourceSpan) -
     if op is Operator.MATRIX_MULTIPLY:
         return _matrix_multiply(left, right, span)
     if op in (Operator.AND, Operator.OR):
-        both = left.type is BOOL and right.type is BOOL
-        return Binary(BOOL, span, op, left, right) if both else None
+        are_bools = left.type is BOOL and right.type is BOOL
+        return Binary(BOOL, span, op, left, right) if are_bools else None
     if isinstance(left.type, MatrixType) or isinstance(right.type, MatrixType):
         return _with_matrix(op, left, right, span)
     a, b = left.type, right.type

@@ -32,12 +32,12 @@ def collect_unused_bindings(shader: type[Shader], used: frozenset[str]) -> tuple
     method names.
 
     `used` are the bindings that the shader's stages read or write."""
-    own = [
+    names = [
         name
         for name in shader._declared
         if name in vars(shader).get("__annotations__", {}) or name in vars(shader)
     ]
-    unused = [name for name in own if name not in used]
+    unused = [name for name in names if name not in used]
     if not unused:
         return ()
     methods = [
@@ -70,11 +70,11 @@ def warn_of_unused(unused: Iterable[ShaderError]) -> None:
 def _named(method: FunctionType) -> set[str]:
     """Return the names of the attributes that a method reads from its first parameter."""
     node = source_of(method).node
-    own = node.args.args[0].arg if node.args.args else "self"
+    self_name = node.args.args[0].arg if node.args.args else "self"
     return {
         part.attr
         for part in ast.walk(node)
-        if isinstance(part, ast.Attribute) and isinstance(part.value, ast.Name) and part.value.id == own
+        if isinstance(part, ast.Attribute) and isinstance(part.value, ast.Name) and part.value.id == self_name
     }
 
 

@@ -125,8 +125,8 @@ class MemoryTypes:
             case MatrixType():
                 return f"mat2x2<f32>({path}[0].xy, {path}[1].xy)"
         parts = [
-            self.load(inner, space, where, each)
-            for inner, where, each in self._parts(type, space, path, atomic)
+            self.load(inner, space, where, member_type)
+            for inner, where, member_type in self._parts(type, space, path, atomic)
         ]
         return f"{self._value_type(type)}({', '.join(parts)})"
 
@@ -139,8 +139,8 @@ class MemoryTypes:
         else:
             parts = self._parts(type, space, path, atomic)
             values = self._parts(type, space, value, atomic)
-            for (inner, where, each), (_, part, _) in zip(parts, values, strict=True):
-                yield from self.store(inner, space, where, part, each)
+            for (inner, where, member_type), (_, part, _) in zip(parts, values, strict=True):
+                yield from self.store(inner, space, where, part, member_type)
 
     def _parts(
         self, type: HostType, space: str, path: str, atomic: bool

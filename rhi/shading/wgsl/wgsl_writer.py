@@ -317,10 +317,10 @@ class WgslWriter(TextWriter):
                 if node.left in self.agreed and isinstance(node.left, tree.Binary):  # a link of a chain
                     left = self.agree(node.left, left)
                 name = self.hoist(node, left, "first")
-                both = node.operator is Operator.AND
+                is_and = node.operator is Operator.AND
                 selected = self.names.get((node, "selected"), "selected")
                 self.line(f"{self.variable('bool', selected, name)};", node.span)
-                with self.lines.braces(f"if ({name if both else f'!{name}'})", self.file, node.span.line):
+                with self.lines.braces(f"if ({name if is_and else f'!{name}'})", self.file, node.span.line):
                     self.line(f"{selected} = {self.expression(node.right)};", node.span)
                 return selected
             left = self.hoist(node, left, "first")

@@ -82,10 +82,13 @@ def describe_fault(name: str) -> str:
 
 def _list_distributions() -> set[str]:
     """Return the names of all installed distributions and their packages, and of what this one can need."""
-    names = [str(each.metadata["Name"] or "") for each in metadata.distributions()]
+    names = [str(distribution.metadata["Name"] or "") for distribution in metadata.distributions()]
     names += metadata.packages_distributions()
     with suppress(metadata.PackageNotFoundError):
-        names += [re.split(r"[^\w.-]", each, maxsplit=1)[0] for each in metadata.requires("rhi") or ()]
+        names += [
+            re.split(r"[^\w.-]", distribution, maxsplit=1)[0]
+            for distribution in metadata.requires("rhi") or ()
+        ]
     return {re.sub(r"[-_.]+", "_", name).lower() for name in names}
 
 

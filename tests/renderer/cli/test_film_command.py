@@ -97,8 +97,8 @@ def test_a_video_has_the_rate_of_its_frames(here: Path) -> None:
 def test_two_eyes_are_drawn_side_by_side(here: Path) -> None:
     run("--frames", "4:5", "--backend", "gl", "--output", "%d.png", "--stereo", "side_by_side")
     run("--frames", "4:5", "--backend", "gl", "--output", "one-%d.png")
-    with Image.open("4.png") as both, Image.open("one-4.png") as single:
-        assert both.tobytes() != single.tobytes()
+    with Image.open("4.png") as both_eyes, Image.open("one-4.png") as single:
+        assert both_eyes.tobytes() != single.tobytes()
 
 
 def test_the_null_device_draws_black_frames_and_says_so(

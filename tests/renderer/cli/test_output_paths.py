@@ -41,16 +41,16 @@ OUTPUTS = [
 def complete(words: tuple[str, ...], command: Subcommand, option: CommandOption, path: Path) -> list[str]:
     """Arguments of a command with this path, and with all others that it needs."""
     arguments = [*words]
-    for each in command.options:
-        is_positional = not each.flag.startswith("-")
-        if each is option:
-            arguments += [str(path)] if is_positional else [each.flag, str(path)]
-        elif each.flag == "scene":
+    for command_option in command.options:
+        is_positional = not command_option.flag.startswith("-")
+        if command_option is option:
+            arguments += [str(path)] if is_positional else [command_option.flag, str(path)]
+        elif command_option.flag == "scene":
             arguments.append("grid:count=1")
-        elif is_positional and each.keywords.get("nargs") != "?":
+        elif is_positional and command_option.keywords.get("nargs") != "?":
             arguments.append("out.glb")
-        elif each.keywords.get("required"):
-            arguments += [each.flag, "out.csv"]
+        elif command_option.keywords.get("required"):
+            arguments += [command_option.flag, "out.csv"]
     return arguments
 
 

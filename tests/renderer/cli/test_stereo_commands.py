@@ -79,9 +79,9 @@ def test_the_image_shows_both_eyes_and_another_one_the_holes(
         "--eye-distance",
         "0.5",
     )
-    both = np.asarray(Image.open(here / "both.png")).astype(int)
-    assert both.shape == (54, 96, 3)
-    left, right = both[:, :48], both[:, 48:]
+    pair_image = np.asarray(Image.open(here / "both.png")).astype(int)
+    assert pair_image.shape == (54, 96, 3)
+    left, right = pair_image[:, :48], pair_image[:, 48:]
     assert 0 < np.abs(left - right).mean() < 30
     holes = (np.asarray(Image.open(here / "holes.png")) == (255, 0, 255)).all(axis=2)
     assert report["holes"] == holes.sum() > 0

@@ -85,12 +85,12 @@ def list_numbers(value: Any, above: tuple[Step, ...] = ()) -> Iterator[tuple[Ste
     if isinstance(value, int | float):
         yield above
     elif isinstance(value, dict):
-        for key, each in value.items():
-            yield from list_numbers(each, (*above, key))
+        for key, part in value.items():
+            yield from list_numbers(part, (*above, key))
     elif isinstance(value, list):
-        is_numbers = bool(value) and all(isinstance(each, int | float) for each in value)
-        for at, each in enumerate(value[:1] if is_numbers else value):
-            yield from list_numbers(each, (*above, at))
+        is_numbers = bool(value) and all(isinstance(part, int | float) for part in value)
+        for at, part in enumerate(value[:1] if is_numbers else value):
+            yield from list_numbers(part, (*above, at))
 
 
 NUMBERS = [(name, path) for name, document in DOCUMENTS.items() for path in list_numbers(document.values)]
@@ -196,12 +196,12 @@ def list_objects(value: Any, above: tuple[Step, ...] = ()) -> Iterator[tuple[Ste
     if isinstance(value, dict):
         if above and above[-1] != "extensions":
             yield above
-        for key, each in value.items():
+        for key, part in value.items():
             if key != "extras":
-                yield from list_objects(each, (*above, key))
+                yield from list_objects(part, (*above, key))
     elif isinstance(value, list):
-        for at, each in enumerate(value):
-            yield from list_objects(each, (*above, at))
+        for at, part in enumerate(value):
+            yield from list_objects(part, (*above, at))
 
 
 OBJECTS = [(name, path) for name, document in DOCUMENTS.items() for path in list_objects(document.values)]

@@ -38,7 +38,7 @@ def draw(devices, scene, camera, seconds):
     for device in devices:
         with Renderer(device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
             renderer.technique = Forward()
-            images = [renderer.render(camera, each).image.read()[..., :3] for each in seconds]
+            images = [renderer.render(camera, time).image.read()[..., :3] for time in seconds]
         results.append(np.stack(images).astype(int))
     return results
 

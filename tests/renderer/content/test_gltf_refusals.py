@@ -420,7 +420,9 @@ def load_with_damages(folder, case):
     load_damaged(folder, pack(values, document))
 
 
-@pytest.mark.parametrize("document", [each for each in DOCUMENTS if "shininess" in repr(each.values)])
+@pytest.mark.parametrize(
+    "document", [candidate for candidate in DOCUMENTS if "shininess" in repr(candidate.values)]
+)
 def test_a_specular_material_without_its_exponent_is_refused_by_the_file(tmp_path, document):
     for row, material in enumerate(document.values["materials"]):
         if "shininess" in repr(material):

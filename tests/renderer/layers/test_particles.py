@@ -140,4 +140,10 @@ def test_particles_show_in_front_of_farther_surfaces_only() -> None:
 def test_particles_call_fog_as_surfaces_do() -> None:
     bound = {binding.name: binding.type for binding in compile_shader(FogParticleShader).bindings}
     surfaces = type("Foggy", (ForwardShader,), {"__module__": __name__, "has_fog": True})
-    assert bound["fog"] == {each.name: each.type for each in compile_shader(surfaces).bindings}["fog"]
+    assert (
+        bound["fog"]
+        == {
+            program_binding.name: program_binding.type
+            for program_binding in compile_shader(surfaces).bindings
+        }["fog"]
+    )

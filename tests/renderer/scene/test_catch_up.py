@@ -254,4 +254,4 @@ def test_a_member_with_memory_returns_exactly_if_the_budget_covers_its_steps() -
         frame(simulator, HOUR, range(count))
         assert (simulator.late == 0) == policy.returns_exactly(count)
     others = (Recompute(), Stepwise(10**6), Leap(10**6, 0.0))
-    assert [each.returns_exactly(1) for each in others] == [True, False, False]
+    assert [simulation.returns_exactly(1) for simulation in others] == [True, False, False]

@@ -22,7 +22,7 @@ HOSTILE: dict[str, Callable[[Any], Any]] = {
     "a set": lambda good: set(np.ravel(good).tolist()),
     "a dict": lambda good: dict.fromkeys(np.ravel(good).tolist()),
     "ragged": lambda good: [[1.0, 2.0], [3.0]],
-    "a generator": lambda good: (each for each in np.ravel(good)),
+    "a generator": lambda good: (value for value in np.ravel(good)),
 }
 CALLS: dict[str, tuple[Any, Callable[[Any], object]]] = {
     "positions": (SQUARE, lambda v: make_geometry(v, [0, 1, 2])),

@@ -79,17 +79,17 @@ def test_an_instance_has_its_parents_values_where_it_sets_none() -> None:
 def test_a_changed_parent_material_changes_the_instances_that_inherit_the_parameter() -> None:
     builder = start()
     parent = builder.add_material(shader=Stripes, width=0.5)
-    child, own = builder.add_material(parent=parent), builder.add_material(parent=parent, width=3.0)
+    child, inheriting = builder.add_material(parent=parent), builder.add_material(parent=parent, width=3.0)
     other = builder.add_material()
-    scene = build(builder, parent, child, own, other)
+    scene = build(builder, parent, child, inheriting, other)
     version = scene.material_version
     scene.set_material(parent, width=1.5, base_color=(1, 0, 0))
-    assert [read(scene, material)["width"] for material in (parent, child, own)] == [1.5, 1.5, 3.0]
+    assert [read(scene, material)["width"] for material in (parent, child, inheriting)] == [1.5, 1.5, 3.0]
     assert scene.materials["base_color"][:, 0].tolist() == [1.0, 1.0, 1.0, np.float32(0.8)]
     scene.refresh()
     assert scene.material_version > version
-    scene.unset_material(own, "width")
-    assert read(scene, own)["width"] == 1.5
+    scene.unset_material(inheriting, "width")
+    assert read(scene, inheriting)["width"] == 1.5
     scene.unset_material(parent, "base_color")
     assert (scene.materials["base_color"][:, 0] == np.float32(0.8)).all()
 
@@ -110,28 +110,28 @@ def test_values_that_were_written_to_arrays_stay_where_nothing_else_is_set() -> 
 def test_random_edits_equal_values_that_are_looked_up_from_the_root(seed: int) -> None:
     """Beside the tree itself, all that is known here is a dictionary for each material."""
     rng = np.random.default_rng(seed)
-    builder, parents, own = start(), [-1], [{"width": 1.0}]
+    builder, parents, changes = start(), [-1], [{"width": 1.0}]
     builder.add_material(shader=Stripes, width=1.0)
     for row in range(1, 8):
         parents.append(int(rng.integers(0, row)))
-        own.append({})
+        changes.append({})
         builder.add_material(parent=parents[row])
     scene = build(builder, *range(8))
     for _ in range(12):
         row, name = int(rng.integers(8)), str(rng.choice(["width", "count", "shininess"]))
-        if name in own[row] and rng.random() < 0.5 and (row or name != "width"):
+        if name in changes[row] and rng.random() < 0.5 and (row or name != "width"):
             scene.unset_material(row, name)
-            del own[row][name]
+            del changes[row][name]
         else:
-            own[row][name] = int(rng.integers(1, 99))
-            scene.set_material(row, **{name: own[row][name]})
+            changes[row][name] = int(rng.integers(1, 99))
+            scene.set_material(row, **{name: changes[row][name]})
     for row in range(8):
         values, at = {"count": 3, "shininess": 32.0}, row
         chain = [row]
         while (at := parents[at]) >= 0:
             chain.append(at)
         for ancestor in reversed(chain):
-            values |= own[ancestor]
+            values |= changes[ancestor]
         read_values = read(scene, row)
         assert (read_values["width"], read_values["count"]) == (values["width"], values["count"])
         assert scene.materials["shininess"][row] == values["shininess"]

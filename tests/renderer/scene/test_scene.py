@@ -36,8 +36,8 @@ def test_triangles_are_counted_by_mesh_and_by_object():
     builder = scenes.SceneBuilder("counted")
     plane = scenes.make_geometry([*TRIANGLE, [1.0, 1.0, 0.0]], [0, 1, 2, 2, 1, 3])
     meshes = [
-        builder.add_mesh(each)
-        for each in (scenes.make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())
+        builder.add_mesh(geometry)
+        for geometry in (scenes.make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())
     ]
     nodes, material = [builder.add_node() for _ in range(3)], builder.add_material()
     builder.add_objects(nodes, [meshes[1], meshes[1], meshes[2]], material)

@@ -177,9 +177,9 @@ def count_moves(
 def test_small_members_are_stepped_less_often_and_members_smaller_than_the_lag_are_suspended(
     pixels: float, moves: int
 ) -> None:
-    each = count_moves(look_from(pixels))
-    assert max(each) == moves
-    assert min(each) >= moves - (moves < 512)  # the first part of a period is shorter for some
+    move_count = count_moves(look_from(pixels))
+    assert max(move_count) == moves
+    assert min(move_count) >= moves - (moves < 512)  # the first part of a period is shorter for some
 
 
 def test_an_orthographic_projection_shows_all_at_the_same_size() -> None:

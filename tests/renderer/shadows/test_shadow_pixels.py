@@ -412,8 +412,8 @@ def test_each_of_many_local_lights_has_its_own_shadows(gl: rhi.Device, number: i
     images = []
     for casts in (False, True):
         builder = light_scene(block=(0.0, -1.0, 0.0))
-        for each in range(131):
-            is_lit = each == number
+        for light_index in range(131):
+            is_lit = light_index == number
             position = (-0.6, 1.5, -0.4) if is_lit else (3.0, 3.0, 3.0)
             builder.lights.add_point(position, 12.0, intensity=6.0 if is_lit else 1e-6, casts_shadow=casts)
         images.append(

@@ -46,10 +46,10 @@ def draw(
 
 def check_eyes(renderer: Renderer, camera: Camera, rig: StereoRig = RIG) -> None:
     """Check that the eyes' images are those of their cameras, to the bit."""
-    _, both = draw(renderer, camera, Stereo(rig, "color"))
+    _, pair = draw(renderer, camera, Stereo(rig, "color"))
     alone = [draw(renderer, eye, None)[1][0] for eye in rig.place_eyes(camera)]
-    assert not np.array_equal(*both)
-    for name, together, single in zip(("left", "right"), both, alone, strict=True):
+    assert not np.array_equal(*pair)
+    for name, together, single in zip(("left", "right"), pair, alone, strict=True):
         assert np.array_equal(together, single), f"{name}: {(together != single).any(-1).sum()} pixels"
 
 

@@ -125,17 +125,17 @@ def test_objects_are_drawn_by_shader(null: rhi.Device) -> None:
 
 
 def test_a_scene_without_material_shaders_has_none_of_their_cost(null: rhi.Device) -> None:
-    plain, own = stand(None), stand(None, EmissiveMaterial)
+    plain, custom = stand(None), stand(None, EmissiveMaterial)
     assert (
         Effect.MATERIAL_SHADERS not in collect_frame_effects(plain, frames.first_view_camera(plain)).enabled
     )
-    assert Effect.MATERIAL_SHADERS in collect_frame_effects(own, frames.first_view_camera(own)).enabled
+    assert Effect.MATERIAL_SHADERS in collect_frame_effects(custom, frames.first_view_camera(custom)).enabled
     assert (
         Effect.MATERIAL_SHADERS
-        not in collect_frame_effects(own, Camera.look_at((0, 0, 10), (0, 0, 20))).enabled
+        not in collect_frame_effects(custom, Camera.look_at((0, 0, 10), (0, 0, 20))).enabled
     )
     assert "material ids" not in frames.list_passes(null, plain, DeferredPlus())
-    assert "material ids" in frames.list_passes(null, own, DeferredPlus())
+    assert "material ids" in frames.list_passes(null, custom, DeferredPlus())
 
 
 def test_depth_alone_is_drawn_without_shaders_of_materials(null: rhi.Device) -> None:
@@ -345,7 +345,7 @@ def test_marble_goes_through_objects(gl: rhi.Device) -> None:
     wide.add_objects(wide.add_node(scaling((2, 1, 1))), 0, whole)
     for boxes in (builder, wide):
         boxes.lights.sky = boxes.lights.ground = (1, 1, 1)
-    halves, whole_box = (frames.draw(gl, each.build(), camera=NEAR, size=SIZE) for each in (builder, wide))
+    halves, whole_box = (frames.draw(gl, part.build(), camera=NEAR, size=SIZE) for part in (builder, wide))
     assert whole_box.std() > 20.0
     assert frames.max_difference(halves, whole_box) <= 1
 

@@ -37,13 +37,13 @@ def watch(device: rhi.Device, technique: Technique, resource: str) -> ResourceCa
 
 
 def test_contents_are_those_before_a_later_pass_draws_over_them(gl: rhi.Device) -> None:
-    first, both = (watch(gl, Deferred(), name).texels for name in ("light", "light with spot lights"))
+    first, with_spot = (watch(gl, Deferred(), name).texels for name in ("light", "light with spot lights"))
     assert first is not None
-    assert both is not None
-    assert first.shape == both.shape == (*SIZE[::-1], 4)
+    assert with_spot is not None
+    assert first.shape == with_spot.shape == (*SIZE[::-1], 4)
     assert first[..., 0].max() > 0.1
     assert first[..., 1].max() == 0.0  # the spot light is green
-    assert both[..., 1].max() > 0.1
+    assert with_spot[..., 1].max() > 0.1
 
 
 def test_the_frame_is_the_same(gl: rhi.Device) -> None:

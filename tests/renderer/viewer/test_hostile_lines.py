@@ -124,8 +124,8 @@ def test_while_it_listens_commands_write_below_one_folder_only(
     )  # the null device has none
     outside = folder / "outside"
     inside = folder / "inside"
-    for each in (outside, inside, inside / "b"):
-        each.mkdir()
+    for writable_folder in (outside, inside, inside / "b"):
+        writable_folder.mkdir()
     (inside / "link").symlink_to(outside)
     assert not viewer.run(f"save settings {outside}/before.json")[1]
     viewer.listen(0, inside)

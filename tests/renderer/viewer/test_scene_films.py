@@ -114,8 +114,8 @@ def test_cloth_takes_each_step_whoever_draws_it() -> None:
             )
 
     leaping = Leaping(load_scene("hall:columns=2,rows=2,flags=0,cloths=1,detail=3"))
-    each, once = range(400), [399]
-    exact = leaping.draw(each, takes_all_steps=True)
+    all_frames, once = range(400), [399]
+    exact = leaping.draw(all_frames, takes_all_steps=True)
     assert np.array_equal(exact, leaping.draw(once, takes_all_steps=True))
     assert not np.array_equal(exact, leaping.draw(once, takes_all_steps=False))
 
@@ -221,7 +221,7 @@ def test_an_identity_differs_with_all_that_frames_depend_on() -> None:
         SceneFilm(scene, path, SIZE, layers=FilmLayers(overlay=True)),
         SceneFilm(scene, path, SIZE, layers=make_corner),
     ]
-    identities = [identify(each) for each in films]
+    identities = [identify(one_film) for one_film in films]
     assert len(set(identities)) == len(films)
     assert identities[0] == identify(SceneFilm(load_scene(SMALL), path, SIZE))
     assert identify(films[0], "a.glb") != identities[0]

@@ -99,7 +99,7 @@ def test_terrain_that_appears_from_behind_a_wall_is_as_of_its_frame(
             if number == len(object_positions):
                 scene.nodes.hide([WALL_POSITION])
             expected, other = (
-                each.render(make_camera((x, 0.0, 0.0), AIM), number / 60) for each in (true, renderer)
+                drawer.render(make_camera((x, 0.0, 0.0), AIM), number / 60) for drawer in (true, renderer)
             )
             wrong.append(int((expected.image.read() != other.image.read()).any(2).sum()))
             paused |= (

@@ -361,13 +361,13 @@ def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kin
     assert all(isinstance(queue, FixedQueue) for queue in queues.values())
     render(20)
     before = memory()
-    own = tracemalloc.Filter(True, containers.__file__)
+    container_lines = tracemalloc.Filter(True, containers.__file__)
     tracemalloc.start()
     try:
         render(10)
-        first = tracemalloc.take_snapshot().filter_traces([own])
+        first = tracemalloc.take_snapshot().filter_traces([container_lines])
         render(100)
-        last = tracemalloc.take_snapshot().filter_traces([own])
+        last = tracemalloc.take_snapshot().filter_traces([container_lines])
     finally:
         tracemalloc.stop()
     grown = sum(line.size for line in last.statistics("lineno")) - sum(

@@ -93,7 +93,7 @@ def test_a_counter_that_begins_to_run_between_draws_and_answers_changes_neither(
             emulated = device.query_set(16, emulated=True)
             draw(device, bars, second, range(16))
             draw(device, bars, emulated, range(16))
-        assert [each.wait().tolist() for each in (first, second, emulated)] == [SAMPLES.tolist()] * 3
+        assert [answer.wait().tolist() for answer in (first, second, emulated)] == [SAMPLES.tolist()] * 3
         emulated.destroy()
         device.finish()
         with device.render_pass(image):

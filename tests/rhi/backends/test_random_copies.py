@@ -34,7 +34,7 @@ Levels = list[NDArray[Any]]
 
 @pytest.fixture(scope="module", params=BACKENDS)
 def running_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
-    if request.param not in [each.name for each in rhi.report() if each.usable]:
+    if request.param not in [backend.name for backend in rhi.report() if backend.usable]:
         pytest.skip(f"{request.param} doesn't work here")
     with rhi.create_device(request.param) as device:
         yield device
@@ -58,11 +58,11 @@ def draw_texels(numbers: np.random.Generator, format: Format, shape: tuple[int, 
 def draw_box(rng: random.Random, *levels: NDArray[Any]) -> tuple[list[int], list[list[int]]]:
     """Return a size (layers, height, width) that fits into all these levels, and an origin in each."""
     size = [
-        rng.randint(1, min(lengths)) for lengths in zip(*(each.shape[:3] for each in levels), strict=True)
+        rng.randint(1, min(lengths)) for lengths in zip(*(level.shape[:3] for level in levels), strict=True)
     ]
     return size, [
-        [rng.randint(0, length - part) for length, part in zip(each.shape[:3], size, strict=True)]
-        for each in levels
+        [rng.randint(0, length - part) for length, part in zip(level.shape[:3], size, strict=True)]
+        for level in levels
     ]
 
 
@@ -138,7 +138,7 @@ def test_layers_of_each_kind_are_copied_to_those_of_each_other(
 ) -> None:
     """Between all levels, and as many layers as both have."""
     (old, texels), (new, into) = (
-        make_texture(running_device, Format.RGBA8, each, 3) for each in (source, target)
+        make_texture(running_device, Format.RGBA8, kind, 3) for kind in (source, target)
     )
     numbers = np.random.default_rng(3)
     for level, level_texels in enumerate(texels):

@@ -102,7 +102,7 @@ class CallHarness:
 
     def owns(self, value: object) -> bool:
         """Return whether a value is an object of this harness."""
-        return any(value is each for each in vars(self).values())
+        return any(value is member for member in vars(self).values())
 
 
 CLASSES: Final[list[Any]] = [
@@ -254,7 +254,7 @@ def empty(harness: CallHarness, value: Any) -> bool:
 
 def either(*takes: Takes) -> Takes:
     """The values that one of several kinds takes."""
-    return lambda harness, value: any(each(harness, value) for each in takes)
+    return lambda harness, value: any(take(harness, value) for take in takes)
 
 
 def array(*dtypes: Any) -> Takes:
@@ -263,7 +263,7 @@ def array(*dtypes: Any) -> Takes:
     def takes(harness: CallHarness, value: Any) -> bool:
         try:
             return np.asarray(value).ndim > 0 and np.asarray(value).dtype in [
-                np.dtype(each) for each in dtypes
+                np.dtype(dtype) for dtype in dtypes
             ]
         except (TypeError, ValueError):
             return False
@@ -428,7 +428,7 @@ def describe(call: str, parameter: inspect.Parameter) -> tuple[Any, Takes]:
             annotation = plain
         kinds = [get_kind(part) for part in annotation.split(" | ")]
         if takes is ...:
-            takes = either(*(each for _, each in kinds))
+            takes = either(*(take for _, take in kinds))
         if value is ...:
             has_default = parameter.default not in (None, inspect.Parameter.empty)
             value = parameter.default if has_default else kinds[0][0]
@@ -475,7 +475,7 @@ def call_method(name: str, positional: list[str], harness: CallHarness, **argume
     """Call a method of an object of the harness."""
     kind, _, method = name.partition(".")
     called = getattr(getattr(harness, RECEIVERS.get(name, OBJECTS[kind])), method)
-    first = [arguments.pop(each) for each in positional]
+    first = [arguments.pop(parameter_name) for parameter_name in positional]
     return called(*first, **arguments)
 
 
@@ -493,7 +493,7 @@ def call_encoder(name: str, positional: list[str], harness: CallHarness, **argum
         if method == "draw_conditional":
             draws = harness.mesh.draws([0, 3], 3)
             encoder.draw_counted(harness.program, harness.mesh, draws, harness.queries, tint=harness.tint)
-        first = [arguments.pop(each) for each in positional]
+        first = [arguments.pop(parameter_name) for parameter_name in positional]
         result = getattr(encoder, method)(*first, **arguments)
         if hasattr(result, "__enter__"):
             with result:
@@ -551,7 +551,9 @@ def list_signatures() -> Iterator[tuple[str, inspect.Signature]]:
     draw = inspect.signature(Device.draw)  # that of a program is generated
     yield (
         "Program.draw",
-        draw.replace(parameters=[each for each in draw.parameters.values() if each.name != "program"]),
+        draw.replace(
+            parameters=[parameter for parameter in draw.parameters.values() if parameter.name != "program"]
+        ),
     )
 
 
@@ -559,19 +561,23 @@ def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
     """Return a call of a method or a class, None if it has no parameters."""
     kind, _, method = name.partition(".")
     parameters = [
-        each for each in signature.parameters.values() if each.name not in ("self", "args", "options")
+        parameter
+        for parameter in signature.parameters.values()
+        if parameter.name not in ("self", "args", "options")
     ]
     positional = [
-        each.name for each in parameters if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL)
+        parameter.name
+        for parameter in parameters
+        if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.VAR_POSITIONAL)
     ]
-    for rest in [each for each in parameters if each.kind is each.VAR_KEYWORD]:
+    for rest in [parameter for parameter in parameters if parameter.kind is parameter.VAR_KEYWORD]:
         names = (
             ["position", "color"] if rest.name == "fields" else ["numbers" if "dispatch" in name else "tint"]
         )
         parameters.remove(rest)
         if name == "UniformBuffer.write":  # fields are given instead of a value; the conformance kit does so
             continue
-        parameters += [rest.replace(name=each, kind=rest.KEYWORD_ONLY) for each in names]
+        parameters += [rest.replace(name=parameter, kind=rest.KEYWORD_ONLY) for parameter in names]
     if not parameters:
         return None
     if name in CALLS:
@@ -584,7 +590,7 @@ def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
         call = functools.partial(call_immediate if kind == "Immediate" else call_method, name, positional)
     return Sample(
         call,
-        {each.name: describe(name, each) for each in parameters},
+        {parameter.name: describe(name, parameter) for parameter in parameters},
         within=in_pass if name == "Program.draw" else Sample.within,
         enters=method == "lock",
         needs=REQUIREMENTS.get(method, ()),

@@ -242,7 +242,7 @@ def test_random_structs_survive_concatenate(types: list[Any], count: int, seed: 
 # -- texels ----------------------------------------------------------------------------------------------
 
 LAYERED = [TextureKind.D3, TextureKind.D2_ARRAY]
-ONE_CHANNEL = [each for each in Format if each.components == 1 and not each.is_depth]
+ONE_CHANNEL = [format for format in Format if format.components == 1 and not format.is_depth]
 
 
 @pytest.mark.parametrize("kind", LAYERED)
@@ -293,7 +293,7 @@ def test_a_plain_texture_takes_no_volume(null_device: Device) -> None:
         null_device.texture((5, 4), Format.R8).write(np.zeros((4, 5, 6), np.uint8))
 
 
-FLOATS = [each for each in Format if each.dtype.kind == "f" and not each.is_depth]
+FLOATS = [format for format in Format if format.dtype.kind == "f" and not format.is_depth]
 
 
 @pytest.mark.parametrize("format", FLOATS)

@@ -49,9 +49,11 @@ async def draw_frames(device: rhi.Device, count: int) -> list[np.ndarray]:
 
 
 def check(device: rhi.Device, texels: list[np.ndarray]) -> None:
-    assert [each.shape for each in texels] == [(8, 8, 4)] * len(texels)
+    assert [image.shape for image in texels] == [(8, 8, 4)] * len(texels)
     if device.capabilities.shading:
-        assert [int(each[4, 4, 0]) for each in texels] == [round(255 * level(i)) for i in range(len(texels))]
+        assert [int(image[4, 4, 0]) for image in texels] == [
+            round(255 * level(i)) for i in range(len(texels))
+        ]
 
 
 def test_a_frame_loop_under_asyncio_awaits_its_frames(device: rhi.Device) -> None:

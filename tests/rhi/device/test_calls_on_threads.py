@@ -84,7 +84,7 @@ def test_every_public_member_has_a_call() -> None:
         if name in SAFE:
             members = {member for member in dir(kind) if not member.startswith("_") and not member.isupper()}
             called = {
-                each.partition(".")[2] for each in [*calls.SAMPLES, *MORE] if each.startswith(f"{name}.")
+                call.partition(".")[2] for call in [*calls.SAMPLES, *MORE] if call.startswith(f"{name}.")
             }
             assert members <= called | {*SAFE[name].split(), *calls.INTERNAL.get(name, ())}, members
 

@@ -83,7 +83,7 @@ def test_nothing_keeps_a_destroyed_program_or_its_shader(harness: GrowthHarness)
     seen = [weakref.ref(shader), weakref.ref(program.draw)]
     del shader, program
     gc.collect()
-    assert [each() for each in seen] == [None, None]
+    assert [reference() for reference in seen] == [None, None]
 
 
 def test_a_live_program_keeps_its_shader_alive(harness: GrowthHarness) -> None:

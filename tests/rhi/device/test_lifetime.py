@@ -70,4 +70,4 @@ def test_a_creation_inside_another_is_a_part_of_it(kit: Kit, fails: bool) -> Non
             raise KeyError
     kit.device.finish()
     destroyed = {command.arguments["resource"] for command in kit.device.stream.filter(Op.DESTROY)}
-    assert [each.id in destroyed for each in resources] == [fails, fails]
+    assert [resource.id in destroyed for resource in resources] == [fails, fails]

@@ -74,7 +74,7 @@ def test_shaders_that_say_none_have_the_precision_of_the_device() -> None:
     for requested in (None, EXACT, FAST):
         with rhi.create_device("null", precision=requested) as device:
             assert device.precision is (requested or EXACT)
-            for shader, own in (
+            for shader, precision in (
                 (Wave, requested or EXACT),
                 (ExactWave, EXACT),
                 (FastWave, FAST),
@@ -82,8 +82,8 @@ def test_shaders_that_say_none_have_the_precision_of_the_device() -> None:
             ):
                 program = device.program(shader)
                 assert program is device.program(shader)
-                assert ("rhi_fast_sin" in kernel(program)) == (own is FAST), (requested, shader)
-                assert program.descriptor.flushes_denormals == (own is FAST)
+                assert ("rhi_fast_sin" in kernel(program)) == (precision is FAST), (requested, shader)
+                assert program.descriptor.flushes_denormals == (precision is FAST)
                 assert program.name == shader.__name__
 
 
@@ -127,7 +127,7 @@ def test_opencl_computes_as_the_device_says() -> None:
             device.dispatch(program, len(source) // 64, source=device.storage(float, source), target=target)
             return target.read()
 
-    if "cl" not in [each.name for each in rhi.report() if each.usable]:
+    if "cl" not in [backend.name for backend in rhi.report() if backend.usable]:
         pytest.skip("cl doesn't work here")
     fast, exact = run(Bell, FAST), run(Bell, EXACT)
     assert (fast != exact).any()

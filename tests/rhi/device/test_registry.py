@@ -213,9 +213,11 @@ with rhi.create_device(NAME) as device:
 @pytest.mark.parametrize(
     ("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")]
 )
-def test_a_device_needs_and_imports_the_package_of_its_own_driver(name: str, other: str, own: str) -> None:
+def test_a_device_needs_and_imports_the_package_of_its_own_driver(
+    name: str, other: str, package: str
+) -> None:
     """As after `pip install --no-deps rhi`: the other backend's package isn't there."""
-    if name not in [each.name for each in rhi.report() if each.usable]:
+    if name not in [backend.name for backend in rhi.report() if backend.usable]:
         pytest.skip(f"{name} doesn't work here")
     program = f"""
 import sys
@@ -229,4 +231,4 @@ print([(each.name, each.usable) for each in rhi.report() if each.name in ("gl", 
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     usable = [("gl", name == "gl"), ("cl", name == "cl")]
-    assert done.stdout.splitlines() == ["[]", str(sorted(["importlib.metadata", own])), str(usable)]
+    assert done.stdout.splitlines() == ["[]", str(sorted(["importlib.metadata", package])), str(usable)]

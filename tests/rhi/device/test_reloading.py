@@ -234,7 +234,7 @@ def test_lines_that_are_commented_out_are_a_warning_once(device: rhi.Device, imp
     reloader.reload(shaders, text.replace("    more:", "    # more:"))
     with pytest.warns(rhi.ShaderWarning, match="'Flat' doesn't read 'more', which a draw passes") as caught:
         drawer.draw(more=0.5)
-    assert [each.filename for each in caught] == [__file__]
+    assert [warning.filename for warning in caught] == [__file__]
     drawer.draw(more=0.5)
     with device.render_pass(drawer.image):
         drawer.program.draw(drawer.mesh, tint=drawer.tint, more=0.5)
@@ -375,7 +375,7 @@ def test_inside_a_pass_nothing_is_exchanged(device: rhi.Device, shaders: Any) ->
 
 def test_programs_of_several_devices_are_exchanged_together(device: rhi.Device, shaders: Any) -> None:
     with rhi.create_device("null") as second:
-        programs: list[Any] = [each.program(shaders.Flat) for each in (device, second)]
+        programs: list[Any] = [open_device.program(shaders.Flat) for open_device in (device, second)]
         assert Reloader(device, second).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.375")) == 2
         assert all("0.375" in glsl(program) for program in programs)
 

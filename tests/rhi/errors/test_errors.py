@@ -39,10 +39,10 @@ def test_ids_are_short_words_and_sentences_have_no_full_stop():
     import rhi.errors.rules  # noqa: F401
 
     assert len(RULES) > 20
-    for each in RULES.values():
-        assert re.fullmatch(r"[a-z]+(-[a-z]+)+", each.id)
-        assert each.sentence
-        assert not each.sentence.endswith(".")
+    for rule in RULES.values():
+        assert re.fullmatch(r"[a-z]+(-[a-z]+)+", rule.id)
+        assert rule.sentence
+        assert not rule.sentence.endswith(".")
 
 
 def test_a_refusal_names_everything(rule):

@@ -36,9 +36,9 @@ def test_a_portability_report_lists_every_obstacle_with_its_line():
     features = {
         name: [
             (obstacle.capability, obstacle.error.rule.id, obstacle.error.site.line - first)
-            for obstacle in each
+            for obstacle in reported
         ]
-        for name, each in report.obstacles.items()
+        for name, reported in report.obstacles.items()
     }
     assert features == {
         "everything": [],
@@ -76,7 +76,7 @@ def test_each_capability_is_named_at_the_first_line_that_lacks_it_and_then_at_th
     while not rounds or rounds[-1]:
         frame = functools.partial(scattered_frame, changed=frozenset(changed))
         features = check_portability(frame, {"gl-3.3": get_profile("gl-3.3")}).obstacles["gl-3.3"]
-        rounds.append([(each.capability, each.error.site.line - first) for each in features])
+        rounds.append([(feature.capability, feature.error.site.line - first) for feature in features])
         assert not changed & {line for _, line in rounds[-1]}, "a changed line lacks it again"
         changed |= {line for _, line in rounds[-1]}
     assert rounds == [
@@ -93,7 +93,7 @@ def test_timestamps_are_granted_as_other_capabilities_are():
         device.texture((4000, 4), Format.R8)
 
     features = check_portability(frame, {"gles": get_profile("gles-3")}).obstacles["gles"]
-    assert [each.capability for each in features] == ["timestamps", "max_texture_size"]
+    assert [feature.capability for feature in features] == ["timestamps", "max_texture_size"]
 
 
 def test_a_frame_sees_the_profile_as_it_is_whatever_was_granted():

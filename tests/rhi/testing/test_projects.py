@@ -54,7 +54,7 @@ def test_a_name_that_is_no_modules_or_anothers_is_refused_and_nothing_is_written
 
 
 def test_names_of_all_that_is_installed_are_refused(tmp_path: Path) -> None:
-    names = {each for each in packages_distributions() if each.isidentifier() and each.islower()}
+    names = {package for package in packages_distributions() if package.isidentifier() and package.islower()}
     assert [name for name in sorted(names) if not describe_fault(name)] == []
     assert [name for name in sorted(sys.stdlib_module_names) if not describe_fault(name)] == []
 

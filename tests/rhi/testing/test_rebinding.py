@@ -175,8 +175,8 @@ def bind_needlessly(device: Device, keeps: bool = False) -> None:
     buffer = device.buffer(np.zeros(64, np.float32))
     ranges = [sl.UniformRange(buffer.id, 0, 16, sl.vec4, buffer) for _ in range(3)]
     with device.render_pass(scene.image):
-        for each in ranges:
-            device.draw(scene.tinting, scene.screen, tint=ranges[0] if keeps else each)
+        for bound in ranges:
+            device.draw(scene.tinting, scene.screen, tint=ranges[0] if keeps else bound)
 
 
 @pytest.mark.parametrize("keeps", [False, True])
@@ -184,7 +184,7 @@ def test_the_same_range_through_another_object_is_needless(null_device: Device, 
     bind_needlessly(null_device, keeps)
     needless = needless_bindings(null_device)
     assert len(needless) == (0 if keeps else 2)
-    assert all(each.name == "tint" and "keep the range" in str(each) for each in needless)
+    assert all(warning.name == "tint" and "keep the range" in str(warning) for warning in needless)
     portability = check_portability(lambda device: bind_needlessly(device, keeps))
     assert len(portability.warnings) == len(needless)
     assert ("bound needlessly: 2" in str(portability)) != keeps

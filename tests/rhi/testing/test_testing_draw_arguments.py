@@ -186,8 +186,8 @@ def test_texts_and_traces_show_the_draws(scene: Scene, tmp_path: Path) -> None:
     )
     save(scene.device, tmp_path / "trace.zip")
     loaded = load(tmp_path / "trace.zip").stream.draws()
-    assert [each.draw_arguments.tolist() for each in loaded] == [
-        each.draw_arguments.tolist() for each in scene.device.stream.draws()
+    assert [command.draw_arguments.tolist() for command in loaded] == [
+        command.draw_arguments.tolist() for command in scene.device.stream.draws()
     ]
 
 

@@ -167,7 +167,7 @@ def test_a_condition_is_suspicious(sample_frame) -> None:
             )
         device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
     before, inside, after = device.stream.draws()
-    assert ["conditional" in possible(each) for each in (before, inside, after)] == [False, True, False]
+    assert ["conditional" in possible(stream) for stream in (before, inside, after)] == [False, True, False]
 
 
 def test_only_draws_can_be_asked_about(sample_frame) -> None:

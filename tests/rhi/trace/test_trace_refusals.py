@@ -161,7 +161,7 @@ def test_refused_calls_stand_between_the_commands_as_text(null_device: Device) -
     with null_device.event("sun"):
         refuse_texture(null_device)
     lines = str(null_device.stream).splitlines()
-    assert [each.split()[1] for each in lines] == [
+    assert [line.split()[1] for line in lines] == [
         "device.texture:",
         "create_buffer(buffer=1,",
         "push_label(text='sun')",
@@ -233,25 +233,25 @@ def test_the_trace_of_version_2_loads_and_replays(null_device: Device) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda each: each.pop("call"),
-        lambda each: each.update(extra=1),
-        lambda each: each.update(refused=3),
-        lambda each: each.update(labels="sun"),
-        lambda each: each.update(labels=[3]),
-        lambda each: each.update(site=99),
-        lambda each: each.update(op="draw"),
+        lambda refusal: refusal.pop("call"),
+        lambda refusal: refusal.update(extra=1),
+        lambda refusal: refusal.update(refused=3),
+        lambda refusal: refusal.update(labels="sun"),
+        lambda refusal: refusal.update(labels=[3]),
+        lambda refusal: refusal.update(site=99),
+        lambda refusal: refusal.update(op="draw"),
     ],
 )
 def test_a_spoilt_refusal_is_refused(file: Path, change: Callable[[dict[str, Any]], object]) -> None:
     with refuses(TRACE_COMMAND):
         load(edit_line(file, "", change, kind="refused"))
-    load(edit_line(file, "", lambda each: None, kind="refused"))
+    load(edit_line(file, "", lambda refusal: None, kind="refused"))
 
 
 def test_there_are_as_many_refusals_as_the_header_says(file: Path) -> None:
     def drop(members: dict[str, bytes]) -> None:
         lines = members["commands.jsonl"].splitlines(keepends=True)
-        members["commands.jsonl"] = b"".join(each for each in lines if b'"refused"' not in each)
+        members["commands.jsonl"] = b"".join(line for line in lines if b'"refused"' not in line)
 
     with refuses(TRACE_COUNT):
         load(rewrite(file, drop))
@@ -270,9 +270,9 @@ def test_a_replay_reports_refused_calls(file: Path, null_device: Device) -> None
 
 def streams(*positions: set[int]) -> list[Trace]:
     result = []
-    for each in positions:
+    for position in positions:
         with rhi.create_device("null") as device:
-            record(device, *each)
+            record(device, *position)
             result.append(Trace(device.stream, "null"))
     return result
 
@@ -305,13 +305,15 @@ def test_a_call_that_is_refused_for_something_else_is_one_difference() -> None:
 
 def test_reduce_drops_refusals_that_the_fault_does_not_need(file: Path) -> None:
     trace = load(file)
-    small = reduce(trace, lambda each: len(each.stream.filter(Op.CREATE_PROGRAM)) > 0)
+    small = reduce(trace, lambda trace_part: len(trace_part.stream.filter(Op.CREATE_PROGRAM)) > 0)
     assert small.refusals == ()
 
 
 def test_reduce_keeps_refusals_that_the_fault_needs(file: Path) -> None:
     trace = load(file)
-    small = reduce(trace, lambda each: any(refusal.labels == ("step 2",) for refusal in each.refusals))
+    small = reduce(
+        trace, lambda trace_part: any(refusal.labels == ("step 2",) for refusal in trace_part.refusals)
+    )
     assert len(small) == 0
     assert [refusal.index for refusal in small.refusals] == [0, 0, 0]
 

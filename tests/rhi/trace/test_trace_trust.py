@@ -204,7 +204,7 @@ def edit_texture(file: Path, texture: int, **changes: object) -> Path:
 
     def edit(members: dict[str, bytes]) -> None:
         lines = [json.loads(line) for line in members["commands.jsonl"].splitlines()]
-        line = next(each for each in lines if each.get("arguments", {}).get("texture") == texture)
+        line = next(text for text in lines if text.get("arguments", {}).get("texture") == texture)
         line["arguments"]["descriptor"].update(changes)
         members["commands.jsonl"] = "".join(json.dumps(line) + "\n" for line in lines).encode()
 

@@ -106,7 +106,11 @@ class Compiler:
 def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answers: IO[bytes]) -> None:
     import pyopencl as cl
 
-    platforms = [each for each in cl.get_platforms() if (each.name, each.version) == (platform_name, version)]
+    platforms = [
+        platform
+        for platform in cl.get_platforms()
+        if (platform.name, platform.version) == (platform_name, version)
+    ]
     context = cl.Context([platforms[0].get_devices()[index]])
     queue = cl.CommandQueue(context)
     while True:
@@ -121,8 +125,8 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
             program = program.build(["-w", *options]) if names else program.compile(["-w", *options])
             for name in names:
                 kernel = cl.Kernel(program, name)
-                given = [_make_argument(context, argument) for argument in arguments]
-                kernel.set_args(*[value for value, _ in given])
+                values = [_make_argument(context, argument) for argument in arguments]
+                kernel.set_args(*[value for value, _ in values])
                 items = kernel.get_work_group_info(
                     cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, queue.device
                 )

@@ -181,7 +181,7 @@ def _declare_name(name: str) -> tuple[str, ...] | None:
         return (f"#define {name} {_MACROS[name]}",)
     if match := _CAST.fullmatch(name):
         return (f"#define {name}(x) __builtin_astype((x), {match[1]})",)
-    return tuple(f"{each};" for each in declare_function(name))
+    return tuple(f"{declaration};" for declaration in declare_function(name))
 
 
 def declare_function(name: str) -> Iterator[str]:

@@ -97,7 +97,7 @@ def choose_folder() -> Path | None:
     try:
         for part in (folder.parent, folder, folder / _RECORDS):
             part.mkdir(mode=0o700, parents=True, exist_ok=True)
-        faults = (trust.distrust_reason(each) for each in (folder, folder / _RECORDS))
+        faults = (trust.distrust_reason(checked) for checked in (folder, folder / _RECORDS))
         fault = next(filter(None, faults), "")
     except OSError:
         return None

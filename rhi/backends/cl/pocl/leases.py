@@ -113,10 +113,10 @@ def _lock_path(folder: Path, name: str) -> Path:
 def remove_stale(folder: Path) -> None:
     """Remove the links of processes that have ended."""
     lease = _leases.get(folder)
-    own = lease[1] if lease is not None and lease[0] == os.getpid() else ""
+    own_name = lease[1] if lease is not None and lease[0] == os.getpid() else ""
     with suppress(OSError), os.scandir(folder / binaries.LINKS) as entries:
         for entry in entries:
-            if entry.name == own:
+            if entry.name == own_name:
                 continue
             path = Path(entry.path)
             if not (path / _LOCK).exists():  # just being made, or of an older version

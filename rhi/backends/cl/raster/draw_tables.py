@@ -240,10 +240,10 @@ def tabulate(
     """
     draws, streams = prepared.take(numbers), prepared.streams[numbers, : layout.streams]
     for part, table in number_groups(draws, instances[:, 0]):
-        mine, own = rows[part], table[:-1]
-        own["view"], own["samples"] = mine[:, VIEW], mine[:, SAMPLES]
-        own["condition"], own["inverted"] = mine[:, CONDITION], mine[:, INVERTED]
-        own["binding_index"], own["number"] = np.arange(len(mine)), instances[part, 1]
+        mine, written = rows[part], table[:-1]
+        written["view"], written["samples"] = mine[:, VIEW], mine[:, SAMPLES]
+        written["condition"], written["inverted"] = mine[:, CONDITION], mine[:, INVERTED]
+        written["binding_index"], written["number"] = np.arange(len(mine)), instances[part, 1]
         bound = np.concatenate([mine[:, FIXED_COLUMNS:], streams[part]], axis=1)
         for at, size in layout.elements:
             bound[:, at] //= np.uint64(size)

@@ -161,7 +161,7 @@ def common_structs() -> str:
     sizes = {"GROUP": GROUP, "TILE_BITS": _TILE_BITS, "PART_BITS": _PART_BITS}
     structs = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT}
     defines = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-    return defines + "".join(declare_struct(*each) for each in structs.items())
+    return defines + "".join(declare_struct(*item) for item in structs.items())
 
 
 def vertex_macros(
@@ -170,7 +170,7 @@ def vertex_macros(
     """Return the macros of kernels/vertex.cl; `faults`: the address that a checked program reports faults at,
     and `line`: the line of the stage's text to which faults of its inputs belong."""
     starts, words = {}, 0
-    for attribute in sorted(descriptor.attributes, key=lambda each: each.location):
+    for attribute in sorted(descriptor.attributes, key=lambda item: item.location):
         starts[attribute.location] = words
         words += _components(attribute)
     sizes = {attribute.location: _components(attribute) for attribute in descriptor.attributes}

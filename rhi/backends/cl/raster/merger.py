@@ -212,9 +212,9 @@ def general_defines(output_words: int) -> str:
 
     `output_words`: as in a key.
     """
-    each = ", ".join(f"targets->merger->colors[place][{field}]" for field in range(6))
+    colors = ", ".join(f"targets->merger->colors[place][{field}]" for field in range(6))
     fields = {name.upper(): f"(targets->merger->{name})" for name in _MERGER_FIELDS}
-    rows = f"for (int place = 0; place < COLOR_COUNT; ++place) {{ X(place, {each}) }}"
+    rows = f"for (int place = 0; place < COLOR_COUNT; ++place) {{ X(place, {colors}) }}"
     return _define(fields, MAX_SAMPLES, states.MAX_TARGETS, output_words, rows)
 
 

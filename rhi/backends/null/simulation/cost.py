@@ -78,5 +78,5 @@ _VERTICES_EACH = {
 
 def count_primitives(primitive: Primitive, vertices: int) -> int:
     """Return the number of points, lines, triangles or quads that `vertices` vertices form."""
-    each, opening = _VERTICES_EACH[primitive]
-    return max(0, vertices - opening) // each
+    vertices_each, opening = _VERTICES_EACH[primitive]
+    return max(0, vertices - opening) // vertices_each

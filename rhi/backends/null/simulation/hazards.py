@@ -252,8 +252,8 @@ class HazardTracker:
         """Check an immediate read by the CPU, of a buffer that the GPU only writes."""
         used = self._streams[buffer].find_use(begin, end, self.completed)
         if used is not None:
-            both = (max(begin, used[0]), min(end, used[1]))
-            self._report(HazardKind.READ_IN_USE, buffer, used[2], make_use(), both)
+            overlap = (max(begin, used[0]), min(end, used[1]))
+            self._report(HazardKind.READ_IN_USE, buffer, used[2], make_use(), overlap)
 
     def read_query(self, make_use: Callable[[], CommandUse], query: Id) -> None:
         """Check a read of a query's result."""
@@ -432,8 +432,8 @@ class HazardTracker:
         for buffer, begin, end in ranges:
             for written, write_begin, write_end, use, kind in deferred.suspects:
                 if written == buffer and begin < write_end and write_begin < end:
-                    both = (max(begin, write_begin), min(end, write_end))
-                    self._report(kind, buffer, deferred.use, use, both, happened=True)
+                    overlap = (max(begin, write_begin), min(end, write_end))
+                    self._report(kind, buffer, deferred.use, use, overlap, happened=True)
             if buffer in self._streams:
                 self._streams[buffer].use(begin, end, deferred.use, self.completed)
 

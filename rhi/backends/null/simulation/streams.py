@@ -51,7 +51,7 @@ class StreamMemory:
         first = bisect_left(ranges, begin, key=_end_of)
         last = bisect_right(ranges, end, key=_begin_of)
         touched = ranges[first:last]  # overlapping or adjacent
-        overlaps = any(each[0] < end and begin < each[1] for each in touched)
+        overlaps = any(span[0] < end and begin < span[1] for span in touched)
         if touched:
             begin, end = min(begin, touched[0][0]), max(end, touched[-1][1])
         ranges[first:last] = [(begin, end)]
@@ -66,7 +66,7 @@ class StreamMemory:
                 uses[-1] = (begin, end, use)
                 continue
             if len(uses) >= 64:
-                uses[:] = [each for each in uses if each[2][0] > completed]
+                uses[:] = [earlier_use for earlier_use in uses if earlier_use[2][0] > completed]
             uses.append((begin, end, use))
 
     def find_use(self, begin: int, end: int, completed: int) -> tuple[int, int, CommandUse] | None:
@@ -74,10 +74,10 @@ class StreamMemory:
         none."""
         latest: tuple[int, int, CommandUse] | None = None
         for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
-            for each in self._pages.get(page, ()):
-                meets = each[0] < end and begin < each[1] and each[2][0] > completed
-                if meets and (latest is None or each[2][0] > latest[2][0]):
-                    latest = each
+            for use in self._pages.get(page, ()):
+                meets = use[0] < end and begin < use[1] and use[2][0] > completed
+                if meets and (latest is None or use[2][0] > latest[2][0]):
+                    latest = use
         return latest
 
 

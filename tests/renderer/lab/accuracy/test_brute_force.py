@@ -58,28 +58,31 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, b
     front = compute_pareto_front(setup, reports)
     base, scene = make_plain(setup.settings), load_scene(setup.scene)
     everything = {
-        each: combine(base, dict(zip(values, each, strict=True))) for each in product(*values.values())
+        combination: combine(base, dict(zip(values, combination, strict=True)))
+        for combination in product(*values.values())
     }
     front_keys = [tuple(point.values[setting] for setting in values) for point in front]
     errors, times = {}, dict[tuple[str, ...], list[float]]()
     frames = list_views(scene, setup)
     with open_device(backend) as device, CombinationBench(device, scene, setup, list(values)) as bench:
         for turn in range(_ROUNDS):
-            for each, settings in everything.items():
+            for combination, settings in everything.items():
                 if not turn:
-                    errors[each] = max(bench.compare(settings, frames))
+                    errors[combination] = max(bench.compare(settings, frames))
                 renderer = bench.exchange(settings)
                 bench.draw(renderer, settings, frames[0])
                 began = process_time()
                 for frame in frames[::-1]:
                     bench.draw(renderer, settings, frame)
-                times.setdefault(each, []).append(process_time() - began)
+                times.setdefault(combination, []).append(process_time() - began)
     by_round = np.array(list(times.values()))
     taken = dict(zip(times, by_round / np.median(by_round, axis=0), strict=True))
     assert len(everything) == 192
     for budget in np.quantile([np.median(samples) for samples in taken.values()], (0.25, 0.5, 0.75, 1.0)):
-        sure = [errors[each] for each, samples in taken.items() if samples.max() <= budget]
-        errors_within = [errors[each] for each in front_keys if np.median(taken[each]) <= budget]
+        sure = [errors[combination] for combination, samples in taken.items() if samples.max() <= budget]
+        errors_within = [
+            errors[combination] for combination in front_keys if np.median(taken[combination]) <= budget
+        ]
         if sure:
             best = min(sure)
             assert errors_within, f"{budget:.2f}: nothing, where {best:.2f} levels are to be had"

@@ -102,21 +102,21 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Devic
 @pytest.mark.parametrize("make", [techniques.Forward, techniques.Clustered, techniques.ForwardMultipass])
 @pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
 def test_masked_fragments_evaluate_no_light(
-    gl: Device, make: type[techniques.Forward], alpha: float, each: int
+    gl: Device, make: type[techniques.Forward], alpha: float, evaluations: int
 ) -> None:
     scene = walls(5.0, points=1)
     scene.materials["alpha_mode"], scene.materials["base_color"][:, 3] = AlphaMode.MASK, alpha
-    assert count(gl, scene, make()) == each * PIXELS
+    assert count(gl, scene, make()) == evaluations * PIXELS
 
 
 @pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
 def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(
-    gl: Device, points: int, each: int
+    gl: Device, points: int, evaluations: int
 ) -> None:
     """One more light reaches the wall at a single place, so it is on the list of the object."""
     scene = walls(5.0, points=points)
     scene.lights.add_point((15.0, 0.0, -4.9), 1.0)
-    assert count(gl, scene, techniques.LightIndexed()) == each * PIXELS
+    assert count(gl, scene, techniques.LightIndexed()) == evaluations * PIXELS
 
 
 def test_more_than_a_half_float_can_count_are_counted(gl: Device) -> None:

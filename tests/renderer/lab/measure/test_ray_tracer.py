@@ -211,8 +211,8 @@ def test_the_ray_tracer_imports_the_scene_alone() -> None:
                 imported.add(str(node.module))
             elif isinstance(node, ast.Import):
                 imported.update(alias.name for alias in node.names)
-    own = {name for name in imported if name.startswith("renderer.lab.measure.ray_tracer")}
-    assert imported - own <= {
+    modules = {name for name in imported if name.startswith("renderer.lab.measure.ray_tracer")}
+    assert imported - modules <= {
         "__future__",
         "collections.abc",
         "dataclasses",

@@ -62,7 +62,7 @@ def check_layout(font: Font, text: str) -> None:
     layout = lay_out(font, text)
     expected, width, height = lay_out_one_by_one(font, text)
     glyphs = np.column_stack([layout.glyphs, layout.positions]).tolist()
-    assert glyphs == [list(each) for each in expected], text
+    assert glyphs == [list(glyph) for glyph in expected], text
     assert (layout.width, layout.height) == (width, height), text
 
 

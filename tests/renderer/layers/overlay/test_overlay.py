@@ -243,18 +243,18 @@ def test_a_large_timer_tree_is_cut_off(null: Device, drawn_texts: list[str], cou
 
 
 def test_the_graph_shows_each_frame_as_high_as_its_time(gl: Device) -> None:
-    frames, own = np.array([10.0, 50.0, 200.0]), np.array([0.0, 25.0, 200.0])
+    frames, python_times = np.array([10.0, 50.0, 200.0]), np.array([0.0, 25.0, 200.0])
     canvas = Canvas(gl, Font.load())
     with gl.texture((40, 120), Format.RGBA16F) as image:
-        draw_graph(canvas, Rectangle(2, 10, 30, 100), frames, own, 3)
+        draw_graph(canvas, Rectangle(2, 10, 30, 100), frames, python_times, 3)
         with gl.render_pass(image, clear=(0, 0, 0, 1)):
             canvas.draw((40, 120))
         pixels = image.read().astype(float)
     canvas.destroy()
     top = 16.0 * 1000.0 / 60.0  # the least power of two times 1/60 s that is above 200 ms
-    rules = [110 - round(100 * each / top) for each in (1000.0 / 60.0, 2000.0 / 60.0)]
+    rules = [110 - round(100 * budget / top) for budget in (1000.0 / 60.0, 2000.0 / 60.0)]
     violet = np.abs(pixels[:, :, :3] - srgb("#c77dff")[:3]).max(axis=2) < 0.01
-    for column, (time, foot) in zip((23, 26, 29), zip(frames, own, strict=True), strict=True):
+    for column, (time, foot) in zip((23, 26, 29), zip(frames, python_times, strict=True), strict=True):
         lit = np.flatnonzero(pixels[:, column, :3].max(axis=1) > 0.3)
         assert lit.max() == 109
         assert lit.min() == 110 - np.ceil(100 * time / top)

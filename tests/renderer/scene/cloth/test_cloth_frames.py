@@ -186,11 +186,11 @@ def test_a_device_that_can_not_compute_gets_uploads(null: rhi.Device) -> None:
 def test_each_simulator_has_cloths_of_its_own(null: rhi.Device) -> None:
     scene = make_scene(1)
     with open_renderer(null, scene) as renderer:
-        own, other = renderer.simulator, scene.make_simulator()
+        simulator, other = renderer.simulator, scene.make_simulator()
         renderer.render(scene.views["all"], 1.0)
         renderer.simulator = other
         assert renderer.render(scene.views["all"], 0.5).statistics.simulation_steps == 30
-        renderer.simulator = own
+        renderer.simulator = simulator
         null.stream.clear()
         assert renderer.render(scene.views["all"], 1.0).statistics.simulation_steps == 0
         assert count_dispatches(null) == 1  # its vertices were the other one's
@@ -210,8 +210,10 @@ def test_frames_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None
         replace(simulated, simulation=OnNumpy(simulated.simulation)) for simulated in plain.simulated
     )
     camera, frames = scene.views["all"], []
-    for each in (scene, plain):
-        with Renderer(drawing_device, each, size=(96, 54), visibility=NoCulling(each)) as renderer:
+    for scene_again in (scene, plain):
+        with Renderer(
+            drawing_device, scene_again, size=(96, 54), visibility=NoCulling(scene_again)
+        ) as renderer:
             for seconds in (0.0, 0.3):
                 image = renderer.render(camera, seconds).image.read().astype(int)
                 frames.append(image)

@@ -93,14 +93,14 @@ def test_only_numbers_that_change_are_set_again(cl_kit: ClKit, monkeypatch: pyte
     arguments: list[object] = []
     set_arg: Callable[..., None] = cl.Kernel.set_arg
     monkeypatch.setattr(
-        cl.Kernel, "set_arg", lambda kernel, *each: (arguments.append(each[1]), set_arg(kernel, *each))
+        cl.Kernel, "set_arg", lambda kernel, *values: (arguments.append(values[1]), set_arg(kernel, *values))
     )
     for count, numbers in ((4, [4]), (4, []), (2, [2]), (2, []), (3, [3])):
         arguments.clear()
         buffer = cl_kit.buffer(bytes(16))
         cl_kit.backend.bind_storage(0, buffer, 0, 4 * count)
         cl_kit.dispatch(program, 4)
-        assert [each for each in arguments if not isinstance(each, cl.Buffer)] == numbers
+        assert [values for values in arguments if not isinstance(values, cl.Buffer)] == numbers
         assert cl_kit.words(buffer, 4) == [*range(count, count + 4)]
 
 

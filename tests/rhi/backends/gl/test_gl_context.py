@@ -67,12 +67,12 @@ def test_copies_between_buffers_and_textures_go_to_the_backends_own_context(gl_k
     backend, other = gl_kit.backend, create_backend()
     texels = np.arange(4 * 4 * 4, dtype=np.uint8)
     whole = Region(0, 0, 4, 4)
-    for each in (
+    for source in (
         backend,
         other,
     ):  # the ids are those of both, and what one does in the other's context is seen
-        each.create_buffer(901, BufferDescriptor(64))
-        each.create_texture(902, TextureDescriptor((4, 4), Format.RGBA8))
+        source.create_buffer(901, BufferDescriptor(64))
+        source.create_texture(902, TextureDescriptor((4, 4), Format.RGBA8))
     backend.write_buffer(901, 0, texels.tobytes())
     other.write_buffer(901, 0, bytes(64))
     backend.copy_buffer_to_texture(901, 0, 16, 902, 0, whole)
@@ -101,7 +101,9 @@ def test_each_method_first_takes_the_thread_back_from_another_backend(
     with monkeypatch.context() as patch:
         patch.setattr(GlBackend, "_activate", take_back)
         with pytest.raises(TakenBackError):
-            getattr(gl_kit.backend, method)(*[nothing.get(str(each.annotation)) for each in parameters])
+            getattr(gl_kit.backend, method)(
+                *[nothing.get(str(parameter.annotation)) for parameter in parameters]
+            )
     other.close()
 
 

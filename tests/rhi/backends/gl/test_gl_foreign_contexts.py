@@ -287,11 +287,11 @@ def test_a_foreign_context_that_is_restored_in_time_is_allowed(
         device.mesh(rectangle()),
         device.program(Colored),
     )
-    own = device.backend_as(GlBackend).context
+    context = device.backend_as(GlBackend).context
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         foreign.mglo.__enter__()
         foreign.clear()
-        own.mglo.__enter__()
+        context.mglo.__enter__()
         device.draw(program, mesh)
     assert count_filled(image) == PIXELS
 
@@ -500,13 +500,13 @@ def test_make_current_restores_lines_that_are_wide_and_edges_with_an_offset() ->
 
 
 def test_make_current_restores_the_bindings_that_other_code_changed(device: rhi.Device) -> None:
-    own = device.backend_as(GlBackend)
+    backend = device.backend_as(GlBackend)
     image, mesh, program = (
         device.texture(SIZE, rhi.Format.RGBA8),
         device.mesh(rectangle()),
         device.program(Tinted),
     )
-    tint, other = device.uniform(Tint(color=(1, 1, 1, 1))), own.context.buffer(reserve=256)
+    tint, other = device.uniform(Tint(color=(1, 1, 1, 1))), backend.context.buffer(reserve=256)
     counts = []
     for restored in (False, True):
         with device.render_pass(image, clear=(0, 0, 0, 0)):

@@ -267,8 +267,8 @@ def test_a_texture_of_the_host_has_its_levels_and_layers(host: Host, device: Dev
     layered = host.context.texture_array((4, 4, 3), 2, dtype="f2")
     cube = host.context.texture_cube((4, 4), 4)
     host.context.finish()
-    adopted = [device.adopt_texture(each) for each in (flat, layered, cube)]
-    assert [(each.format, each.levels, each.layers) for each in adopted] == [
+    adopted = [device.adopt_texture(texture) for texture in (flat, layered, cube)]
+    assert [(texture.format, texture.levels, texture.layers) for texture in adopted] == [
         (Format.R32F, 4, 1),
         (Format.RG16F, 1, 3),
         (Format.RGBA8, 1, 6),
@@ -284,10 +284,10 @@ def test_levels_of_the_hosts_textures_are_generated(host: Host, device: Device) 
         (3, 5, 2), 1, random.random((2, 5, 3), np.float32).tobytes(), dtype="f4"
     )
     cube = host.context.texture_cube((7, 7), 2, random.integers(0, 256, (6, 7, 7, 2), np.uint8).tobytes())
-    for each in (flat, layered, cube):
-        each.build_mipmaps()
+    for host_texture in (flat, layered, cube):
+        host_texture.build_mipmaps()
     host.context.finish()
-    for texture in (device.adopt_texture(each) for each in (flat, layered, cube)):
+    for texture in (device.adopt_texture(host_texture) for host_texture in (flat, layered, cube)):
         assert texture.levels > 1
         texture.generate_mipmaps()
         level = texture.read_layers(0)

@@ -153,8 +153,8 @@ def test_timing_needs_timestamps():
 
 
 def test_a_profile_of_ones_own_stays_a_null_device():
-    own = rhi.Capabilities("gl", "Toaster", "1.0", max_texture_size=16)
-    with rhi.create_device("null", profile=own) as device:
+    profile = rhi.Capabilities("gl", "Toaster", "1.0", max_texture_size=16)
+    with rhi.create_device("null", profile=profile) as device:
         assert (device.backend_name, device.capabilities.device) == ("null", "Toaster")
         assert not device.capabilities.shading
         assert len(device.stream) == 0

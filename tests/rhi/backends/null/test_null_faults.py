@@ -258,7 +258,7 @@ def test_a_seed_draws_one_fault_that_the_program_meets(clean):
     drawn = [Faults.from_seed(seed, stream) for seed in range(60)]
     assert drawn == [Faults.from_seed(seed, stream) for seed in range(60)]
     names = [[name for name in Faults.__slots__ if getattr(fault, name) not in (None, 0)] for fault in drawn]
-    assert {name for each in names for name in each} == set(Faults.__slots__) - {
+    assert {name for drawn_names in names for name in drawn_names} == set(Faults.__slots__) - {
         "compilation"
     }  # of place 0 only
     assert any(fault.compilation == 0 for fault in drawn)

@@ -707,8 +707,8 @@ def test_a_device_has_no_hazards_whatever_is_done_with_it(frames, latency, in_fl
                         with objects.lock(Access.READ_WRITE if number else Access.WRITE) as rows:
                             rows["offset"] = number
                     elif what == "temporary":
-                        with device.uniform(Camera(tint=(1, 1, 1, 1))) as own:
-                            device.draw(program, mesh, camera=own, object=objects[0])
+                        with device.uniform(Camera(tint=(1, 1, 1, 1))) as uniform:
+                            device.draw(program, mesh, camera=uniform, object=objects[0])
                     elif what == "many":
                         draws = mesh.draws(np.zeros(number, int), 3)
                         device.draw_many(program, mesh, draws, **kit.bindings)

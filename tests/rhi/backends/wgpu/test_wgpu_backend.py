@@ -68,9 +68,9 @@ def test_the_core_profile_equals_the_null_device_s_profile_of_webgpu(
     monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
     monkeypatch.setenv("RHI_SLOW_ANISOTROPY", "1")
     expected = PROFILES["webgpu"]
-    own = {"backend", "device", "driver", "shading", "rejected_devices", "disabled_features"}
+    own_fields = {"backend", "device", "driver", "shading", "rejected_devices", "disabled_features"}
     with rhi.create_device("wgpu") as device:
-        names = {field.name for field in fields(expected)} - own
+        names = {field.name for field in fields(expected)} - own_fields
         assert {name: getattr(device.capabilities, name) for name in names} == {
             n: getattr(expected, n) for n in names
         }

@@ -98,7 +98,7 @@ def test_pipelines_of_many_states_are_bounded(device: Device, monkeypatch: pytes
         device.program(Colored),
     )
     backend: Any = device.backend_as(WgpuBackend)  # type: ignore[arg-type]
-    own = backend._programs[program.id]
+    pipelines = backend._programs[program.id]
     factors = [factor for factor in BlendFactor if factor.name in ("ZERO", "ONE", "SOURCE_ALPHA")]
     for source in factors:
         for destination in factors:
@@ -109,7 +109,7 @@ def test_pipelines_of_many_states_are_bounded(device: Device, monkeypatch: pytes
                         device.draw(program, mesh)
                     device.draw(program, mesh)
                 assert (image.read() == 255).all()
-                assert len(own.pipelines) <= len(backend._pipelines._cached) <= 8
+                assert len(pipelines.pipelines) <= len(backend._pipelines._cached) <= 8
     program.destroy()
     device.finish()
     assert backend._pipelines._cached == []

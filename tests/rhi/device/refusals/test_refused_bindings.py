@@ -215,7 +215,9 @@ def test_a_uniform_in_a_buffer_must_be_aligned_and_large_enough(kit: Kit) -> Non
 
 @pytest.mark.parametrize("name", ["class", "self"])
 def test_a_binding_whose_name_cannot_be_a_keyword_argument_is_refused(recording: Device, name: str) -> None:
-    bad, good = (Binding(each, BindingKind.UNIFORM, 0, False, Camera, 16) for each in (name, "mesh"))
+    bad, good = (
+        Binding(binding_name, BindingKind.UNIFORM, 0, False, Camera, 16) for binding_name in (name, "mesh")
+    )
     with refuses(rules.BINDING_NAME, recording):
         recording.program(hand_made_program("bad", bad))
     recording.program(hand_made_program("good", good))

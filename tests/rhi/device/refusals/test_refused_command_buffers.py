@@ -282,16 +282,16 @@ def test_transient_memory_belongs_to_its_frame_or_buffer(recording: Device) -> N
         program, white = recording.program(Tinted), Tint(color=(1, 1, 1, 1))
         frame = recording.transient.uniform(white)
         with recording.record() as first, first.render_pass(image):
-            own = first.transient.uniform(white)
+            transient = first.transient.uniform(white)
             with refuses(rules.RECORD_TRANSIENT, recording):
                 first.draw(program, mesh, tint=frame)
-            first.draw(program, mesh, tint=own)
+            first.draw(program, mesh, tint=transient)
         with recording.record() as second, second.render_pass(image):
             with refuses(rules.RECORD_TRANSIENT, recording):
-                second.draw(program, mesh, tint=own)
+                second.draw(program, mesh, tint=transient)
         with recording.render_pass(image):
             with refuses(rules.RECORD_TRANSIENT, recording):
-                recording.draw(program, mesh, tint=own)
+                recording.draw(program, mesh, tint=transient)
             recording.draw(program, mesh, tint=frame)
         recording.submit(first, second)
 
@@ -301,13 +301,13 @@ def test_transient_meshes_belong_to_their_frame_or_buffer(recording: Device) -> 
         program = recording.program(Colored)
         frame = recording.transient.mesh(program, TRIANGLE)
         with recording.record() as commands, commands.render_pass(image):
-            own = commands.transient.mesh(program, TRIANGLE, primitive=Primitive.TRIANGLES)
+            mesh = commands.transient.mesh(program, TRIANGLE, primitive=Primitive.TRIANGLES)
             with refuses(rules.RECORD_TRANSIENT, recording):
                 commands.draw(program, frame)
-            commands.draw(program, own)
+            commands.draw(program, mesh)
         with recording.render_pass(image):
             with refuses(rules.RECORD_TRANSIENT, recording):
-                recording.draw(program, own)
+                recording.draw(program, mesh)
             recording.draw(program, frame)
         recording.submit(commands)
 

@@ -85,12 +85,12 @@ def test_a_refused_draw_shows_the_user_s_frames(recording: Device, name: str) ->
                 draw()
             text = "".join(traceback.format_exception(caught.value))
             assert "During handling" not in text
-            own = [
+            frames = [
                 frame
                 for frame in traceback.extract_tb(caught.value.__traceback__)
                 if frame.filename != __file__
             ]
-            assert len(own) <= 2
+            assert len(frames) <= 2
 
 
 @pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, 1.0, True, "two", None])
@@ -121,13 +121,13 @@ def test_a_destroyed_mesh_is_not_drawn(recording: Device) -> None:
     mesh, other = recording.mesh(rectangle()), recording.mesh(rectangle())
     view = mesh.view(0, 3)
     with recording.texture(SIZE, Format.R8) as image, recording.render_pass(image):
-        for each in (mesh, view, other):
-            recording.draw(program, each)
+        for drawable in (mesh, view, other):
+            recording.draw(program, drawable)
         mesh.destroy()
         recording.draw(program, other)
-        for each in (mesh, view):
+        for drawable in (mesh, view):
             with refuses(rules.RESOURCE_DESTROYED, recording):
-                recording.draw(program, each)
+                recording.draw(program, drawable)
     other.destroy()
 
 

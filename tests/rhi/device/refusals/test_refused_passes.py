@@ -108,8 +108,8 @@ def test_a_clear_is_four_finite_numbers_per_target(
 
 @pytest.mark.parametrize(
     ("format", "clear", "wrong", "minimum", "maximum"),
-    [(rhi.Format.D32F, "clear_depth", each, 0.0, 1.0) for each in (-0.001, 1.001, float("nan"))]
-    + [(rhi.Format.D24S8, "clear_stencil", each, 0, 255) for each in (-1, 256)],
+    [(rhi.Format.D32F, "clear_depth", value, 0.0, 1.0) for value in (-0.001, 1.001, float("nan"))]
+    + [(rhi.Format.D24S8, "clear_stencil", value, 0, 255) for value in (-1, 256)],
 )
 def test_a_clear_of_depth_is_0_to_1_and_of_stencil_a_byte(
     recording: rhi.Device, format: rhi.Format, clear: str, wrong: float, minimum: float, maximum: float

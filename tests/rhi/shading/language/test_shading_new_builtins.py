@@ -16,7 +16,7 @@ from rhi.shading import vec3
 @pytest.fixture(params=["gl", "cl", "wgpu"])
 def computing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     """A device of each backend that compiles texts: GLSL, OpenCL C, and WGSL through naga."""
-    if request.param not in [each.name for each in rhi.report() if each.usable]:
+    if request.param not in [backend.name for backend in rhi.report() if backend.usable]:
         pytest.skip(f"{request.param} doesn't work here")
     with rhi.create_device(request.param) as device:
         yield device

@@ -70,7 +70,7 @@ def field_by_field(cls, values):
 @pytest.mark.parametrize("cls", [Plain, Defaulted])
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name in GOOD for value in GOOD[name]])
 def test_a_generated_constructor_stores_the_same_values_as_checks_field_by_field(cls, name, value):
-    values = {each: GOOD[each][0] for each in GOOD} | {name: value}
+    values = {field_name: GOOD[field_name][0] for field_name in GOOD} | {name: value}
     created, expected = cls(**values), field_by_field(cls, values)
     for layout in Layout:
         assert cls(**values).to_bytes(layout) == expected.to_bytes(layout)
@@ -83,7 +83,7 @@ def test_a_generated_constructor_stores_the_same_values_as_checks_field_by_field
 @pytest.mark.parametrize("cls", [Plain, Defaulted])
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name in BAD for value in BAD[name]])
 def test_a_generated_constructor_refuses_the_same_values_as_checks_field_by_field(cls, name, value):
-    values = {each: GOOD[each][0] for each in GOOD} | {name: value}
+    values = {field_name: GOOD[field_name][0] for field_name in GOOD} | {name: value}
     with pytest.raises(ValidationError) as expected:
         field_by_field(cls, values)
     with pytest.raises(ValidationError) as refused:

@@ -307,8 +307,8 @@ def test_derivatives_choose_the_level(
     rng = np.random.default_rng(5)
     steps = (rng.normal(size=(64, 4)) * 2 ** rng.uniform(-6, 1, (64, 1))).astype("f4")
     texels = random_levels(Format.R32F, 16, 16, layers, kind)
-    for level, each in enumerate(texels):
-        each[:] = level
+    for level, level_texels in enumerate(texels):
+        level_texels[:] = level
     texture = sl.HostTexture(texels, Format.R32F, kind, SamplerDescriptor(LINEAR, LINEAR, LINEAR))
     results = read_everywhere(device, shader, {"source": texture}, 1, coordinates=steps, results=64)
     assert_agree(results, 0.045, 2e-4)
@@ -320,7 +320,9 @@ def test_derivatives_choose_the_level(
 
 def grade(texture: sl.HostTexture, at: Any, right: Any, down: Any) -> NDArray[Any]:
     """Sample a 2D texture in float64 at places (n, 2), with steps (n, 2) to the next pixels."""
-    (u, v), (ux, vx), (uy, vy) = (np.moveaxis(np.asarray(each, float), -1, 0) for each in (at, right, down))
+    (u, v), (ux, vx), (uy, vy) = (
+        np.moveaxis(np.asarray(vector, float), -1, 0) for vector in (at, right, down)
+    )
     return np.stack(texture.sample_grad(np.float64, u, v, 0.0, ux, vx, 0.0, uy, vy, 0.0, 0.0), -1)
 
 
@@ -468,8 +470,8 @@ def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
     steps = np.zeros((256, 4), "f4")
     steps[:, 0] = 2.0 ** np.linspace(-3, 3, 256) / 16
     texels = random_levels(Format.R32F, 16, 16)
-    for level, each in enumerate(texels):
-        each[:] = level
+    for level, level_texels in enumerate(texels):
+        level_texels[:] = level
     bindings: dict[str, Any] = {"source": sl.HostTexture(texels, Format.R32F), "coordinates": steps}
     reference = sl.run_compute(Graded2D, 4, dtype=np.float64, results=256, **bindings)["results"][:, 0]
     exact, fast = (
@@ -515,8 +517,8 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
 
     def mip_chain(format: Format, kind: TextureKind, layers: int) -> list[NDArray[Any]]:
         levels = random_levels(format, 32, 32, layers, kind)
-        for level, each in enumerate(levels):
-            each[:] = level
+        for level, level_texels in enumerate(levels):
+            level_texels[:] = level
         return levels
 
     shadow = SamplerDescriptor(NEAREST, NEAREST, NEAREST, compare=Comparison.LESS)

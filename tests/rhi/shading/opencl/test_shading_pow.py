@@ -56,7 +56,7 @@ def test_pow_of_lanes_is_within_7_tenths_of_an_ulp(family: str) -> None:
 
 @pytest.mark.parametrize("width", [4, 8, 16])
 def test_pow_of_special_arguments_follows_c(width: int) -> None:
-    base, exponent = (np.resize(each.ravel(), 384) for each in np.meshgrid(SPECIAL, SPECIAL))
+    base, exponent = (np.resize(grid.ravel(), 384) for grid in np.meshgrid(SPECIAL, SPECIAL))
     with np.errstate(all="ignore"):
         exact = np.power(base.astype("f8"), exponent.astype("f8")).astype("f4")
     np.testing.assert_allclose(powers(width, base, exponent), exact, 1e-7)

@@ -29,7 +29,7 @@ MANY = range(1000, 1040)
 @pytest.fixture(scope="module", params=BACKENDS)
 def running_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     """A device of each backend; the null device runs compute shaders."""
-    if request.param not in [each.name for each in rhi.report() if each.usable]:
+    if request.param not in [backend.name for backend in rhi.report() if backend.usable]:
         pytest.skip(f"{request.param} doesn't work here")
     with rhi.create_device(request.param) as device:
         if request.param == "null":

@@ -115,8 +115,8 @@ NUMPY = [
 @pytest.mark.parametrize(("value", "expression", "expected"), NUMPY, ids=[f"{row[0]!r}" for row in NUMPY])
 def test_a_numpy_value_is_a_constant_of_a_module_and_of_a_class(value, expression, expected):
     assert result_of(expression, K=value) == expected
-    own = re.sub(r"\bK\b", "self.K", expression)
-    assert result_of(own, fields="    K = OUTER\n", OUTER=value) == expected
+    text = re.sub(r"\bK\b", "self.K", expression)
+    assert result_of(text, fields="    K = OUTER\n", OUTER=value) == expected
 
 
 REFUSED = [
@@ -139,8 +139,8 @@ def test_the_tip_for_an_unsuitable_numpy_value_names_the_shading_value_to_use(va
     error = refusal_of("K", K=value)
     assert error.rule.id == "shading-not-shading"
     assert tip in error.tip
-    own = refusal_of("self.K", fields="    K = OUTER\n", OUTER=value)
-    assert (own.rule.id, own.tip) == (error.rule.id, error.tip)
+    refusal = refusal_of("self.K", fields="    K = OUTER\n", OUTER=value)
+    assert (refusal.rule.id, refusal.tip) == (error.rule.id, error.tip)
 
 
 def test_the_tips_for_arrays_can_be_written():

@@ -473,7 +473,7 @@ def test_an_unused_binding_is_a_warning_once():
     shader = define(VARIANT.replace("= self.spare", "= 2.0"))
     with pytest.warns(ShaderWarning, match="spare is never used") as caught:
         program = compile_shader(shader)
-    assert [each.lineno for each in caught] == [PRELUDE.count("\n") + 3]
+    assert [warning.lineno for warning in caught] == [PRELUDE.count("\n") + 3]
     assert compile_shader(shader) is program
     assert "spare" in [binding.name for binding in program.bindings]
     with pytest.raises(ShaderError, match="spare is never used"):

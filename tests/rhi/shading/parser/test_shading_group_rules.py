@@ -87,7 +87,7 @@ def test_only_languages_of_lanes_lower_a_compute_stage(lowered_widths: list[int]
 
 
 def test_a_program_of_gl_is_never_lowered(lowered_widths: list[int]) -> None:
-    if "gl" not in [each.name for each in rhi.report() if each.usable]:
+    if "gl" not in [backend.name for backend in rhi.report() if backend.usable]:
         pytest.skip("gl doesn't work here")
     with rhi.create_device("gl") as device:
         program: Any = device.program(DoublingOnGl)

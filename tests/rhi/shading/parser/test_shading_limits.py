@@ -270,7 +270,7 @@ def test_a_constant_array_is_refused_beyond_its_limit():
 def test_nodes_are_compared_by_identity_and_can_be_keys():
     """Two reads of one local at one place of the text are two nodes."""
     kinds = [
-        each for each in vars(tree).values() if isinstance(each, type) and issubclass(each, tree.Expression)
+        node for node in vars(tree).values() if isinstance(node, type) and issubclass(node, tree.Expression)
     ]
     assert len(kinds) > 10
     assert [

@@ -53,7 +53,7 @@ def test_a_descriptor_tells_whether_a_program_writes_point_size_or_reads_point_c
 
 def test_the_size_is_a_flat_varying_also_without_a_fragment_stage() -> None:
     for shader, before in ((Dots, 4), (Depths, 0)):
-        (size,) = (each for each in sl.compile_shader(shader).varyings if each.name == "size")
+        (size,) = (varying for varying in sl.compile_shader(shader).varyings if varying.name == "size")
         assert (size.word, size.words, size.interpolation) == (before, 1, Interpolation.FLAT)
 
 

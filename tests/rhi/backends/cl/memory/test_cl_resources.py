@@ -70,11 +70,11 @@ def test_the_memory_of_a_destroyed_resource_stays_until_its_writes_are_executed(
     backend.write_texture(texture, 0, Region(0, 0, 4, 4), data)
     backend.destroy(buffer)
     backend.destroy(texture)
-    assert all(each() is not None for each in memory)
+    assert all(reference() is not None for reference in memory)
     cl_kit.release(gate)
     backend.signal(1)
     assert backend.wait(1, 10.0)
-    assert all(each() is None for each in memory)
+    assert all(reference() is None for reference in memory)
 
 
 def test_a_page_of_tables_stays_when_the_next_one_begins_since_kernels_may_still_read_it() -> None:

@@ -225,7 +225,7 @@ def test_a_damaged_file_is_built_again(
     [
         bytes.upper,
         None,
-        *(pytest.param(each, marks=pytest.mark.nightly) for each in (truncate, empty)),
+        *(pytest.param(damage_function, marks=pytest.mark.nightly) for damage_function in (truncate, empty)),
     ],
 )
 def test_damaged_or_foreign_code_is_made_again(
@@ -296,16 +296,16 @@ def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
 def test_a_record_that_names_another_folder_removes_nothing_there(tmp_path: Path, path: str) -> None:
     """Records may come from elsewhere, and what they name may be removed."""
     folder, outside = tmp_path / "kernels", tmp_path / "mine"
-    folders = [outside, folder, *(folder / each for each in ("rhi", "AB/key", "x/AB/key", "ab/key"))]
-    for each in folders:
-        each.mkdir(parents=True, exist_ok=True)
-        (each / "kept").write_bytes(b"kept")
+    folders = [outside, folder, *(folder / name for name in ("rhi", "AB/key", "x/AB/key", "ab/key"))]
+    for name in folders:
+        name.mkdir(parents=True, exist_ok=True)
+        (name / "kept").write_bytes(b"kept")
     record = folder / "rhi" / "evil"
     record.write_text(json.dumps({"folder": path.format(outside=outside), "files": {"kept": 0}}))
     assert not KernelCache(folder, "driver").contains("evil")
     assert not record.exists()
-    for each in folders:
-        assert (each / "kept").read_bytes() == b"kept"
+    for name in folders:
+        assert (name / "kept").read_bytes() == b"kept"
 
 
 def make(folder: Path, key: str, size: int, since: float) -> None:
@@ -410,7 +410,7 @@ def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> N
         mine.request("a", ["-w"]),
         other.request("a", ()),
     ]
-    assert len({each.key for each in requests}) == 4
+    assert len({request.key for request in requests}) == 4
     assert mine.request("a", ()) == requests[0]
 
 

@@ -459,8 +459,8 @@ def test_a_program_of_other_code_is_not_recorded_for_this_one(tmp_path: Path) ->
 @pytest.mark.parametrize("name", ["../../mine/kept", "a/../../../mine/kept", "/kept"])
 def test_a_damaged_file_outside_of_the_program_is_left_alone(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "kernels"
-    for each in (folder / "rhi", folder / "AB/key", tmp_path / "mine"):
-        each.mkdir(parents=True)
+    for path in (folder / "rhi", folder / "AB/key", tmp_path / "mine"):
+        path.mkdir(parents=True)
     (tmp_path / "mine" / "kept").write_bytes(b"kept")
     (folder / "rhi" / "key").write_text(f'{{"folder": "AB/key", "files": {{"{name}": "0"}}}}')
     cache = KernelCache(folder, "driver")

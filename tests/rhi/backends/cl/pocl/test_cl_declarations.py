@@ -57,12 +57,19 @@ def drop_qualifiers(declaration: str) -> str:
 @pytest.fixture(scope="module")
 def header() -> dict[str, set[str]]:
     """The declarations of a driver's header, by name."""
-    folder = next((Path(each) for each in INCLUDE_FOLDERS if (Path(each) / "opencl-c.h").exists()), None)
+    folder = next(
+        (
+            Path(include_folder)
+            for include_folder in INCLUDE_FOLDERS
+            if (Path(include_folder) / "opencl-c.h").exists()
+        ),
+        None,
+    )
     if folder is None:
         pytest.skip("no header is installed")
     text = (folder / "opencl-c.h").read_text()
-    own = folder / "_clang_opencl.h"  # PoCL's own additions
-    text += own.read_text() if own.exists() else ""
+    additions = folder / "_clang_opencl.h"  # PoCL's own additions
+    text += additions.read_text() if additions.exists() else ""
     text = re.sub(r"//[^\n]*|/\*.*?\*/|^ *#[^\n]*(?:\\\n[^\n]*)*", "", text, flags=re.DOTALL | re.MULTILINE)
     forms: dict[str, set[str]] = defaultdict(set)
     form = r"(\w[\w\s]*?(?:__ovld|_CL_OVERLOADABLE)[\w\s]*?\b(\w+)\s*\([^()]*\))\s*;"
@@ -75,14 +82,17 @@ def header() -> dict[str, set[str]]:
 def test_each_declared_function_has_the_forms_of_the_header(header: dict[str, set[str]]) -> None:
     compared, wrong = 0, {}
     for name, expected in header.items():
-        declared = {drop_qualifiers(each) for each in declare_function(name)}
+        declared = {drop_qualifiers(declaration) for declaration in declare_function(name)}
         if declared:
             compared += 1
-            named = any(re.search(r"(global|local|private|constant) \w+ \*", each) for each in expected)
+            named = any(
+                re.search(r"(global|local|private|constant) \w+ \*", declaration) for declaration in expected
+            )
             forms = {
-                each
-                for each in expected
-                if not EXTENSION.search(each) and not (named and re.search(r"[(,] ?\w+ \*", each))
+                declaration
+                for declaration in expected
+                if not EXTENSION.search(declaration)
+                and not (named and re.search(r"[(,] ?\w+ \*", declaration))
             }
             wrong |= {name: (declared - forms, forms - declared)} if declared != forms else {}
     assert wrong == {}

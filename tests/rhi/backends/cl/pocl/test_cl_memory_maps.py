@@ -91,8 +91,8 @@ def test_maps_are_counted() -> None:
     before = memory_maps.count_maps()
     mappings = [mmap.mmap(-1, 4096, prot=mmap.PROT_READ | (mmap.PROT_WRITE * (i % 2))) for i in range(40)]
     assert 20 <= memory_maps.count_maps() - before <= 60
-    for each in mappings:
-        each.close()
+    for mapping in mappings:
+        mapping.close()
     assert memory_maps.read_limit() > 1000
 
 

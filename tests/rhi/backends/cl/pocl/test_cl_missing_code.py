@@ -97,8 +97,8 @@ def test_links_of_a_process_that_lives_stay(tmp_path: Path) -> None:
     name = leases.take(tmp_path)
     assert name is not None
     assert len(binaries.folder_name("k" * 24, name)) == 40
-    own = tmp_path / binaries.LINKS / name
-    (own / "KEY").mkdir()
+    folder_name = tmp_path / binaries.LINKS / name
+    (folder_name / "KEY").mkdir()
     code = f"""
 from pathlib import Path
 from rhi.backends.cl.pocl import leases
@@ -107,12 +107,12 @@ print(leases.take(Path({str(tmp_path)!r})))
     other = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.strip()
-    assert (own / "KEY").is_dir()
+    assert (folder_name / "KEY").is_dir()
     assert other != name
     assert (tmp_path / binaries.LINKS / other).is_dir()
     leases.remove_stale(tmp_path)  # that process has ended
     assert not (tmp_path / binaries.LINKS / other).exists()
-    assert (own / "KEY").is_dir()
+    assert (folder_name / "KEY").is_dir()
     assert leases.take(tmp_path) == name
 
 

@@ -51,10 +51,10 @@ class Host:
         """Return the vertices that a kernel would read."""
         positions = assembly.start + np.arange(assembly.count)
         if assembly.indexed:
-            own = (
+            vertices = (
                 np.frombuffer(self.data[buffer], format.dtype) if assembly.memory is None else assembly.memory
             )
-            positions = own[positions].astype(np.int64)
+            positions = vertices[positions].astype(np.int64)
         return (positions + assembly.base).tolist()
 
 

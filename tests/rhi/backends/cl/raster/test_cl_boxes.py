@@ -530,5 +530,5 @@ def test_frames_are_the_same_with_and_without_boxes(
             frames.append([stage.color.read(), stage.depth.read(), np.asarray(queries.wait())])
     for frame in frames[1:]:
         assert_same(frame, frames[0])
-    for each in (queries, stage, wall):
-        each.destroy()
+    for buffer in (queries, stage, wall):
+        buffer.destroy()

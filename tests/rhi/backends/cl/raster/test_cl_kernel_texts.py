@@ -32,8 +32,10 @@ def test_kernels_give_structs_by_address() -> None:
     """PoCL never frees the types of a function's structs, so programs that come and go would make a process
     grow."""
     kernels = files("rhi.backends.cl.raster").joinpath("kernels")
-    text = "\n".join(each.read_text() for each in kernels.iterdir() if each.name.endswith(".cl"))
-    text += "".join(declare_struct(*each) for each in _STRUCTS.items())
+    text = "\n".join(
+        kernel_file.read_text() for kernel_file in kernels.iterdir() if kernel_file.name.endswith(".cl")
+    )
+    text += "".join(declare_struct(*kernel_file) for kernel_file in _STRUCTS.items())
     assert len(_HEADER.findall(text)) > 100
     assert not list_structs_by_value(text)
 
