@@ -55,7 +55,7 @@ from rhi.shading import Precision
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _SteadyFrame:
-    """What the next frame has in common with the last one, if only the camera moves.
+    """The part of a frame that the next one shares, if only the camera moves.
 
     Attributes:
         settings: those of the renderer.

@@ -152,6 +152,8 @@ ROLES = {"Buffers", "Draws", "Fence", "Programs", "Queries", "Samplers", "Textur
 """Classes with the same job in each backend, which therefore have the same name."""
 REPRESENTATIONS = {"Break", "Continue", "If", "Return", "Statement"}
 """Statements of both intermediate representations, always written `tree.If` and `lanes.If`."""
+TABLE_MODULES = ["rhi/device/resources/texture_tables.py", "rhi/shading/language/texture_tables.py"]
+"""The modules of the table that a device makes, and of the type as which shaders declare it."""
 
 
 def list_classes(source: str) -> Iterator[str]:
@@ -181,6 +183,7 @@ def test_a_class_name_means_one_thing() -> None:
         assert all(module.startswith("rhi/backends/") for module in homonyms.pop(name, []))
     for name in REPRESENTATIONS:
         assert sorted(homonyms.pop(name)) == ["rhi/shading/ir/lanes.py", "rhi/shading/ir/tree.py"]
+    assert sorted(homonyms.pop("TextureTable")) == TABLE_MODULES
     assert homonyms == {}
 
 

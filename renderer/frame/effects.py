@@ -428,8 +428,8 @@ def are_effects_same(
 def _look(
     scene: Scene, camera: Camera, sources: EffectSources, reaches: Sequence[bool]
 ) -> tuple[dict[Effect, Indices], frozenset[Effect], bool]:
-    """Return what depends on the view: of each effect the rows that are in it, the air that can't be seen, and
-    whether fog changes the background."""
+    """Return the effects of the view: the rows of each that are in it, the air that can't be seen, and whether
+    fog changes the background."""
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
     planes, counts = camera.frustum.planes, sources.counts
     for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True):

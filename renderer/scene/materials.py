@@ -234,7 +234,7 @@ def make_material(
     return material
 
 
-class TextureTable:
+class TextureList:
     """Collects the textures of a scene: each way to read an image is one row.
 
     Attributes:

@@ -36,8 +36,8 @@ from renderer.scene.materials import (
     TEXTURE,
     TEXTURES,
     ImagePixels,
+    TextureList,
     TextureMap,
-    TextureTable,
     check_image,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
@@ -563,7 +563,7 @@ class SceneBuilder:
         self._images: list[ImagePixels] = []
         self._image_ids: dict[int, int] = {}
         self._keep_alive: list[object] = []
-        self._textures = TextureTable()
+        self._textures = TextureList()
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
         self._dynamic: list[NDArray[np.bool_]] = []

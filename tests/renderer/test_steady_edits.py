@@ -91,7 +91,7 @@ def there_and_back(renderer: Renderer) -> None:
 
 
 def draw_elsewhere(renderer: Renderer) -> None:
-    """Let another renderer draw a frame of the scene, after it has moved a node."""
+    """Draw a frame of the scene with another renderer, after it has moved a node."""
     with open_renderer(renderer.device, renderer.scene, visibility="frustum") as other:
         move_node(renderer)
         other.render(Camera.look_at((0.0, 4.0, 9.0), (0.0, 0.0, 0.0)))

@@ -139,7 +139,7 @@ def test_formats_that_cannot_be_drawn_to_are_refused(recording: rhi.Device) -> N
 
 
 @pytest.mark.parametrize(
-    ("format", "limit", "each"),
+    ("format", "limit", "count"),
     [(rhi.Format.R8, "max_color_targets", 1), (rhi.Format.RGBA32F, "max_target_bytes", 16)],
 )
 def test_targets_are_no_more_than_the_device_says(

@@ -334,7 +334,7 @@ def test_lights_are_shown_in_another_number(model: tuple[Path, Viewer], scene: s
     assert viewer.run("lights") == (message, False)
 
 
-def test_lights_that_reach_what_is_in_view_are_counted(model: tuple[Path, Viewer]) -> None:
+def test_lights_that_reach_the_view_are_counted(model: tuple[Path, Viewer]) -> None:
     viewer = model[1]
     viewer.run("scene grid:lights=3")
     viewer.run("camera field")

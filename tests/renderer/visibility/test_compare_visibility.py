@@ -67,7 +67,7 @@ def sky_rows(sky_report: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {row["algorithm"]: row for row in sky_report["rows"]}
 
 
-def test_a_comparison_says_on_what_it_was_measured(sky_report: dict[str, Any]) -> None:
+def test_a_comparison_names_its_backend_path_and_frames(sky_report: dict[str, Any]) -> None:
     measured_on = (sky_report["backend"], sky_report["camera_path"], sky_report["frames"])
     assert measured_on == ("gl", "sky", 3)
 

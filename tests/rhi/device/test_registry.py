@@ -211,7 +211,7 @@ with rhi.create_device(NAME) as device:
 
 @pytest.mark.nightly_cases("gl-pyopencl-moderngl", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
-    ("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")]
+    ("name", "other", "package"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")]
 )
 def test_a_device_needs_and_imports_the_package_of_its_own_driver(
     name: str, other: str, package: str

@@ -100,7 +100,7 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Devic
 
 
 @pytest.mark.parametrize("make", [techniques.Forward, techniques.Clustered, techniques.ForwardMultipass])
-@pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
+@pytest.mark.parametrize(("alpha", "evaluations"), [(0.0, 0), (1.0, 1)])
 def test_masked_fragments_evaluate_no_light(
     gl: Device, make: type[techniques.Forward], alpha: float, evaluations: int
 ) -> None:
@@ -109,7 +109,7 @@ def test_masked_fragments_evaluate_no_light(
     assert count(gl, scene, make()) == evaluations * PIXELS
 
 
-@pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
+@pytest.mark.parametrize(("points", "evaluations"), [(8, 8), (9, 10)])
 def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(
     gl: Device, points: int, evaluations: int
 ) -> None:
