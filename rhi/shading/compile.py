@@ -67,8 +67,11 @@ def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDesc
     """
     compiled = _compiled.get(shader)
     if compiled is None or strict:
-        with SHARED:
-            compiled = _compile_once(shader, strict)
+        try:
+            with SHARED:
+                compiled = _compile_once(shader, strict)
+        except ShaderError as error:  # the error shows the line; the compiler's traceback would bury it
+            raise error.with_traceback(None) from error.__cause__
     return compiled[0]
 
 
@@ -78,8 +81,6 @@ def _compile_once(shader: type[Shader], strict: bool) -> tuple[ProgramDescriptor
     if compiled is None:
         try:
             compiled = _compile(shader)
-        except ShaderError as error:  # the error shows the line; the compiler's traceback would bury it
-            raise error.with_traceback(None) from error.__cause__
         except RecursionError:
             raise make_depth_error(shader.__qualname__) from None
     unused = compiled[1].unused

@@ -13,9 +13,11 @@ import pytest
 
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "examples"
+COMMANDS: Final = FOLDER / "frame_commands.py"
+"""The example that draws nothing: it asserts on commands, on the desk and in a page."""
 FILES: Final = sorted(
-    path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy"
-)  # its own test runs it
+    path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy" and path != COMMANDS
+)  # their own tests run them
 PROGRAMS: Final = [path for path in FILES if '__name__ == "__main__"' in path.read_text()]
 SMALL: Final = ("--size", "32x18")
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2")}
@@ -38,6 +40,23 @@ def run(path: Path, *arguments: str) -> str:
 def test_each_example_is_a_program() -> None:
     assert [path.stem for path in FILES if path not in PROGRAMS] == []
     assert {"tiled_lights", "orbit_viewer", "triangle"} <= {path.stem for path in PROGRAMS}
+
+
+def test_the_example_of_a_frames_commands_fails_if_the_engine_is_broken(tmp_path: Path) -> None:
+    text = COMMANDS.read_text(encoding="utf-8")
+    broken = text.replace("BlendFunction.ALPHA, DepthWrite.OFF", "BlendFunction.ALPHA")
+    outcomes = []
+    for number, program in enumerate((text, broken)):
+        path = tmp_path / f"{number}.py"
+        path.write_text(program, encoding="utf-8")
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            [sys.executable, path], env=environment, capture_output=True, text=True, timeout=300, check=False
+        )
+        outcomes.append(
+            (done.returncode, "all assertions hold" in done.stdout, "AssertionError" in done.stderr)
+        )
+    assert outcomes == [(0, True, False), (1, False, True)]
 
 
 @pytest.mark.nightly

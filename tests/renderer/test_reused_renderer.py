@@ -128,6 +128,8 @@ def compare(device: rhi.Device, technique: str, seed: int, *, frames: int = 40) 
             eye = Camera.look_at(random.uniform((-8, 1, -8), (8, 6, 8)), random.uniform(-8, 8, 3))
             if records:
                 device.stream.clear()
+            # A renderer looks in its first frame whether a view shows anything, and then in each tenth.
+            renderer._recent_features.shows_objects = False
             frame = renderer.render(eye)
             issued = list_issued(device) if records else []
             names = ("size", "blending", "precision", "bloom")

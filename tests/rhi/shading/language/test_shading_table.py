@@ -146,9 +146,12 @@ def test_only_lanes_that_take_part_need_to_agree():
 def test_every_name_that_shaders_import_can_be_suggested():
     for_the_host = {
         "HostTexture",
+        "HostTextureTable",
         "ImageBinding",
         "NumpyKernel",
         "StorageRange",
+        "TableBinding",
+        "TableTexture",
         "TextureBinding",
         "UniformRange",
     }
