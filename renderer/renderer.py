@@ -203,7 +203,6 @@ class Renderer:
         self._last_plan: Plan[Frame] | None = None  # the plan of the last frame
         self._steady: _SteadyFrame | None = None  # None if the last frame has nothing that can be kept
         self._snapshot: tuple[object, ...] | None = None  # of the scene, when the last frame began
-        self._may_be_steady = not (scene.simulated or scene.height_fields)
         self._size, self._scale = size, 1.0
         self._pair: EyePair | None = None
         with ExitStack() as stack:
@@ -459,7 +458,7 @@ class Renderer:
         steady, before = self._steady, self._snapshot
         scene, resources = self.scene, self._resources
         self._steady = None
-        self._snapshot = scene.snapshot() if self._may_be_steady and scene.nodes.is_current else None
+        self._snapshot = None if resources.may_simulate or not scene.nodes.is_current else scene.snapshot()
         if (
             steady is None
             or self._snapshot is None

@@ -186,7 +186,8 @@ class LocalLightBuffers:
             self._move(0, position)
 
     def _move(self, eye: int, position: Floats, *, is_new: bool = False) -> None:
-        """Upload the lights relative to the position of an eye."""
+        """Upload the lights relative to the position (3,) of an eye, to the bit as `relative_to_eye` on a device:
+        so a light has the same position for one eye and for that eye of two."""
         eye_high, eye_low = split_doubles(position)
         for kind in self._kinds:
             if len(kind.packed) or is_new:
@@ -255,13 +256,3 @@ class LocalLightBuffers:
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._resources.close()
-
-
-def relative_positions(positions: Split, eye: Floats) -> NDArray[np.float32]:
-    """Return positions (n, 3), split, relative to an eye (3,), to the bit as `relative_to_eye` on a device.
-
-    So a light has the same position for one eye and for that eye of two."""
-    high, low = positions
-    eye_high, eye_low = split_doubles(eye)
-    relative: NDArray[np.float32] = (high - eye_high) + (low - eye_low)
-    return relative

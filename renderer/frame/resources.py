@@ -115,7 +115,7 @@ class SceneResources:
     def __init__(self, device: Device, scene: Scene, textures: TextureSettings = SAMPLER_DEFAULTS) -> None:
         """Upload a scene, with these settings of its textures. If anything can't be created, nothing is
         left on the device."""
-        self._may_simulate = bool(scene.simulated or scene.height_fields)
+        self.may_simulate = bool(scene.simulated or scene.height_fields)
         with ExitStack() as stack:
             self._stack = stack
             self._make(device, scene, textures)
@@ -305,7 +305,7 @@ class SceneResources:
         Args:
             leave: ends a render pass that may be open; called if the device computes vertices.
         """
-        if not self._may_simulate:
+        if not self.may_simulate:
             return
         if is_drawn and (paused := object_indices[self.hidden.paused[object_indices]]).size:
             if leave is not None:

@@ -290,8 +290,8 @@ class Commands(DeviceObject, Sequence[Command]):
             if label is not None and label not in command.labels:
                 return False
             if expected:
-                arguments = command.arguments
-                if any(arguments[name] != value for name, value in expected):
+                actual = command.arguments
+                if any(actual[name] != value for name, value in expected):
                     return False
             return where is None or where(command)
 

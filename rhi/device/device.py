@@ -69,23 +69,14 @@ from rhi.device.resources.images import (
 )
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
-from rhi.device.resources.texture_tables import (
-    CALL,
-    TextureTable,
-    check_format,
-    check_source,
-    page_descriptor,
-    plan_table,
-)
+from rhi.device.resources.texture_tables import TextureTable, create_table
 from rhi.device.resources.textures import Sampler, Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors import rules
 from rhi.errors.arguments import ArgumentChecker, little_endian, to_integer
 from rhi.shading import Precision, Shader, Struct
-from rhi.shading.ir.texture_pages import describe_pages
 from rhi.shading.language.bindings import TextureBinding
 from rhi.shading.language.shader import list_bindings
-from rhi.shading.language.vectors import ivec4
 
 LOGGER: Final = logging.getLogger("rhi.device")
 SLOW_WAIT: Final = 0.25
@@ -110,20 +101,6 @@ def _creates(method: F) -> F:
             return method(self, *arguments, **named)
 
     return cast("F", create)
-
-
-def _format_of(check: ArgumentChecker, source: Any) -> Format:
-    """Return the format of a table whose first image this is, or refuse it."""
-    if isinstance(source, np.ndarray):
-        format = infer_format(source)
-        if format is None:
-            allowed = "1 to 4 channels of uint8, uint16, float16 or float32, or a format"
-            check.fail("images", f"shape {source.shape} of {source.dtype}", allowed)
-        return format
-    owner = source.owner
-    if not isinstance(owner, Texture):
-        check.fail("images", source, "textures, arrays and images")
-    return owner.format
 
 
 class Device(Encoder):
@@ -526,65 +503,16 @@ class Device(Encoder):
                 `texture-format` for integers, depth, compressed textures, and formats that differ;
                 `device-capability` for a format that the device can't filter.
         """
-        core = self._core
-        check = ArgumentChecker(CALL, core.refuse)
-        check.text("label", label)
-        levels = check.integer_or_none("levels", levels)
-        if not isinstance(images, (list, tuple)) or not images:
-            check.fail("images", images, "a list of one or more images")
-        requested: Any = SamplerDescriptor() if samplers is None else samplers
-        if not isinstance(requested, (list, tuple)):
-            requested = [requested] * len(images)
-        if len(requested) != len(images):
-            check.fail("samplers", f"{len(requested)} samplers", f"one, or {len(images)}, one for each image")
-        sources = [
-            image if isinstance(image, TextureBinding | np.ndarray) else as_texels(image) for image in images
-        ]
-        if format is None:
-            format = _format_of(check, sources[0])
-        check.choice("format", format, Format)
-        check_format(core, format)
-        textures, descriptors, created = [], [], []
-        try:
-            for source, sampler in zip(sources, requested, strict=True):
-                if isinstance(sampler, Sampler):
-                    sampler = sampler.descriptor
-                if isinstance(source, np.ndarray):
-                    count = levels
-                    if levels is not None and source.ndim >= 2:
-                        count = min(levels, full_levels(source.shape[1], source.shape[0]))
-                    texture = self.texture(source, format, levels=count, label=label)
-                    created.append(texture)
-                else:
-                    owner = source.owner
-                    if not isinstance(owner, Texture):
-                        check.fail("images", source, "textures, arrays and images")
-                    texture = owner
-                    check_source(core, CALL, texture, format)
-                    if source is not owner:
-                        sampler = core.sampler_descriptors[source.sampler]
-                check.instance("samplers", sampler, SamplerDescriptor, "an rhi.SamplerDescriptor")
-                if sampler.compare is not None:
-                    check.fail("samplers", sampler, "samplers that don't compare")
-                textures.append(texture)
-                descriptors.append(sampler)
-            sizes = [
-                [texture.descriptor.level_size(level) for level in range(texture.levels)]
-                for texture in textures
-            ]
-            plan = plan_table(core, sizes)
-            pages = Texture(core, page_descriptor(plan, format, label))
-            words = describe_pages(plan, [texture.size for texture in textures], descriptors)
-            storage = self.storage(ivec4, words, label=label)
-            table = TextureTable(
-                core, plan, pages, storage, [texture.size for texture in textures], descriptors
-            )
-            for index, texture in enumerate(textures):
-                table.fill(texture, index)
-        finally:
-            for texture in created:
-                texture.destroy()
-        return table
+        return create_table(
+            self._core,
+            images,
+            format,
+            samplers,
+            levels,
+            label,
+            make_texture=self.texture,
+            make_storage=self.storage,
+        )
 
     @_creates
     def adopt_texture(self, native: Any, *, label: str = "") -> Texture:

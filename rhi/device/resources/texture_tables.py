@@ -7,20 +7,23 @@ its own texels. So a table takes one texture slot and one storage slot, whatever
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Region, SamplerDescriptor, TextureDescriptor, TextureKind, Wrap
 from rhi.contract.formats import Format
-from rhi.contract.limits import lack, plain_faults, single_sample_faults
+from rhi.contract.limits import full_levels, lack, plain_faults, single_sample_faults
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import StorageBuffer
+from rhi.device.resources.images import as_texels, infer_format
 from rhi.device.resources.lifetime import Resource
-from rhi.device.resources.textures import Texture
+from rhi.device.resources.textures import Sampler, Texture
 from rhi.errors import rules
+from rhi.errors.arguments import ArgumentChecker
 from rhi.shading.ir.texture_pages import (
     GUTTER,
     PAGE_SAMPLER,
@@ -28,11 +31,13 @@ from rhi.shading.ir.texture_pages import (
     PagePlan,
     Size,
     border_texel,
+    describe_pages,
     gutter_sources,
     plan_pages,
     surround,
 )
-from rhi.shading.language.bindings import TableBinding
+from rhi.shading.language.bindings import TableBinding, TextureBinding
+from rhi.shading.language.vectors import ivec4
 
 CALL: Final = "device.texture_table"
 
@@ -157,6 +162,111 @@ class TextureTable(TableBinding, Resource):
                 source = Region(column, row, width, height)
                 backend = self.pages.core.backend
                 backend.copy_texture(texture.id, level, source, self.pages.id, 0, x, y, r.layer)
+
+
+def create_table(
+    core: Core,
+    images: Any,
+    format: Format | None,
+    samplers: Any,
+    levels: int | None,
+    label: str,
+    *,
+    make_texture: Callable[..., Texture],
+    make_storage: Callable[..., StorageBuffer[Any]],
+) -> TextureTable:
+    """Create a table; see `Device.texture_table`.
+
+    Args:
+        make_texture, make_storage: those of the device. Textures of arrays live until they are copied.
+    """
+    check = ArgumentChecker(CALL, core.refuse)
+    check.text("label", label)
+    levels = check.integer_or_none("levels", levels)
+    if not isinstance(images, (list, tuple)) or not images:
+        check.fail("images", images, "a list of one or more images")
+    requested = _list_samplers(check, samplers, len(images))
+    sources = [
+        image if isinstance(image, TextureBinding | np.ndarray) else as_texels(image) for image in images
+    ]
+    if format is None:
+        format = _infer_format(check, sources[0])
+    check.choice("format", format, Format)
+    check_format(core, format)
+    textures, descriptors, created = [], [], []
+    try:
+        for source, sampler in zip(sources, requested, strict=True):
+            if isinstance(source, np.ndarray):
+                texture = make_texture(source, format, levels=_limit_levels(source, levels), label=label)
+                created.append(texture)
+            else:
+                texture = _get_texture(check, source)
+                check_source(core, CALL, texture, format)
+                if source is not texture:
+                    sampler = core.sampler_descriptors[source.sampler]
+            textures.append(texture)
+            descriptors.append(_check_sampler(check, sampler))
+        plan = plan_table(
+            core,
+            [
+                [texture.descriptor.level_size(level) for level in range(texture.levels)]
+                for texture in textures
+            ],
+        )
+        sizes = [texture.size for texture in textures]
+        pages = Texture(core, page_descriptor(plan, format, label))
+        storage = make_storage(ivec4, describe_pages(plan, sizes, descriptors), label=label)
+        table = TextureTable(core, plan, pages, storage, sizes, descriptors)
+        for index, texture in enumerate(textures):
+            table.fill(texture, index)
+    finally:
+        for texture in created:
+            texture.destroy()
+    return table
+
+
+def _list_samplers(check: ArgumentChecker, samplers: Any, count: int) -> Sequence[Any]:
+    """Return the requested sampler of each image."""
+    requested = SamplerDescriptor() if samplers is None else samplers
+    if not isinstance(requested, (list, tuple)):
+        return [requested] * count
+    if len(requested) != count:
+        check.fail("samplers", f"{len(requested)} samplers", f"one, or {count}, one for each image")
+    return requested
+
+
+def _check_sampler(check: ArgumentChecker, sampler: Any) -> SamplerDescriptor:
+    """Return the descriptor of a sampler that a table can have, or refuse it."""
+    descriptor = sampler.descriptor if isinstance(sampler, Sampler) else sampler
+    check.instance("samplers", descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
+    if descriptor.compare is not None:
+        check.fail("samplers", descriptor, "samplers that don't compare")
+    return cast("SamplerDescriptor", descriptor)
+
+
+def _get_texture(check: ArgumentChecker, source: TextureBinding) -> Texture:
+    """Return the texture of an image that is on the device, or refuse it."""
+    if not isinstance(source.owner, Texture):
+        check.fail("images", source, "textures, arrays and images")
+    return source.owner
+
+
+def _infer_format(check: ArgumentChecker, source: NDArray[Any] | TextureBinding) -> Format:
+    """Return the format of a table whose first image this is, or refuse it."""
+    if not isinstance(source, np.ndarray):
+        return _get_texture(check, source).format
+    format = infer_format(source)
+    if format is None:
+        allowed = "1 to 4 channels of uint8, uint16, float16 or float32, or a format"
+        check.fail("images", f"shape {source.shape} of {source.dtype}", allowed)
+    return format
+
+
+def _limit_levels(source: NDArray[Any], levels: int | None) -> int | None:
+    """Return the mip levels of an array: as many as are asked for, if it has so many."""
+    if levels is None or source.ndim < 2:
+        return levels
+    return min(levels, full_levels(source.shape[1], source.shape[0]))
 
 
 def check_source(core: Core, call: str, texture: Texture, format: Format) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_reports import read_report
 from PIL import Image
 
 from renderer.cli import main
@@ -115,10 +114,8 @@ def matrix() -> list[dict[str, Any]]:
         "--shadows",
         "off,on",
     ]
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        assert main(["compare", "stereo", CITY, *options, "--stereo", ",".join(OUTPUTS[1:])]) == 0
-    rows: list[dict[str, Any]] = json.loads(printed.getvalue())["rows"]
+    report = read_report("compare", "stereo", CITY, *options, "--stereo", ",".join(OUTPUTS[1:]))
+    rows: list[dict[str, Any]] = report["rows"]
     return rows
 
 

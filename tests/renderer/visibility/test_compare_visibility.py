@@ -6,12 +6,12 @@ import io
 import itertools
 import json
 import sys
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_reports import read_report
 from occlusion_scenes import delay_query_results
 from PIL import Image
 
@@ -54,11 +54,9 @@ COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36",
 def sky_report() -> dict[str, Any]:
     """The comparison of all algorithms along the sky path. Answers of queries take a frame, so that who waits
     for them waits."""
-    printed = io.StringIO()
-    with open_device("gl"), pytest.MonkeyPatch.context() as monkeypatch, redirect_stdout(printed):
+    with open_device("gl"), pytest.MonkeyPatch.context() as monkeypatch:
         delay_query_results(monkeypatch, 1)
-        assert main([*COMMAND, "--camera-path", "sky", "--backend", "gl", "--json"]) == 0
-    report: dict[str, Any] = json.loads(printed.getvalue())
+        report: dict[str, Any] = read_report(*COMMAND, "--camera-path", "sky", "--backend", "gl", "--json")
     return report
 
 

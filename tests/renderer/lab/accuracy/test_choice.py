@@ -3,7 +3,6 @@ them."""
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 import signal
@@ -12,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from contextlib import chdir, redirect_stdout
+from contextlib import chdir
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_reports import read_report
 from nightly_reasons import CHEAPER_TEST
 
 import rhi
@@ -351,11 +351,10 @@ SWEEP = ["accuracy", *SMALL_CITY, "--views", "2", "--rounds", "2", "--output", "
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A folder in which the command has measured two quality settings, and what it has printed."""
-    folder, printed = tmp_path_factory.mktemp("swept"), io.StringIO()
+    folder = tmp_path_factory.mktemp("swept")
     measured = ["--quality-setting", "texture_filter", "--quality-setting", "fxaa", "--plot", "charts.png"]
-    with open_device("gl"), chdir(folder), redirect_stdout(printed):
-        assert main([*SWEEP, *measured, "--max-error", "200"]) == 0
-    return folder, json.loads(printed.getvalue())
+    with open_device("gl"), chdir(folder):
+        return folder, read_report(*SWEEP, *measured, "--max-error", "200")
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)

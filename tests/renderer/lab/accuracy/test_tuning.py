@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import subprocess
 import sys
 from concurrent.futures import Executor, Future
-from contextlib import chdir, redirect_stdout
+from contextlib import chdir
 from dataclasses import asdict
 from math import log
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_reports import read_report
 from hypothesis import given
 from hypothesis import strategies as st
 from nightly_reasons import CHEAPER_TEST
@@ -88,10 +88,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A folder with the files that `tune` has written, and what it has printed."""
-    folder, printed = tmp_path_factory.mktemp("tuned"), io.StringIO()
-    with open_device("gl"), chdir(folder), redirect_stdout(printed):
-        assert main([*COMMAND, "--backend", "gl", "--rounds", "2", "--output", "new/tuned", "--json"]) == 0
-    return folder / "new/tuned", json.loads(printed.getvalue())
+    folder = tmp_path_factory.mktemp("tuned")
+    with open_device("gl"), chdir(folder):
+        report = read_report(*COMMAND, "--backend", "gl", "--rounds", "2", "--output", "new/tuned", "--json")
+    return folder / "new/tuned", report
 
 
 def read_trials(folder: Path) -> list[dict[str, str]]:

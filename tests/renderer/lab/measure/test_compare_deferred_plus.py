@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import json
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_reports import read_report
 from PIL import Image
 
 import rhi
-from renderer.cli import main
 from renderer.content import load_scene
 from renderer.inspection.texture_images import color_indices
 from renderer.lab.deferred_plus_comparison import TECHNIQUES
@@ -27,11 +24,10 @@ SMALL = ["--size", "48x32", "--frames", "2", "--backend", "gl"]
 
 @pytest.fixture(scope="module")
 def image_and_report(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    path, printed = tmp_path_factory.mktemp("deferred-plus") / "buffers.png", io.StringIO()
+    path = tmp_path_factory.mktemp("deferred-plus") / "buffers.png"
     arguments = ["hall:lights=4", *SMALL, "--json", "--output", str(path)]
-    with open_device("gl"), redirect_stdout(printed):
-        assert main(["compare", "deferred-plus", *arguments]) == 0
-    return path, json.loads(printed.getvalue())
+    with open_device("gl"):
+        return path, read_report("compare", "deferred-plus", *arguments)
 
 
 @pytest.fixture(scope="module")

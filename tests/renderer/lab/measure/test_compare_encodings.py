@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import io
-import json
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_reports import read_report
 
-from renderer.cli import main
 from renderer.lab.measure.encoding_errors import ENCODINGS
 from tests.renderer.conftest import open_device
 
 
 @pytest.fixture(scope="module")
 def chart_and_rows(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, dict[str, Any]]]:
-    chart, printed = tmp_path_factory.mktemp("encodings") / "chart.svg", io.StringIO()
+    chart = tmp_path_factory.mktemp("encodings") / "chart.svg"
     arguments = ["--backend", "gl", "--count", "256", "--rounds", "1", "--json", "--plot", str(chart)]
-    with open_device("gl"), redirect_stdout(printed):
-        assert main(["compare", "encodings", *arguments]) == 0
-    report = json.loads(printed.getvalue())
+    with open_device("gl"):
+        report = read_report("compare", "encodings", *arguments)
     return chart, {row["name"]: row for row in report["rows"]}
 
 

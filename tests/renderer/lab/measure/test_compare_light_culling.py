@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import json
-from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
 import pytest
+from command_reports import read_report
 from frames import first_view_camera, make_boxes
 from refusals import refused_rule
 
 import rhi
-from renderer.cli import main
 from renderer.content import load_scene
 from renderer.lab.light_culling_comparison import (
     choose_lights,
@@ -48,10 +45,7 @@ HALL = "hall:columns=6,rows=2,flags=0,detail=3"
 
 def compare(*arguments: str) -> list[dict[str, Any]]:
     small = ("--size", "200x120", "--rounds", "1", "--backend", "gl", "--json")
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        assert main(["compare", "light-culling", HALL, *small, *arguments]) == 0
-    report = json.loads(printed.getvalue())
+    report = read_report("compare", "light-culling", HALL, *small, *arguments)
     assert (report["size"], report["rounds"]) == ([200, 120], 1)
     rows: list[dict[str, Any]] = report["rows"]
     return rows
