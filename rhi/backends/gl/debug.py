@@ -31,9 +31,8 @@ from rhi.contract.descriptors import BufferDescriptor, Id, Primitive
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DEBUG
 
-_WAITING: Final = frozenset(
-    {"read_buffer", "read_texture", "completed", "wait"}
-)  # calls after which the GPU has mostly finished
+_WAITING: Final = frozenset({"read_buffer", "read_texture", "wait"})  # these have waited for the GPU anyway
+_EXECUTING: Final = ("draw", "dispatch")  # how the names of calls begin that execute a program's loops
 _FATAL: Final = (enums.DEBUG_TYPE_ERROR, enums.DEBUG_TYPE_UNDEFINED_BEHAVIOR)
 
 
@@ -85,6 +84,7 @@ class DebugGlBackend(GlBackend):
         super().__init__(context, shared)
         self._debug = DebugOutput(self.gl)
         self._loop_checks: LoopChecks | None = None
+        self._is_signalled = True  # no loop was executed since the last signal
         if shared is None and "llvmpipe" in self.capabilities.device:
             self._loop_checks = LoopChecks(context, self.gl)
             self._programs.instrument = self._loop_checks.add
@@ -136,10 +136,21 @@ class DebugGlBackend(GlBackend):
         if message:
             text = ", ".join(map(_format_argument, arguments))
             raise DeviceError(DEVICE_DEBUG, f"{name}({text})", message)
-        error = self._loop_checks.take() if self._loop_checks is not None and name in _WAITING else None
-        if error is not None:
-            raise error
+        if self._loop_checks is not None and self._has_finished(name):
+            error = self._loop_checks.take()
+            if error is not None:
+                raise error
         return result
+
+    def _has_finished(self, name: str) -> bool:
+        """Note that the method `name` was called; return whether it leaves the GPU without work.
+
+        A poll of the fence must not wait, and reading the counters does unless the GPU is idle."""
+        if name == "signal":
+            self._is_signalled = True
+        elif name.startswith(_EXECUTING):
+            self._is_signalled = False
+        return name in _WAITING or (name == "completed" and self._is_signalled and self._fence.is_idle)
 
 
 class _CheckedQueries:

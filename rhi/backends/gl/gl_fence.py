@@ -20,6 +20,11 @@ class Fence:
         self._pending: deque[tuple[int, int | None]] = deque()
         self._value = 0
 
+    @property
+    def is_idle(self) -> bool:
+        """True if no signal is pending, as of the last `poll`."""
+        return not self._pending
+
     def signal(self, value: int) -> None:
         self._pending.append((value, self._gl.FenceSync(enums.SYNC_GPU_COMMANDS_COMPLETE, 0)))
         self._gl.Flush()

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 import rhi
 from rhi import ShaderError
-from rhi.shading import Shader, Storage, StorageRW
+from rhi.conformance.shaders import Shade, Shaded
+from rhi.conformance.shapes import rectangle
+from rhi.shading import Shader, Storage, StorageRW, Uniform, vec4
 
 MAX_ITERATIONS = 65_534
 """Turns of a shader whose only loop looks at its condition once more; each other loop takes one turn at
@@ -74,3 +77,50 @@ def test_a_loop_that_is_cut_short_is_named_with_validation(
             assert caught.value.site is not None
             assert cut in lines[caught.value.site.line - start]
         assert bool(np.any(completed.read() < requested)) == bool(cut)  # an error is raised once
+
+
+class CountedLayers(Shaded):
+    """Covers the target, after a loop that the driver can't unroll."""
+
+    turns: Uniform[int]
+
+    def fragment(self, v: Shade) -> vec4:
+        total = 0
+        for turn in range(self.turns):
+            total += turn
+        return v.color * float(total)
+
+
+@pytest.fixture
+def llvmpipe() -> Iterator[rhi.Device]:
+    with rhi.create_device("gl", validation=True) as device:
+        if "llvmpipe" not in device.capabilities.device:
+            pytest.skip("llvmpipe's own fault")
+        yield device
+
+
+def test_polls_wait_for_no_loop_that_still_runs(llvmpipe: rhi.Device) -> None:
+    """Draws grow until polls find them unfinished: another program may have the processor between polls."""
+    device = llvmpipe
+    with device.texture((1024, 1024), rhi.Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(CountedLayers)
+        for instances in (16, 64, 256, 512):
+            with device.render_pass(image):
+                device.draw(program, mesh, instances, turns=4)
+            value = device.signal()
+            polls = 0
+            while device.completed < value:
+                polls += 1
+            if polls > 1:
+                break
+        assert polls > 1
+
+
+def test_polls_alone_learn_of_a_loop_that_was_cut_short(llvmpipe: rhi.Device) -> None:
+    device = llvmpipe
+    requested = device.storage(int, (MAX_ITERATIONS + 2, 0, 4))
+    device.dispatch(device.program(LoopCounter), 1, requested=requested, completed=device.storage(int, 3))
+    with pytest.raises(ShaderError, match="65535 iterations"):
+        value = device.signal()
+        while device.completed < value:
+            pass
