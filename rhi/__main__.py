@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
+import inspect
 import json
 import os
 import platform
 import pydoc
+import re
 import sys
 import webbrowser
 from collections.abc import Callable, Sequence
@@ -32,6 +35,17 @@ from rhi.testing.projects import KINDS, write_project
 from rhi.trace import cli as trace_cli
 
 _MAX_SECTIONS: Final = 8  # that a search lists
+_REFERENCE: Final = (
+    "rhi",
+    "rhi.math",
+    "rhi.shading",
+    "rhi.testing",
+    "rhi_screen",
+    "renderer",
+    "rhi.trace",
+    "rhi.contract",
+)
+"""Packages whose public names `docs` shows; those that aren't installed are passed over."""
 _COMMANDS: Final = """\
 commands, each with --help:
   trace             inspect recorded commands: show, replay, page, diff, reduce
@@ -129,9 +143,10 @@ def _docs(arguments: Sequence[str]) -> int:
     """Show a page of the documentation, or list them. Return 0, or 2 on an error."""
     parser = argparse.ArgumentParser(
         prog="python -m rhi docs",
-        description="Show a page of the documentation, as Markdown, or the section that answers some words best.\n"
-        "Without a topic, list the pages.",
+        description="Show a page of the documentation, as Markdown, the signature and docstring of a public\n"
+        "name, or the section that answers some words best. Without a topic, list the pages.",
         epilog='example:\n  python -m rhi docs traces\n  python -m rhi docs "lost device"\n'
+        "  python -m rhi docs Device.texture\n"
         "  python -m rhi docs testing --browser",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -139,7 +154,7 @@ def _docs(arguments: Sequence[str]) -> int:
         "topic",
         nargs="*",
         metavar="TOPIC",
-        help="such as traces, or the beginning of it; or words to search for",
+        help="such as traces, or the beginning of it; a name such as look_at; or words to search for",
     )
     parser.add_argument("--browser", action="store_true", help="show it in a browser")
     options = parser.parse_args(arguments)
@@ -164,15 +179,52 @@ def _docs(arguments: Sequence[str]) -> int:
 
 
 def _read_docs(words: Sequence[str]) -> str:
-    """Return the page that a word names, or else what is found by the words."""
+    """Return the page or the public name that a word names, or else what a search of the words returns."""
     if len(words) > 1 or " " in words[0].strip():
         return _search(words)
     try:
         return pages.read_page(words[0])
     except pages.UnknownPageError as error:
-        if error.close or not words[0].isalnum():
+        described = _describe(words[0])
+        if described:
+            return described
+        if error.close or not re.fullmatch(r"\w+", words[0]):
             raise
     return _search(words)
+
+
+def _describe(name: str) -> str:
+    """Return signature and docstring of a public name, such as "look_at" or "rhi.Device.texture"; "" if there
+    is none."""
+    for package in _REFERENCE:
+        try:
+            value: Any = importlib.import_module(package)
+        except ImportError:
+            continue
+        path = name.removeprefix(f"{package}.").split(".")
+        if path[0] not in getattr(value, "__all__", dir(value)):
+            continue
+        for part in path:
+            value = None if part.startswith("_") else getattr(value, part, None)
+        if value is not None:
+            return _describe_value(f"{package}.{'.'.join(path)}", value)
+    return ""
+
+
+def _describe_value(name: str, value: object) -> str:
+    try:
+        signature = str(inspect.signature(value)).replace("'", "") if callable(value) else ""
+    except ValueError:
+        signature = ""  # of a class without one, such as an enumeration
+    members = [
+        member
+        for member in (sorted(vars(value)) if isinstance(value, type) else ())
+        if not member.startswith("_")
+    ]
+    lines = [name + signature, "", inspect.getdoc(value) or ""]
+    if members:
+        lines += ["", f"{name.rpartition('.')[2]}.NAME describes: {', '.join(members)}"]
+    return "\n".join(lines)
 
 
 def _search(words: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 from setuptools import Distribution
 
+import rhi
 from rhi.__main__ import main
 from rhi.errors import pages
 
@@ -100,6 +101,58 @@ def test_a_word_that_is_no_page_is_searched_and_a_misspelt_page_is_not(
     assert "dask" in capsys.readouterr().out.lower()
     assert main(["docs", "xyzzyx", "plughx"]) == 2
     assert capsys.readouterr().err.startswith("error: no page has xyzzyx or plughx")
+
+
+REFERENCES = [
+    ("look_at", "rhi.math.look_at(eye: ", "view matrix"),
+    ("rhi.math.look_at", "rhi.math.look_at(eye: ", "view matrix"),
+    ("Device.texture", "rhi.Device.texture(self, source: ", "Create a texture"),
+    ("save_image", "rhi_screen.save_image(render: ", "command line"),
+    ("why_bound", "rhi.testing.why_bound(", ""),
+    ("CullMode", "rhi.CullMode(", "CullMode.NAME describes: BACK, FRONT, NONE"),
+    ("Camera", "rhi.math.Camera(position: ", "look_at"),
+]
+
+
+@pytest.mark.parametrize(("name", "signature", "words"), REFERENCES)
+def test_a_public_name_is_described_by_its_signature_and_docstring(
+    name: str, signature: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["docs", name]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(signature)
+    assert words in printed
+
+
+def test_each_public_name_of_rhi_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    names = [name for name in rhi.__all__ if name.lower() not in PAGES and callable(getattr(rhi, name))]
+    assert len(names) > 60
+    undescribed = []
+    for name in names:
+        assert main(["docs", name]) == 0, name
+        if not capsys.readouterr().out.startswith(f"rhi.{name}"):
+            undescribed.append(name)
+    pages_begin = {name: sum(page.startswith(name.lower()) for page in PAGES) for name in names}
+    assert undescribed == [name for name in names if pages_begin[name] == 1]
+
+
+@pytest.mark.parametrize("name", ["Device._draw", "Device.textur", "rhi.nothing", "rhi.math", "os.path"])
+def test_an_unknown_name_is_an_unknown_page(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["docs", name]) == 2
+    assert capsys.readouterr().err.startswith("error: there is no page")
+
+
+@pytest.mark.parametrize(
+    ("words", "heading"),
+    [
+        ("hot reload test", "Hot reload"),
+        ("shadow map sun projection", "Shadow map"),
+        ("draw_many mesh many meshes one buffer", "Parts, and many draws"),
+        ("RHI_CACHE", "How the OpenCL backend works"),
+    ],
+)
+def test_headings_outweigh_tables_that_have_every_word(words: str, heading: str) -> None:
+    assert pages.search(words.split())[0].heading == heading
 
 
 def test_comments_of_programs_are_no_headings() -> None:

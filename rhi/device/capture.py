@@ -10,11 +10,11 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-import sys
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
+from rhi.contract.renderdoc import find_renderdoc_library
 from rhi.device.core.core import Core
 from rhi.errors.device_objects import DeviceObject
 
@@ -78,15 +78,8 @@ def find_renderdoc() -> RenderDoc | None:
 
 
 def _find_library() -> Any:
-    """Return RenderDoc's function `RENDERDOC_GetAPI`, without loading its library."""
-    try:
-        if sys.platform == "win32":
-            handle = ctypes.windll.kernel32.GetModuleHandleW("renderdoc.dll")
-            library = ctypes.CDLL("renderdoc.dll", handle=handle) if handle else None
-        else:
-            library = ctypes.CDLL("librenderdoc.so", mode=os.RTLD_NOW | os.RTLD_NOLOAD)
-    except (OSError, AttributeError):  # it isn't loaded, or the platform has no such libraries
-        return None
+    """Return RenderDoc's function `RENDERDOC_GetAPI`, None if its library isn't loaded."""
+    library = find_renderdoc_library()
     return library and _GET_API(("RENDERDOC_GetAPI", library))
 
 
@@ -106,6 +99,9 @@ class FrameCapture(DeviceObject):
         self._api: RenderDoc | None = None
         self.is_active = False
         self.file: Path | None = None
+
+    def __repr__(self) -> str:
+        return f"FrameCapture(file={str(self.file) if self.file else None!r})"
 
     def __enter__(self) -> Self:
         self._finish()

@@ -50,7 +50,7 @@ from rhi.shading.compile import (
     restore_compiled,
 )
 from rhi.shading.language import rules
-from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
+from rhi.shading.language.edits import Edit, defines_shaders, file_of, pin_program, text_of
 from rhi.shading.language.shader import Shader
 
 LOGGER: Final = logging.getLogger("rhi.reload")
@@ -135,6 +135,7 @@ class Reloader:
             if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
                 refuse(RELOAD_WATCH, call, f"{source!r}, which is no file")
             if isinstance(source, ModuleType):
+                pin_program(source)
                 reloads[path], modules[path] = partial(self._reload_saved, source), source
             elif reload is None:
                 refuse(

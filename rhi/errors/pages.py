@@ -123,8 +123,8 @@ def read_page(topic: str) -> str:
 def search(words: Sequence[str]) -> list[Section]:
     """Return the sections that have most of some words, the best first.
 
-    A word counts wherever it begins one, in capitals or not, and more in a heading. Words such as "how" don't
-    count beside others.
+    A word counts wherever it begins one, in capitals or not, and twice in a heading or a page's title. Long
+    tables have many words, headings few that matter. Words such as "how" don't count beside others.
 
     Raises:
         UnknownPageError: no section has any of the words.
@@ -132,12 +132,16 @@ def search(words: Sequence[str]) -> list[Section]:
     asked = [word for text in words for word in re.findall(r"[\w.]+", text.lower())]
     asked = [word for word in asked if word not in _COMMON_WORDS] or asked
     patterns = [re.compile(rf"\b{re.escape(_stem(word))}", re.IGNORECASE) for word in asked]
+    titles = list_topics()
     scores: dict[Section, tuple[int, int]] = {}
     for section in _list_sections():
         counts = [min(len(pattern.findall(section.text)), _MAX_COUNT) for pattern in patterns]
-        in_heading = sum(bool(pattern.search(section.heading)) for pattern in patterns)
         if any(counts):
-            scores[section] = sum(count > 0 for count in counts), sum(counts) + _HEADING_SCORE * in_heading
+            title = f"{titles[section.topic]} {section.heading}"
+            in_title = sum(bool(pattern.search(title)) for pattern in patterns)
+            in_heading = sum(bool(pattern.search(section.heading)) for pattern in patterns)
+            present = sum(count > 0 for count in counts)
+            scores[section] = present + in_title, sum(counts) + _HEADING_SCORE * in_heading
     if not scores:
         raise UnknownPageError(f"no page has {' or '.join(asked)}; `python -m rhi docs` lists the topics")
     return sorted(scores, key=scores.__getitem__, reverse=True)

@@ -32,7 +32,14 @@ from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.modules import execute, is_own
 from rhi.shading.language.shader import Shader, SharedMemory, collect_bindings
-from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, read_file, set_source
+from rhi.shading.language.source import (
+    SourceFile,
+    exchange_source,
+    forget_signatures,
+    pin_source,
+    read_file,
+    set_source,
+)
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import StorageType
 
@@ -88,6 +95,7 @@ class Edit:
         self._undo: list[Undo] = [self._collect_all]  # at the end, when nothing can fail any more
         self._file = SourceFile(self.file)
         self._file.lines, self._file.spec = text.splitlines(keepends=True), module.__spec__
+        self._file.is_pinned = module.__name__ == "__main__"
         try:
             beside = self._execute(text)
             self._exchanges = self._pair(beside)
@@ -217,6 +225,7 @@ class Edit:
         for name, old in before.items():
             is_submodule = isinstance(old, ModuleType) and old.__name__ == f"{module.__name__}.{name}"
             stays = self._is_plain(old) or is_submodule or name in used_names or name.startswith("__")
+            stays |= module.__name__ == "__main__"  # the running program's variables
             if name not in after and not stays:
                 self._set_name(name, None, is_removed=True)
         exchanged = exchange_source(self._file)
@@ -346,6 +355,12 @@ def file_of(module: ModuleType) -> str:
 def text_of(module: ModuleType) -> str:
     """Return the text of a module that is in effect: the imported one, or that of the last edit."""
     return "".join(read_file(file_of(module), vars(module)).lines)
+
+
+def pin_program(module: ModuleType) -> None:
+    """Pin the text of a program, `__main__`: it is the one that runs, and not the one that its file has later."""
+    if module.__name__ == "__main__":
+        pin_source(file_of(module), vars(module))
 
 
 def defines_shaders(module: ModuleType) -> bool:

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import ast
 import itertools
 import sys
 from collections.abc import Mapping
@@ -78,14 +79,19 @@ def execute(
     """Run a text in a module, which is in `sys.modules` meanwhile because the creation of classes looks it
     up.
 
-    Afterwards `sys.modules` has the module `registered` under the name, or none.
+    Afterwards `sys.modules` has the module `registered` under the name, or none. Of a program, `__main__`, what
+    is behind `if __name__ == "__main__":` doesn't run.
 
     Raises:
         ShaderError: `shading-text`: the text isn't Python or raises an exception; the error shows the line.
+            `shading-reload`: a program has no such line.
     """
     sys.modules[module.__name__] = module
     try:
-        exec(compile(text, str(source), "exec", dont_inherit=True), vars(module))
+        tree = ast.parse(text, str(source))
+        if module.__name__ == "__main__":
+            _leave_out_program(tree, call, source)
+        exec(compile(tree, str(source), "exec", dont_inherit=True), vars(module))
     except RhiError:
         raise
     except (Exception, SystemExit) as error:
@@ -95,6 +101,26 @@ def execute(
             del sys.modules[module.__name__]
         else:
             sys.modules[module.__name__] = registered
+
+
+def _leave_out_program(tree: ast.Module, call: str, source: SourceFile) -> None:
+    """Make the conditions `__name__ == "__main__"` of a program false, so that it doesn't begin again."""
+    conditions = [
+        statement
+        for statement in tree.body
+        if isinstance(statement, ast.If)
+        and ast.unparse(statement.test) in ("__name__ == '__main__'", "'__main__' == __name__")
+    ]
+    if not conditions:
+        raise ShaderError(
+            rules.RELOAD,
+            call,
+            "a program that would run again inside itself",
+            tip='put what it runs behind `if __name__ == "__main__":`',
+            site=CallSite(str(source), len(source.lines)),
+        )
+    for statement in conditions:
+        statement.test = ast.copy_location(ast.Constant(False), statement.test)
 
 
 def _last_shader(source: SourceFile, module: ModuleType) -> type[Shader]:

@@ -38,10 +38,17 @@ _SOURCE: Final = "_rhi_source"
 
 
 class SourceFile(str):
-    """A Python file: its name, and its lines at the time when one of its classes or functions was created."""
+    """A Python file: its name, and its lines at the time when one of its classes or functions was created.
+
+    Attributes:
+        lines: with their ends.
+        spec: the `__spec__` of its module.
+        is_pinned: whether these lines hold whatever the file has now.
+    """
 
     lines: list[str]
     spec: object
+    is_pinned: bool = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         return str, (str(self),)
@@ -110,8 +117,8 @@ def read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
     """Return a file with its lines, from the cache unless its module was replaced or imported again.
 
     A class that is created after the import thus has the text that was imported. Scripts and notebook cells
-    are compared with the file each time. The text of a module that `rhi.shading.language.modules` makes comes
-    with it.
+    are compared with the file each time, unless the text is pinned. The text of a module that
+    `rhi.shading.language.modules` makes comes with it.
 
     Args:
         names: the globals of a function in the file.
@@ -120,7 +127,7 @@ def read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
     state = getattr(spec, "loader_state", None)
     if isinstance(state, SourceFile) and state == name:
         return state
-    if cached is not None and spec is not None and cached.spec is spec:
+    if cached is not None and (cached.is_pinned or (spec is not None and cached.spec is spec)):
         return cached
     linecache.checkcache(name)
     lines = linecache.getlines(name, dict(names) if name not in linecache.cache else None)
@@ -306,6 +313,12 @@ def source_of(function: FunctionType) -> Source:
 def set_source(function: FunctionType, file: SourceFile) -> None:
     """Set the file from which a function's source is read."""
     setattr(function, _SOURCE, Source(function, file))
+
+
+def pin_source(name: str, names: Mapping[str, Any]) -> None:
+    """Keep the text of a script as it is now, whatever is saved, until `exchange_source` replaces it."""
+    with SHARED:
+        read_file(name, names).is_pinned = True
 
 
 def exchange_source(file: SourceFile | None, name: str = "") -> SourceFile | None:

@@ -338,6 +338,7 @@ def test_every_key_and_button_runs_a_command_that_a_screen_has(viewer_screen: Vi
 @pytest.mark.parametrize("button", sorted(GAMEPAD_BINDINGS))
 def test_a_button_runs_its_line_once(viewer_screen: ViewerScreen, button: str) -> None:
     viewer = viewer_screen.viewer
+    viewer.run("visibility auto")  # the next one builds no kernels
     source = viewer_screen.screen.gamepads.source = SimulatedGamepads()
     with patch.object(viewer, "run", side_effect=viewer.run) as run:
         for buttons in ((button,), (button,), ()):
@@ -417,26 +418,35 @@ def test_full_screen_is_refused_where_there_is_no_window(viewer_screen: ViewerSc
 # -- the keys and the console --------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def console_screen() -> Iterator[ViewerScreen]:
+    """A viewer whose console and keys tests fill anew."""
+    opened = open_viewer(SCENE, "null", canvas="offscreen", size=SIZE, reload=False)
+    yield opened
+    opened.close()
+
+
 @pytest.mark.parametrize("size", [(960, 540), (1920, 1080), (640, 480), (320, 240), (64, 48)])
 @pytest.mark.parametrize("scale", [1, 2])
 @pytest.mark.parametrize("lines", [0, 3, 64])
 def test_the_keys_never_cover_the_console(
-    viewer_screen: ViewerScreen, size: tuple[int, int], scale: int, lines: int
+    console_screen: ViewerScreen, size: tuple[int, int], scale: int, lines: int
 ) -> None:
-    viewer = viewer_screen.viewer
+    viewer = console_screen.viewer
     layer: InterfaceLayer = viewer._interface
     rectangles: list[tuple[int, int, int, int]] = []
     texts: list[str] = []
     canvas = layer._canvas
+    viewer.console.lines.clear()
     viewer.console.lines.extend((f"line {number}", False) for number in range(lines))
     viewer.console.is_open = viewer.has_keys = True
     layer.state, layer.scale = viewer._describe(), scale
     with (
         patch.object(canvas, "rect", side_effect=lambda *arguments: rectangles.append(arguments[:4])),
         patch.object(canvas, "text", side_effect=lambda x, y, text, *_: texts.append(text)),
-        viewer_screen.screen.device.texture(size, rhi.Format.RGBA8) as image,
+        console_screen.screen.device.texture(size, rhi.Format.RGBA8) as image,
     ):
-        layer.render(viewer_screen.screen.device, _frame(viewer_screen, image))
+        layer.render(console_screen.screen.device, _frame(console_screen, image))
     _corner, console, _cursor, *rest = rectangles
     (keys,) = rest or [(0, 0, 0, 0)]
     assert keys[1] + keys[3] <= console[1] or not rest

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -234,3 +237,62 @@ def test_an_error_in_a_frame_leaves_the_worker_usable() -> None:
         with pytest.raises(ValidationError, match="camera-frame-range"):
             worker(99999)
         assert np.array_equal(worker(20), expected)
+
+
+CITY = """
+import os, signal, sys, threading, time
+from contextlib import suppress
+from pathlib import Path
+from distributed import LocalCluster
+import renderer
+import rhi_screen.executors
+
+if __name__ == "__main__":
+    rhi_screen.executors.NO_WORKER_SECONDS = 900.0  # a busy machine takes minutes to start a worker again
+    folder, frames = Path(sys.argv[1]), range(int(sys.argv[2]))
+    options = {"size": (96, 54), "backend": "gl"}
+    start = time.perf_counter()
+    renderer.film("city", "ground", frames, folder / "serial" / "%d.png", **options)
+    serial = time.perf_counter() - start
+    cluster = LocalCluster(n_workers=4, threads_per_worker=1, processes=True, dashboard_address=None)
+    killed = []
+
+    def kill():
+        while len(list((folder / "dask").glob("*.png"))) < 5:
+            time.sleep(0.01)
+        killed.append(next(iter(cluster.workers.values())).pid)
+        os.kill(killed[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    start = time.perf_counter()
+    address = f"dask:{cluster.scheduler_address}"
+    result = renderer.film("city", "ground", frames, folder / "dask" / "%d.png", executor=address, **options)
+    killer.join()
+    print(f"serial {serial:.1f} s, cluster {time.perf_counter() - start:.1f} s", file=sys.stderr)
+    with suppress(TimeoutError):  # a busy machine doesn't end the workers in Dask's four seconds
+        cluster.close(timeout=60)
+    print(result.drawn, len(killed), flush=True)
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("gl")
+def test_the_city_is_the_same_film_from_four_dask_workers_of_which_one_is_killed(tmp_path: Path) -> None:
+    """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""
+    pytest.importorskip("distributed", reason="no dask: pip install rhi[dask]")
+    frames = 40
+    program = tmp_path / "city.py"
+    program.write_text(CITY)
+    command = [sys.executable, str(program), str(tmp_path), str(frames)]
+    environment = os.environ | {"LP_NUM_THREADS": "1"}
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines() == [f"{frames} 1"]
+    serial, cluster = (
+        {file.name: file.read_bytes() for file in (tmp_path / name).glob("*.png")}
+        for name in ("serial", "dask")
+    )
+    assert len(serial) == frames
+    assert len(set(serial.values())) == frames, "the camera moves"
+    assert cluster == serial

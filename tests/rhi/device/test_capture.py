@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
+from tested_devices import open_device
 
 import rhi
 from rhi import Device
@@ -147,3 +152,49 @@ def test_without_renderdoc_the_block_runs_and_a_warning_says_so(
 def test_an_argument_other_than_a_path_is_refused(null_device: Device, path: Any) -> None:
     with pytest.raises(rhi.ValidationError, match="device-argument"):
         null_device.capture(path)
+
+
+PROGRAM = """
+import sys
+import rhi
+import rhi.shading as sl
+
+class Plain(sl.FullScreen):
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0, 0.5, 0.0, 1.0)
+
+with rhi.create_device(sys.argv[1]) as device:
+    image = device.texture((64, 64), rhi.Format.RGBA8)
+    for frame in range(2):
+        with device.capture(sys.argv[2]) as capture:
+            with device.render_pass(image):
+                device.draw(device.program(Plain), device.mesh(3))
+            device.present(image)
+        print(capture.file)
+"""
+
+
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
+@pytest.mark.parametrize(("backend", "draw"), [("gl", "glDraw"), ("wgpu", "vkCmdDraw")])
+def test_renderdoc_captures_the_draws_of_each_block(tmp_path: Path, backend: str, draw: str) -> None:
+    command = shutil.which("renderdoccmd")
+    if command is None:
+        pytest.skip("no renderdoccmd: apt install renderdoc")
+    with open_device(backend):
+        pass
+    (tmp_path / "program.py").write_text(PROGRAM)
+    program = [sys.executable, tmp_path / "program.py", backend, tmp_path / "city"]
+    captured = subprocess.run(
+        [command, "capture", "--wait-for-exit", "--working-dir", tmp_path, *program],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    files = [Path(line) for line in captured.stdout.splitlines() if line.endswith(".rdc")]
+    assert len(set(files)) == 2, captured.stdout + captured.stderr
+    for file in files:
+        text = tmp_path / "capture.xml"
+        convert = [command, "convert", "-f", file, "-o", text, "-i", "rdc", "-c", "xml"]
+        subprocess.run(convert, capture_output=True, check=True, timeout=300)
+        assert text.read_text(encoding="utf-8").count(f'name="{draw}') == 1
