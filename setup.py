@@ -55,9 +55,10 @@ class BuildWithPages(build_py):
     def copy_pages(self) -> None:
         """Copy the pages to where the package is built."""
         folder = Path(self.build_lib) / "rhi" / "documentation"
-        self.mkpath(str(folder))
-        for page in sorted((ROOT / "docs").glob("*.md")):
-            self.copy_file(str(page), str(folder / page.name))
+        for page in sorted((ROOT / "docs").rglob("*.md")):
+            copied = folder / page.relative_to(ROOT / "docs")
+            self.mkpath(str(copied.parent))
+            self.copy_file(str(page), str(copied))
 
 
 if __name__ == "__main__":

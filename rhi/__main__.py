@@ -161,7 +161,7 @@ def _docs(arguments: Sequence[str]) -> int:
     try:
         if not options.topic:
             topics = pages.list_topics()
-            text = "\n".join(f"{topic:<24}{title}" for topic, title in topics.items())
+            text = "\n".join(f"{topic:<36}{title}" for topic, title in topics.items())
         else:
             text = _read_docs(options.topic)
     except pages.UnknownPageError as error:

@@ -122,6 +122,12 @@ def film(
             raises an exception, from that; `video-file`, `video-image`, `video-size`, `executor-name`.
         DeviceError: `film-killed` if a frame ends each process that draws it; `executor-ended` if no worker
             is left; `screen-missing`, `executor-missing`, `executor-scheduler`.
+
+    Examples:
+        >>> def render(frame):
+        ...     return np.full((36, 64, 3), frame, np.uint8)
+        >>> [int(array.max()) for array in film(render, range(3)).images]
+        [0, 1, 2]
     """
     numbers = _check_numbers(frames)
     files, video = (None, None) if output is None else parse_output(Path(output), _CALL)

@@ -311,6 +311,10 @@ def open_screen(
     Raises:
         DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to
             install.
+
+    Examples:
+        >>> with open_screen("null", canvas="offscreen", size=(64, 48)) as screen:
+        ...     screen.show(screen.targets().image)
     """
     kind = canvas or choose_default_canvas()
     window_options = {"opengl": False} if device == "wgpu" and kind == "window" else {}

@@ -23,6 +23,11 @@ class FixedSteps:
         max_steps: how many steps a frame takes at most. Time beyond them is dropped: a simulation that is
             slower than the clock slows down, instead of taking longer and longer.
         part: the part of a step, from 0 to 1, that has passed since the last one.
+
+    Examples:
+        >>> steps = FixedSteps(60)
+        >>> for _ in steps.advance():
+        ...     pass  # a simulation's step of `steps.seconds`
     """
 
     def __init__(self, rate: float = 60.0, max_steps: int = 8) -> None:

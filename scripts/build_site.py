@@ -58,12 +58,15 @@ def collect_pages(folder: Path, *, live: bool = False) -> None:
     """Write the pages of the site to a folder, with the files that they link; `live`: with programs that
     run."""
     shutil.copytree(ROOT / "docs", folder)
-    for page in (*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in EXTRA_PAGES)):
+    for page in (*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in EXTRA_PAGES)):
+        name = (
+            EXTRA_PAGES.get(page.relative_to(ROOT).as_posix()) or page.relative_to(ROOT / "docs").as_posix()
+        )
 
-        def lead(link: re.Match[str], home: Path = page.parent) -> str:
-            return f"]({_site_link((home / link[1]).resolve(), folder)}"
+        def lead(link: re.Match[str], home: Path = page.parent, name: str = name) -> str:
+            target = _site_link((home / link[1]).resolve(), folder)
+            return f"]({os.path.relpath(target, os.path.dirname(name) or '.')}"
 
-        name = EXTRA_PAGES.get(page.relative_to(ROOT).as_posix(), page.name)
         text = page.read_text(encoding="utf-8")
         text = LINK.sub(lead, add_live_programs(text) if live else text)
         (folder / name).write_text(text, encoding="utf-8")

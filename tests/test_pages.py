@@ -15,7 +15,7 @@ from rhi.__main__ import main
 from rhi.errors import pages
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted(file.stem for file in (ROOT / "docs").glob("*.md"))
+PAGES = sorted(file.stem for file in (ROOT / "docs").rglob("*.md"))
 
 
 def test_each_page_is_a_topic_with_its_title(capsys: pytest.CaptureFixture[str]) -> None:
@@ -23,6 +23,16 @@ def test_each_page_is_a_topic_with_its_title(capsys: pytest.CaptureFixture[str])
     listed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in listed] == PAGES
     assert all(len(line.split()) > 1 for line in listed)
+
+
+def test_each_topic_is_the_name_of_a_single_page() -> None:
+    assert len(PAGES) == len(set(PAGES))
+
+
+@pytest.mark.parametrize("topic", ["lost-device", "docs/how-to/lost-device.md", "how-to/lost-device", "lost"])
+def test_a_how_to_page_is_printed(topic: str) -> None:
+    page = ROOT / "docs" / "how-to" / "lost-device.md"
+    assert pages.read_page(topic) == page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("topic", ["traces", "docs/traces.md", "traces.md", "trac", "TRACES"])
@@ -50,22 +60,33 @@ def test_an_unknown_page_is_one_line(topic: str, hint: str, capsys: pytest.Captu
 
 
 QUESTIONS = [
-    ("how do tests see the instances of draw_many", "questions"),
-    ("what does a new pass bind again", "questions"),
-    ("does .sampled inline cost something", "questions"),
-    ("without geometry stages", "questions"),
-    ("textures of many sizes in one draw", "questions"),
-    ("rendering to all layers", "questions"),
-    ("device memory in use", "questions"),
-    ("recover lost device", "questions"),
-    ("two windows of one device", "questions"),
-    ("film of a scene", "questions"),
-    ("dask frames of my own", "questions"),
-    ("warm-up and its progress", "questions"),
-    ("ship kernel cache", "questions"),
-    ("points and shadows on WebGPU", "questions"),
-    ("what may change before 1.0", "questions"),
+    ("how do tests see the instances of draw_many", "instances-in-tests"),
+    ("what does a new pass bind again", "bindings-of-a-pass"),
+    ("does .sampled inline cost something", "cost-of-sampled"),
+    ("without geometry stages", "without-geometry-stages"),
+    ("textures of many sizes in one draw", "textures-of-many-sizes"),
+    ("rendering to all layers", "render-to-layers"),
+    ("device memory in use", "memory-in-use"),
+    ("recover lost device", "lost-device"),
+    ("two windows of one device", "several-windows"),
+    ("film of a scene", "film-of-a-scene"),
+    ("dask frames of my own", "frames-on-dask"),
+    ("warm-up and its progress", "warm-up"),
+    ("ship kernel cache", "ship-kernel-cache"),
+    ("points and shadows on WebGPU", "points-and-shadows-on-webgpu"),
+    ("what may change before 1.0", "before-1-0"),
+    ("save frame to a file", "save-an-image"),
+    ("post-process an image", "post-processing"),
+    ("many instances of a mesh", "many-instances"),
+    ("see nothing on the screen", "nothing-to-see"),
+    ("measure GPU time", "gpu-times"),
+    ("variants of a shader", "shader-variants"),
+    ("projection for OpenGL", "opengl-projections"),
+    ("which object is at a pixel", "pick-an-object"),
+    ("record a video of a window", "record-a-window"),
+    ("draw beside moderngl", "beside-opengl"),
 ]
+HOW_TO_PAGES = sorted((ROOT / "docs" / "how-to").glob("*.md"))
 
 
 @pytest.mark.parametrize(("words", "topic"), QUESTIONS)
@@ -76,22 +97,33 @@ def test_words_of_a_question_lead_to_its_answer(
     assert best.topic == topic
     assert main(["docs", *words.split()]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith(f"## {best.heading}\n")
+    assert printed.startswith(f"# {best.heading}\n")
     assert f"python -m rhi docs {topic}" in printed
     assert main(["docs", words]) == 0, "in quotes, too"
     assert capsys.readouterr().out == printed
 
 
-def test_each_question_has_one_section_of_few_words_and_is_found_by_its_heading() -> None:
+@pytest.mark.parametrize("page", HOW_TO_PAGES, ids=lambda page: page.stem)
+def test_a_how_to_page_has_a_question_a_program_and_few_words(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    heading = text.partition("\n")[0].removeprefix("# ")
+    assert heading.endswith("?")
+    assert pages.search(heading.split())[0].topic == page.stem
+    assert len(text.split()) <= 600
+    programs = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert programs
+    assert [line for program in programs for line in program.split("\n") if len(line) > 88] == []
+    assert re.findall(r"^#+ .*$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE) == [
+        f"# {heading}"
+    ]
+
+
+def test_the_page_of_questions_lists_each_how_to_page_by_its_question() -> None:
     text = (ROOT / "docs" / "questions.md").read_text(encoding="utf-8")
-    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
-    assert len(sections) == len(QUESTIONS)
-    for section in sections:
-        heading = section.partition("\n")[0]
-        assert pages.search(heading.split())[0].heading == heading
-        assert len(section.split()) <= 600
-    headings = {pages.search(words.split())[0].heading for words, _ in QUESTIONS}
-    assert len(headings) == len(QUESTIONS), "no two questions have one answer"
+    listed = sorted(re.findall(r"^- \[(.*)\]\(how-to/(.*)\.md\)$", text, re.MULTILINE))
+    titles = pages.list_topics()
+    assert listed == sorted((titles[page.stem], page.stem) for page in HOW_TO_PAGES)
+    assert len(listed) >= 40
 
 
 def test_a_word_that_is_no_page_is_searched_and_a_misspelt_page_is_not(
@@ -175,7 +207,7 @@ def test_the_package_contains_the_pages(tmp_path: Path) -> None:
     build = load_setup().BuildWithPages(Distribution())
     build.build_lib = str(tmp_path)
     build.copy_pages()
-    built = sorted(file.stem for file in (tmp_path / "rhi" / "documentation").glob("*.md"))
+    built = sorted(file.stem for file in (tmp_path / "rhi" / "documentation").rglob("*.md"))
     assert built == PAGES
 
 

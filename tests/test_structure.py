@@ -23,7 +23,7 @@ PACKAGES = ("rhi", "rhi_pytest", "rhi_screen", "renderer")
 FOLDERS = ("rhi", "rhi_pytest", "rhi_screen", "renderer", "examples", "benchmarks", "tests")
 PAGES = [
     *sorted(ROOT.glob("*.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "examples").glob("*/README.md")),
 ]
 PROGRAMS = [

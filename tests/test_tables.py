@@ -57,8 +57,8 @@ def test_a_table_that_lacks_a_row_or_all_of_them_is_an_error(rows: dict[str, lis
 
 def test_each_mark_of_the_pages_has_a_figure() -> None:
     marks = [
-        (f"docs/{page.name}", name)
-        for page in (ROOT / "docs").glob("*.md")
+        (page.relative_to(ROOT).as_posix(), name)
+        for page in (ROOT / "docs").rglob("*.md")
         for name in re.findall(r"^<!-- table: (.*) -->$", page.read_text(), re.MULTILINE)
     ]
     assert sorted(marks) == sorted((figure.page, name) for name, figure in TABLES.items())
@@ -123,7 +123,7 @@ def list_lacking(text: str) -> list[str]:
     ]
 
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

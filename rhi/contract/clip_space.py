@@ -31,6 +31,11 @@ def convert_projection(projection: ArrayLike, *, reverse: bool = True) -> NDArra
 
     Raises:
         ValidationError: `device-argument` for another shape or numbers that aren't finite.
+
+    Examples:
+        >>> opengl = np.diag([1.0, 1.0, -1.0, 1.0])  # depth from -1 to 1, near at z = 1
+        >>> (rhi.convert_projection(opengl) @ (0, 0, 1, 1)).tolist()
+        [0.0, 0.0, 1.0, 1.0]
     """
     matrix = np.array(projection, np.float64)
     call = "rhi.convert_projection"

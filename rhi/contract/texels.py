@@ -197,12 +197,22 @@ def _limits(format: Format) -> np.iinfo[Any]:
 
 
 def to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the gamma-encoded values of linear light; both are 0 to 1 (IEC 61966-2-1)."""
+    """Return the gamma-encoded values of linear light; both are 0 to 1 (IEC 61966-2-1).
+
+    Examples:
+        >>> rhi.to_srgb(np.array([0.0, 0.5, 1.0])).round(3).tolist()
+        [0.0, 0.735, 1.0]
+    """
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the linear light of gamma-encoded values; both are 0 to 1 (IEC 61966-2-1)."""
+    """Return the linear light of gamma-encoded values; both are 0 to 1 (IEC 61966-2-1).
+
+    Examples:
+        >>> rhi.from_srgb(np.array([0.0, 0.5, 1.0])).round(3).tolist()
+        [0.0, 0.214, 1.0]
+    """
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 

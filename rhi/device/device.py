@@ -232,7 +232,15 @@ class Device(Encoder):
 
     @property
     def statistics(self) -> Statistics:
-        """A snapshot of the counters since creation or the last `reset_statistics`."""
+        """A snapshot of the counters since creation or the last `reset_statistics`.
+
+        Examples:
+            >>> device.reset_statistics()
+            >>> with device.render_pass(image), device.states(rhi.CullMode.NONE):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+            >>> device.statistics.software_state_changes
+            1
+        """
         core = self._core
         if get_ident() != core.thread:
             core.check_thread("device.statistics")
@@ -244,6 +252,11 @@ class Device(Encoder):
 
         These are the bytes of their elements and texels, the device's own rings included. What a driver adds for
         alignment, and what programs take, isn't known.
+
+        Examples:
+            >>> positions = device.buffer(256, np.float32, label="positions")
+            >>> device.memory().labels["buffers", "positions"]
+            1024
         """
         core = self._core
         core.check_ready()
@@ -261,6 +274,13 @@ class Device(Encoder):
 
         Raises:
             ValidationError: `device-not-recording` without a recorder.
+
+        Examples:
+            >>> device.stream.clear()
+            >>> with device.render_pass(image):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+            >>> device.stream.draws()[0]["count"]
+            3
         """
         if isinstance(self._backend, Recorder):
             return self._backend.stream
@@ -273,6 +293,11 @@ class Device(Encoder):
 
         Raises:
             ValidationError: `device-capability` if the backend is not a `kind`.
+
+        Examples:
+            >>> from rhi.backends.null import NullBackend
+            >>> device.backend_as(NullBackend).statistics.dispatches
+            0
         """
         if not isinstance(kind, type):
             ArgumentChecker("device.backend_as", self._core.refuse).fail(
@@ -308,6 +333,11 @@ class Device(Encoder):
 
         Numbers are little-endian on every device: an array of the other byte order is converted, and the
         buffer's dtype says so.
+
+        Examples:
+            >>> buffer = device.buffer(np.arange(4, dtype=np.float32), label="numbers")
+            >>> buffer.read().tolist()
+            [0.0, 1.0, 2.0, 3.0]
         """
         check = ArgumentChecker("device.buffer", self._core.refuse)
         if usage is BufferUsage.READBACK:
@@ -348,12 +378,24 @@ class Device(Encoder):
 
         The value says what it is bound as: `uniform(0.5)` as `Uniform[float]`, `uniform(1)` as
         `Uniform[int]`, an array of 4×4 floats as `Uniform[mat4]`, one of 3 floats as `Uniform[vec3]`.
+
+        Examples:
+            >>> tint = device.uniform(np.array([1.0, 0.0, 0.0, 1.0]))
+            >>> with device.render_pass(image):
+            ...     device.draw(program, mesh, tint=tint)
         """
         return UniformBuffer(self._core, value, label)
 
     @_creates
     def uniform_array(self, struct: type[S], count: int, *, label: str = "") -> UniformArray[S]:
-        """Create constants for `count` objects, written as one array and bound one by one as `array[i]`."""
+        """Create constants for `count` objects, written as one array and bound one by one as `array[i]`.
+
+        Examples:
+            >>> tints = device.uniform_array(Tint, 2)
+            >>> rows = np.zeros(2, tints.dtype)
+            >>> rows["color"] = (1, 0, 0, 1), (0, 1, 0, 1)
+            >>> tints.write(rows)  # then pass tints[0] and tints[1] to draws
+        """
         return UniformArray(self._core, struct, count, label)
 
     @_creates
@@ -368,6 +410,11 @@ class Device(Encoder):
             ValidationError: `layout-mismatch` if the array's dtype is not a struct's std430 dtype, or if
                 numbers don't
                 fit: whole ones are never rounded, floats never become whole.
+
+        Examples:
+            >>> numbers = device.storage(float, np.arange(100, dtype=np.float32))
+            >>> len(numbers)
+            100
         """
         core = self._core
         check = ArgumentChecker("device.storage", core.refuse)
@@ -416,6 +463,12 @@ class Device(Encoder):
         An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4
         texels. A device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to
         8 times the memory.
+
+        Examples:
+            >>> target = device.texture((64, 48), rhi.Format.RGBA16F, label="hdr")
+            >>> albedo = device.texture(np.zeros((32, 32, 4), np.uint8), rhi.Format.RGBA8_SRGB, levels=None)
+            >>> albedo.levels
+            6
         """
         check = ArgumentChecker("device.texture", self._core.refuse)
         if not isinstance(source, (tuple, list, np.ndarray)) and hasattr(source, "__array_interface__"):
@@ -502,6 +555,11 @@ class Device(Encoder):
             ValidationError: `texture-size` for images that are larger than a page, or too many of them;
                 `texture-format` for integers, depth, compressed textures, and formats that differ;
                 `device-capability` for a format that the device can't filter.
+
+        Examples:
+            >>> images = [np.zeros((height, width, 4), np.uint8) for width, height in ((30, 20), (5, 9))]
+            >>> device.texture_table(images, rhi.Format.RGBA8).sizes
+            ((30, 20), (5, 9))
         """
         return create_table(
             self._core,
@@ -552,7 +610,12 @@ class Device(Encoder):
         return sharing.name_texture(texture.id)
 
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
-        """Create a sampler, to read textures through: `texture.sampled(sampler)`."""
+        """Create a sampler, to read textures through: `texture.sampled(sampler)`.
+
+        Examples:
+            >>> nearest = device.sampler(rhi.SamplerDescriptor(rhi.Filter.NEAREST, rhi.Filter.NEAREST))
+            >>> binding = image.sampled(nearest)
+        """
         self._core.check_open()
         check = ArgumentChecker("device.sampler", self._core.refuse)
         check.instance("descriptor", descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
@@ -579,6 +642,11 @@ class Device(Encoder):
 
         Raises:
             ValidationError: `mesh-data` (not structured, empty, NaN), `mesh-index` (out of range).
+
+        Examples:
+            >>> corners = {"position": np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32)}
+            >>> device.mesh(corners, np.array([0, 1, 2, 0, 2, 3], np.uint16)).count
+            6
         """
         check = ArgumentChecker("device.mesh", self._core.refuse)
         check.choice("primitive", primitive, Primitive)
@@ -598,6 +666,10 @@ class Device(Encoder):
 
         Raises:
             ShaderError: the shader does not type-check, or the driver refuses it.
+
+        Examples:
+            >>> device.program(Flat) is device.program(Flat)
+            True
         """
         self._core.check_open()
         if not isinstance(shader, ProgramDescriptor) and not (
@@ -666,6 +738,10 @@ class Device(Encoder):
 
         Raises:
             ValidationError: as the draw would; nothing was begun then.
+
+        Examples:
+            >>> prepared = device.prepare(program, mesh, targets=[rhi.Format.RGBA8])
+            >>> prepared.result()
         """
         plans = [DrawPlan(program, mesh, targets, states)] if isinstance(program, Program) else program
         self._core.check_ready()
@@ -685,6 +761,12 @@ class Device(Encoder):
 
         It records passes, states, draws, dispatches and so on with the methods of a device, on any thread,
         one thread per buffer. `label` is put on all of its commands.
+
+        Examples:
+            >>> with device.record(label="background") as commands:
+            ...     with commands.render_pass(image, clear=(0, 0, 0, 1)):
+            ...         commands.draw(program, mesh, tint=(1, 0, 0, 1))
+            >>> device.submit(commands)
         """
         self._core.check_open()
         ArgumentChecker("device.record", self._core.refuse).text("label", label)
@@ -715,7 +797,15 @@ class Device(Encoder):
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self) -> int:
-        """Signal the fence at this point of the command stream; return the value to `wait` for."""
+        """Signal the fence at this point of the command stream; return the value to `wait` for.
+
+        Examples:
+            >>> value = device.signal()
+            >>> device.wait(value)
+            True
+            >>> device.completed >= value
+            True
+        """
         self._core.check_ready()
         return self._core.signal()
 
@@ -770,14 +860,30 @@ class Device(Encoder):
 
     @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
-        """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
+        """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2).
+
+        Examples:
+            >>> query = device.occlusion_query()
+            >>> with device.render_pass(image), query:
+            ...     device.draw(program, mesh, tint=(1, 1, 1, 1))
+            >>> query.wait()  # of a device that draws: the samples
+            100
+        """
         check = ArgumentChecker("device.occlusion_query", self._core.refuse)
         return OcclusionQuery(self._core, check.flag("emulated", emulated))
 
     @_creates
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
         """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…,
-        queries)`."""
+        queries)`.
+
+        Examples:
+            >>> queries = device.query_set(8)
+            >>> with device.render_pass(image):
+            ...     device.draw_counted(program, mesh, mesh.draws([0, 0], 3), queries, tint=(1, 1, 1, 1))
+            >>> queries.wait()[:3].tolist()  # -1: not used
+            [100, 100, -1]
+        """
         check = ArgumentChecker("device.query_set", self._core.refuse)
         return QuerySet(
             self._core, check.integer("size", size, 0, MAX_QUERIES), check.flag("emulated", emulated)
@@ -800,7 +906,17 @@ class Device(Encoder):
 
     @property
     def timers(self) -> list[TimerNode]:
-        """The event tree of the latest frame whose timestamps are available."""
+        """The event tree of the latest frame whose timestamps are available.
+
+        Examples:
+            >>> with rhi.create_device("null", timing=True) as timed:
+            ...     with timed.event("frame"):
+            ...         pass
+            ...     timed.present()
+            ...     timed.finish()
+            ...     [node.name for node in timed.timers]
+            ['frame']
+        """
         if not self._core.closed:
             self._core.check_ready()
             self._timers.collect()
@@ -817,6 +933,11 @@ class Device(Encoder):
         Raises:
             ValidationError: `pass-open` inside a render pass, `scope-open` inside any other scope, whose end
                 would belong to another frame.
+
+        Examples:
+            >>> with device.render_pass(image, clear=(0, 0, 0, 1)):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+            >>> device.present(image)
         """
         core = self._core
         core.check_ready()

@@ -96,12 +96,24 @@ class Encoder(DeviceObject):
                 contents).
             clear_depth: 0 is far and 1 near under reversed depth; None keeps the contents.
             resolve: single-sampled textures that receive the averaged samples at the end.
+
+        Examples:
+            >>> depth = device.texture((64, 48), rhi.Format.D32F)
+            >>> with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
         """
         return RenderPass(self._core, color, depth, clear, clear_depth, clear_stencil, resolve, label)
 
     def states(self, *states: State) -> StateScope:
         """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its
-        end."""
+        end.
+
+        Examples:
+            >>> with device.render_pass(image):
+            ...     with device.states(rhi.CullMode.NONE, rhi.BlendFunction.ALPHA):
+            ...         device.draw(program, mesh, tint=(1, 0, 0, 0.5))
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))  # with the earlier states
+        """
         scope = self._scope_type()  # as `StateCache.scope`, without its call
         scope.cache = self._states
         scope.states = states
@@ -110,7 +122,14 @@ class Encoder(DeviceObject):
 
     def event(self, label: str) -> EventScope:
         """Create an event: `with device.event("shadows"):` labels and, with timing on, times the commands
-        inside."""
+        inside.
+
+        Examples:
+            >>> with device.event("shadows"), device.render_pass(image):
+            ...     device.draw(program, mesh, tint=(0, 0, 0, 1))
+            >>> device.stream.draws()[-1].labels
+            ('shadows',)
+        """
         return EventScope(self._core, self._timers, label)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
@@ -118,6 +137,13 @@ class Encoder(DeviceObject):
         nothing.
 
         Only one condition can be open at a time. `inverted` skips draws if the query counted something.
+
+        Examples:
+            >>> query = device.occlusion_query()
+            >>> with device.render_pass(image), query:
+            ...     device.draw(program, mesh, tint=(1, 1, 1, 1))
+            >>> with device.render_pass(image), device.conditional(query):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
         """
         return Conditional(self._core, query, inverted)
 
@@ -131,6 +157,11 @@ class Encoder(DeviceObject):
         Raises:
             ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
                 `lock-open`, `pass-feedback`; nothing is drawn or bound then.
+
+        Examples:
+            >>> with device.render_pass(image):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+            ...     device.draw(program, mesh, 3, tint=(0, 1, 0, 1))  # three instances
         """
         raise NotImplementedError
 
@@ -141,6 +172,11 @@ class Encoder(DeviceObject):
 
         The array is copied into transient memory. Shaders tell the draws apart by `instance_index()` (which
         counts from `base_instance`) or `draw_index()`.
+
+        Examples:
+            >>> draws = mesh.draws([0, 0], 3, instances=[5, 7])
+            >>> with device.render_pass(image):
+            ...     device.draw_many(program, mesh, draws, tint=(1, 0, 0, 1))
         """
         call = f"{self.NAME}.draw_many"
         resolved, array = self._check_draws(program, mesh, draws, call)
@@ -176,6 +212,11 @@ class Encoder(DeviceObject):
 
         Raises:
             ValidationError: the errors of `draw` and `draw_many`; nothing is drawn or bound then.
+
+        Examples:
+            >>> rectangles = [(0, 0, 32, 48), (32, 0, 32, 48)]
+            >>> with device.render_pass(image):
+            ...     device.draw_clipped(program, mesh, mesh.draws([0, 0], 3), rectangles, tint=(1, 0, 0, 1))
         """
         call = f"{self.NAME}.draw_clipped"
         resolved, array = self._check_draws(program, mesh, draws, call)
@@ -249,6 +290,13 @@ class Encoder(DeviceObject):
             ValidationError: `query-indices`, also for a query that the latest `draw_counted` didn't use;
                 `query-state` if there was none; `device-capability` for an emulated set; `condition-nested`
                 inside another condition; and the errors of `draw_many`; nothing is drawn or bound then.
+
+        Examples:
+            >>> queries = device.query_set(2)
+            >>> draws = mesh.draws([0, 0], 3)
+            >>> with device.render_pass(image):
+            ...     device.draw_counted(program, mesh, draws, queries, tint=(1, 1, 1, 1))
+            ...     device.draw_conditional(program, mesh, draws, queries, tint=(1, 0, 0, 1))
         """
         call = f"{self.NAME}.draw_conditional"
         resolved, array = self._check_draws(program, mesh, draws, call)
@@ -317,7 +365,13 @@ class Encoder(DeviceObject):
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Draw with arguments that the GPU reads from a buffer when it executes the command."""
+        """Draw with arguments that the GPU reads from a buffer when it executes the command.
+
+        Examples:
+            >>> arguments = device.buffer(mesh.draws([0], 3, instances=[2]))
+            >>> with device.render_pass(image):
+            ...     device.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, 1), tint=(1, 0, 0, 1))
+        """
         call = f"{self.NAME}.draw_indirect"
         resolved = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call)
@@ -352,6 +406,10 @@ class Encoder(DeviceObject):
         """Dispatch `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
 
         Its writes are visible to all later commands; no barrier is needed.
+
+        Examples:
+            >>> numbers = device.storage(float, np.ones(100, np.float32))
+            >>> device.dispatch(device.program(Double), 2, numbers=numbers)  # two groups of 64
         """
         call = f"{self.NAME}.dispatch"
         resolved = self._resolve_program(program, call)
@@ -396,6 +454,12 @@ class Encoder(DeviceObject):
         """Create an immediate-mode block: `with device.immediate(program, Primitive.QUADS, …) as quads:`
 
         The vertices that are added inside are drawn at its end.
+
+        Examples:
+            >>> with device.render_pass(image):
+            ...     with device.immediate(program, rhi.Primitive.TRIANGLES, tint=(1, 0, 0, 1)) as triangles:
+            ...         for position in ((-1, -1), (1, -1), (0, 1)):
+            ...             triangles.vertex(position=position)
         """
         call = f"{self.NAME}.immediate"
         resolved = self._resolve_program(program, call)
@@ -404,7 +468,13 @@ class Encoder(DeviceObject):
 
     @property
     def transient(self) -> TransientMemory:
-        """Memory for constants and vertices that live for this frame, or as long as this command buffer."""
+        """Memory for constants and vertices that live for this frame, or as long as this command buffer.
+
+        Examples:
+            >>> corners = {"position": np.array([(-1, -1), (1, -1), (0, 1)], np.float32)}
+            >>> with device.render_pass(image):
+            ...     device.draw(program, device.transient.mesh(program, corners), tint=(1, 0, 0, 1))
+        """
         return self._transient
 
     # -- inside ------------------------------------------------------------------------------------------

@@ -68,7 +68,12 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 
 def backend_names() -> list[str]:
-    """Return the names of the installed backends, in the order in which they are tried."""
+    """Return the names of the installed backends, in the order in which they are tried.
+
+    Examples:
+        >>> "null" in rhi.backend_names()
+        True
+    """
     names = list(_entry_points())
     first = [name for name in PREFERENCE if name in names]
     return first + sorted(set(names) - set(first) - {"null"}) + [name for name in names if name == "null"]
@@ -103,6 +108,11 @@ def create_device(
         ValidationError: `device-argument` for an option that the backend doesn't have.
         DeviceError: `device-unknown` if no backend has this name, `device-driver` if its driver
             can't be used, with a tip about what to install.
+
+    Examples:
+        >>> with rhi.create_device("null") as null:
+        ...     null.backend_name
+        'null'
     """
     check = ArgumentChecker("rhi.create_device")
     if name is not None:

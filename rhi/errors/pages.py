@@ -15,6 +15,8 @@ from typing import Final
 _PACKAGE: Final = Path(__file__).parents[1]
 _FOLDERS: Final = (_PACKAGE / "documentation", _PACKAGE.parent / "docs")
 """Where the pages lie: in an installed package, and in a checkout."""
+_INDEXES: Final = ("contents", "questions")
+"""Topics of pages that only list others, which a search doesn't look through."""
 _HTML: Final = """\
 <!doctype html>
 <meta charset="utf-8">
@@ -93,9 +95,9 @@ class UnknownPageError(LookupError):
 def list_topics() -> dict[str, str]:
     """Return the title of each page by its topic: the name of its file, such as "traces"."""
     titles: dict[str, str] = {}
-    for file in sorted(_folder().glob("*.md"), key=lambda file: file.stem):
+    for topic, file in _list_files().items():
         first = file.read_text(encoding="utf-8").partition("\n")[0]
-        titles[file.stem] = first.removeprefix("#").strip()
+        titles[topic] = first.removeprefix("#").strip()
     return titles
 
 
@@ -108,8 +110,8 @@ def read_page(topic: str) -> str:
     Raises:
         UnknownPageError: there is no such page, or several.
     """
-    topics = list_topics()
-    topic = topic.removeprefix("docs/").removesuffix(".md").lower()
+    topics = _list_files()
+    topic = re.sub(r"^(docs/)?(([a-z-]+)/)?", "", topic).removesuffix(".md").lower()
     matches = [topic] if topic in topics else [name for name in topics if topic and name.startswith(topic)]
     if len(matches) != 1:
         close = matches or get_close_matches(topic, topics, 3)
@@ -117,11 +119,11 @@ def read_page(topic: str) -> str:
         raise UnknownPageError(
             f"there is no page {topic!r}; {hint}`python -m rhi docs` lists the topics", close
         )
-    return (_folder() / f"{matches[0]}.md").read_text(encoding="utf-8")
+    return topics[matches[0]].read_text(encoding="utf-8")
 
 
 def search(words: Sequence[str]) -> list[Section]:
-    """Return the sections that have most of some words, the best first.
+    """Return the sections that have most of some words, the best first, but not those of lists of pages.
 
     A word counts wherever it begins one, in capitals or not, and twice in a heading or a page's title. Long
     tables have many words, headings few that matter. Words such as "how" don't count beside others.
@@ -155,10 +157,12 @@ def _stem(word: str) -> str:
 
 def _list_sections() -> Iterator[Section]:
     """Split all pages at their headings, but not at comments of programs."""
-    for topic in list_topics():
+    for topic, file in _list_files().items():
+        if topic in _INDEXES:
+            continue
         heading, in_program = "", False
         lines: list[str] = []
-        page = (_folder() / f"{topic}.md").read_text(encoding="utf-8")
+        page = file.read_text(encoding="utf-8")
         for line in [*page.splitlines(), "# "]:
             in_program ^= line.startswith("```")
             if line.startswith("#") and not in_program:
@@ -174,6 +178,11 @@ def write_html(text: str) -> Path:
     file = Path(mkdtemp(prefix="rhi-docs-")) / "page.html"
     file.write_text(_HTML.format(title=escape(title), text=escape(text)), encoding="utf-8")
     return file
+
+
+def _list_files() -> dict[str, Path]:
+    """Return the file of each topic, in the order of their names."""
+    return {file.stem: file for file in sorted(_folder().rglob("*.md"), key=lambda file: file.stem)}
 
 
 def _folder() -> Path:

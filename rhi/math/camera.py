@@ -174,6 +174,11 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
 
     Raises:
         ValidationError: `camera-bad-value` if the eye is the target, or for numbers that aren't finite.
+
+    Examples:
+        >>> matrix = look_at((0, 0, 5), (0, 0, 0))
+        >>> (matrix @ (0, 0, 0, 1)).tolist()  # five units in front of the eye
+        [0.0, 0.0, -5.0, 1.0]
     """
     return Camera.look_at(eye, target, up).view.copy()
 
@@ -189,6 +194,10 @@ def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0
 
     Raises:
         ValidationError: `camera-bad-value` for a distance that isn't above 0.
+
+    Examples:
+        >>> orbit((0, 0, 0), 5.0).shape
+        (4, 4)
     """
     check_real("orbit", distance=distance, yaw=yaw, pitch=pitch)
     middle = read_floats("orbit(target=...)", target, 3, rule=CAMERA_VALUE)

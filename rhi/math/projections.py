@@ -136,6 +136,12 @@ def perspective(
 
     Raises:
         ValidationError: `camera-bad-value` for a value out of its range.
+
+    Examples:
+        >>> matrix = perspective(np.radians(60), 4 / 3, near=0.1)
+        >>> clip = matrix @ (0, 0, -0.1, 1)
+        >>> float(clip[2] / clip[3])  # depth is reversed: near is 1
+        1.0
     """
     return Perspective(fov, aspect, near, far, depth).matrix.copy()
 

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 def make_cube() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
     """Return a cube: (24, 3) positions from -1 to 1, (24, 3) normals, (24, 2) texture coordinates and 36
-    indices."""
+    indices.
+
+    Examples:
+        >>> positions, normals, uvs, indices = make_cube()
+        >>> positions.shape, indices.size
+        ((24, 3), 36)
+    """
     positions, normals = np.zeros((24, 3), np.float32), np.zeros((24, 3), np.float32)
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float32)
     for face in range(6):

@@ -27,7 +27,12 @@ def freeze(array: A) -> A:
 
 
 def translation(offset: ArrayLike) -> Floats:
-    """Return matrices (..., 4, 4) that translate by `offset` (..., 3)."""
+    """Return matrices (..., 4, 4) that translate by `offset` (..., 3).
+
+    Examples:
+        >>> (translation((1, 2, 3)) @ (0, 0, 0, 1)).tolist()
+        [1.0, 2.0, 3.0, 1.0]
+    """
     moved = read_floats("translation(offset=...)", offset, 3)
     matrix = _identity(moved.shape[:-1])
     matrix[..., :3, 3] = moved
@@ -35,7 +40,12 @@ def translation(offset: ArrayLike) -> Floats:
 
 
 def scaling(factors: ArrayLike) -> Floats:
-    """Return matrices (..., 4, 4) that scale the axes by `factors` (..., 3)."""
+    """Return matrices (..., 4, 4) that scale the axes by `factors` (..., 3).
+
+    Examples:
+        >>> (scaling((2, 2, 2)) @ (1, 1, 1, 1)).tolist()
+        [2.0, 2.0, 2.0, 1.0]
+    """
     scaled = read_floats("scaling(factors=...)", factors, 3)
     matrix = _identity(scaled.shape[:-1])
     for axis in range(3):
@@ -45,7 +55,12 @@ def scaling(factors: ArrayLike) -> Floats:
 
 def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
     """Return matrices (..., 4, 4) that rotate by `angle` (...) radians about the unit `axis` (3,),
-    right-handed."""
+    right-handed.
+
+    Examples:
+        >>> (rotation((0, 1, 0), np.pi / 2) @ (0, 0, 1, 1)).round(6).tolist()
+        [1.0, 0.0, 0.0, 1.0]
+    """
     about = read_floats("rotation(axis=...)", axis, 3)
     if about.ndim != 1:
         refuse(DEVICE_ARGUMENT, "rotation(axis=...)", f"shape {about.shape}", "shape (3,)")

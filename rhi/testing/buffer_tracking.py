@@ -53,6 +53,13 @@ def binding_data(command: Command, name: str) -> Any:
 
     Raises:
         UnknownDataError: there is no such binding, or its contents can't be derived from the stream.
+
+    Examples:
+        >>> tint = device.uniform(Tint(color=(1, 0, 0, 1)))
+        >>> with device.render_pass(image):
+        ...     device.draw(device.program(Tinted), mesh, tint=tint)
+        >>> binding_data(device.stream.draws()[-1], "tint")["color"].tolist()
+        [1.0, 0.0, 0.0, 1.0]
     """
     checker("binding_data").text("name", name)
     return BufferTracker(read_command("binding_data", command).stream).read_binding(command, name)

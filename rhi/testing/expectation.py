@@ -51,13 +51,32 @@ from rhi.testing.work import Costs, cost_of, total_costs
 
 def expect(commands: Commands | Device) -> Expectation:
     """Begin an expectation on a stream, a part of it such as `frames(stream)[i]`, or the stream of a
-    device."""
+    device.
+
+    Examples:
+        >>> device.stream.clear()
+        >>> with device.event("sun"), device.render_pass(image), device.states(rhi.CullMode.FRONT):
+        ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+        >>> draws = expect(device).draws(program="Flat").within("sun")
+        >>> len(draws.with_states(rhi.CullMode.FRONT).exactly(1))
+        1
+    """
     return Expectation(read_commands("expect", "commands", commands), ())
 
 
 def frames(commands: Commands | Device) -> list[Commands]:
     """Split commands into frames, each ending with its `present`; commands after the last `present` are left
-    out."""
+    out.
+
+    Examples:
+        >>> device.stream.clear()
+        >>> for _ in range(2):
+        ...     with device.render_pass(image, clear=(0, 0, 0, 1)):
+        ...         pass
+        ...     device.present(image)
+        >>> len(frames(device))
+        2
+    """
     whole = read_commands("frames", "commands", commands)
     result, start = [], 0
     for end, command in enumerate(whole, 1):
@@ -138,6 +157,12 @@ class Expectation:
 
         Unknown contents (last written on the device, or before the stream) don't match; the message
         says so.
+
+        Examples:
+            >>> device.stream.clear()
+            >>> with device.render_pass(image):
+            ...     device.draw(device.program(Tinted), mesh, tint=Tint(color=(1, 0, 0, 1)))
+            >>> matches = expect(device).draws().with_data("tint", {"color": (1, 0, 0, 1)}).exactly(1)
         """
         checker("with_data").instance(
             "expected", expected, (Mapping, Struct), "a struct's value, or numbers by name"
@@ -235,7 +260,11 @@ class Expectation:
         return commands
 
     def exactly(self, number: int) -> Commands:
-        """Assert that exactly `number` commands match, and return them."""
+        """Assert that exactly `number` commands match, and return them.
+
+        Examples:
+            >>> matches = expect(device).draws(program="NoSuchProgram").exactly(0)
+        """
         number = checker("exactly").integer("number", number, 0)
         return self._assert_number(f"exactly {number}", number, number)
 
@@ -281,6 +310,12 @@ class Expectation:
 
         For a frame, `expect(frames(stream)[1]).costs(…)`; for a label,
         `expect(stream).within("sun").costs(…)`.
+
+        Examples:
+            >>> device.stream.clear()
+            >>> with device.render_pass(image):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+            >>> costs = expect(device).draws().costs(max_draws=1)
         """
         budget = {
             "draws": max_draws,

@@ -82,6 +82,12 @@ def explain_invisible_draw(draw: Command) -> list[Cause]:
         AssertionError: the command isn't a draw.
         ValidationError: `assertion-argument` for what is no command, `command-cleared` if the stream has been
             cleared since the draw.
+
+    Examples:
+        >>> with device.render_pass(image), device.states(rhi.Scissor(0, 0, 0, 0)):
+        ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+        >>> explain_invisible_draw(device.stream.draws()[-1])[0].subject
+        'Scissor'
     """
     if read_command("explain_invisible_draw", draw).op not in DRAWS:
         fail(f"a {draw.op.method} is not a draw")

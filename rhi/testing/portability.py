@@ -86,6 +86,14 @@ def check_portability(
     Raises:
         RhiError: the frame breaks a rule on a device that can do everything, or a profile refuses a call for
             a reason that no single capability removes.
+
+    Examples:
+        >>> def frame(tested):
+        ...     target = tested.texture((8, 8), rhi.Format.RGBA8)
+        ...     with tested.render_pass(target, clear=(0, 0, 0, 1)):
+        ...         pass
+        >>> "webgpu" in check_portability(frame).runs_on
+        True
     """
     check = checker("check_portability")
     if not callable(frame) or isinstance(frame, type):

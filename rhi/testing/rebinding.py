@@ -65,6 +65,13 @@ def why_bound(command: Command) -> BoundBecause:
 
     Raises:
         ValidationError: `assertion-argument` for any other command.
+
+    Examples:
+        >>> for _ in range(2):
+        ...     with device.render_pass(image):
+        ...         device.draw(program, mesh, tint=(1, 0, 0, 1))
+        >>> why_bound(device.stream.filter(rhi.Op.BIND_PROGRAM)[-1]).reason.name
+        'NEW_PASS'
     """
     read_command("why_bound", command)
     if command.op not in _BINDS:
@@ -92,7 +99,13 @@ def why_bound(command: Command) -> BoundBecause:
 def needless_bindings(commands: Commands | Device) -> list[BoundBecause]:
     """Return the commands that bind what is bound already: draws that are passed a new object for the same
     range, texture or image each time. `print(*needless_bindings(device), sep="\\\\n")` shows them with their
-    lines."""
+    lines.
+
+    Examples:
+        >>> device.stream.clear()
+        >>> needless_bindings(device)
+        []
+    """
     selected = read_commands("needless_bindings", "commands", commands)
     reasons = (why_bound(command) for command in selected.filter(frozenset(_KINDS)))
     return [reason for reason in reasons if reason.reason is BindReason.NEEDLESS]

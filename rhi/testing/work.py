@@ -88,6 +88,15 @@ def count_work(device: Device) -> Iterator[Work]:
 
     Raises:
         ValidationError: `device-not-recording` if the device doesn't record.
+
+    Examples:
+        >>> with count_work(device) as work:
+        ...     with device.render_pass(image):
+        ...         for _ in range(10):
+        ...             with device.states(rhi.DepthWrite.OFF):
+        ...                 device.draw(program, mesh, tint=(1, 0, 0, 1))
+        >>> work.requested.states, work.issued.states
+        (10, 1)
     """
     checker("count_work").instance("device", device, Device, "a device")
     stream, start, before = device.stream, len(device.stream), device.statistics

@@ -112,7 +112,12 @@ _FENCES: Final = frozenset({Op.SIGNAL, Op.WAIT})
 
 
 def diff(a: TraceSource, b: TraceSource) -> Differences:
-    """Return the differences of trace `b` from trace `a`, or of one part of a stream from another."""
+    """Return the differences of trace `b` from trace `a`, or of one part of a stream from another.
+
+    Examples:
+        >>> len(diff(device, device))
+        0
+    """
     programs = _ProgramKeys()
     left, right = _Side(_select(a), programs), _Side(_select(b), programs)
     differences: list[Difference] = []

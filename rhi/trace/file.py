@@ -105,6 +105,11 @@ def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> N
 
     Raises:
         ValidationError: `trace-incomplete` if the stream was cleared or its recording paused.
+
+    Examples:
+        >>> save(device, "frame.zip")
+        >>> len(load("frame.zip").stream) == len(device.stream)
+        True
     """
     trace = as_trace(source)
     with ArchiveWriter(Path(path)) as writer:
@@ -209,6 +214,11 @@ def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES, trusted: bool
     Raises:
         ValidationError: the file is damaged, too large, or not a trace (rules `trace-…`).
         OSError: the file can't be opened.
+
+    Examples:
+        >>> save(device, "frame.zip")
+        >>> trace = load("frame.zip")
+        >>> draws = trace.stream.draws()
     """
     with ArchiveReader(Path(path), max_bytes) as reader:
         return _Loader(reader, Path(path).name, trusted).load()

@@ -75,6 +75,17 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
             command was executed then.
         ValidationError: `trace-reference` for indirect arguments of a file that reach beyond what exists.
         RhiError: the error of a command that succeeded when it was recorded. A note names the command.
+
+    Examples:
+        >>> with rhi.create_device("null") as recorded:
+        ...     target = recorded.texture((4, 4), rhi.Format.RGBA8)
+        ...     with recorded.render_pass(target, clear=(1, 0, 0, 1)):
+        ...         pass
+        ...     recorded.present(target)
+        ...     save(recorded, "red.zip")
+        >>> with rhi.create_device("null") as other:
+        ...     replay(load("red.zip"), on=other).image[0, 0].tolist()
+        [255, 0, 0, 255]
     """
     trace = as_trace(source)
     core = on._core

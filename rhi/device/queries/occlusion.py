@@ -109,6 +109,15 @@ class PendingQuery(DeviceObject, Generic[T]):
         Raises:
             DeviceError: `device-no-answer` if it is not available 10 s after the GPU has passed the query's
                 end.
+
+        Examples:
+            >>> query = device.occlusion_query()
+            >>> with device.render_pass(image), query:
+            ...     device.draw(program, mesh, tint=(1, 1, 1, 1))
+            >>> query.wait()
+            100
+            >>> query.is_finished
+            True
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.wait"

@@ -118,7 +118,13 @@ class Buffer(ArrayExchange, Resource):
             retire(self)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """Return a copy of `count` elements from `first` on; waits for work that may write them."""
+        """Return a copy of `count` elements from `first` on; waits for work that may write them.
+
+        Examples:
+            >>> buffer = device.buffer(np.arange(8))
+            >>> buffer.read(2, 3).tolist()
+            [2, 3, 4]
+        """
         first, count = self._range("Buffer.read", first, count)
         return self._download(first, count)
 
@@ -147,6 +153,12 @@ class Buffer(ArrayExchange, Resource):
 
         Raises:
             ValidationError: `buffer-dtype` for another dtype, `buffer-range` beyond the end.
+
+        Examples:
+            >>> buffer = device.buffer(4, np.float32)
+            >>> buffer.write(np.array([7, 8], np.float32), first=2)
+            >>> buffer.read().tolist()
+            [0.0, 0.0, 7.0, 8.0]
         """
         if (  # the usual case, in a quarter of the calls that `_match` and `_range` take
             data.__class__ is np.ndarray
@@ -169,7 +181,15 @@ class Buffer(ArrayExchange, Resource):
         self._upload(array, first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """Create a lock: `with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
+        """Create a lock: `with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements.
+
+        Examples:
+            >>> buffer = device.buffer(np.arange(4))
+            >>> with buffer.lock(rhi.Access.READ_WRITE, first=1, count=2) as numbers:
+            ...     numbers *= 10
+            >>> buffer.read().tolist()
+            [0, 10, 20, 3]
+        """
         ArgumentChecker("Buffer.lock", self.core.refuse).choice("access", access, Access)
         first, count = self._range("Buffer.lock", first, count)
         return Lock(
@@ -181,7 +201,14 @@ class Buffer(ArrayExchange, Resource):
         )
 
     def clear(self, value: int = 0) -> None:
-        """Fill the buffer with a 32-bit pattern; the size must be a multiple of 4 bytes."""
+        """Fill the buffer with a 32-bit pattern; the size must be a multiple of 4 bytes.
+
+        Examples:
+            >>> buffer = device.buffer(np.arange(3, dtype=np.uint32))
+            >>> buffer.clear(9)
+            >>> buffer.read().tolist()
+            [9, 9, 9]
+        """
         self._clear(self.core, value)
 
     def copy_to(
@@ -322,6 +349,11 @@ class UniformBuffer(UniformRange[T], Resource):
         Raises:
             ValidationError: `layout-mismatch` for a value of another type, `shading-struct-value` for a field
                 that the struct doesn't have or that doesn't take its value; then nothing is written.
+
+        Examples:
+            >>> tint = device.uniform(Tint(color=(1, 0, 0, 1)))
+            >>> tint.write(Tint(color=(0, 1, 0, 1)))
+            >>> tint.write(color=(0, 0, 1, 1))  # one field; others stay as they are
         """
         core, call = self.owner.core, "UniformBuffer.write"
         if value.__class__ is self.type and isinstance(value, Struct) and not fields:
@@ -438,7 +470,12 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
         return self.read()
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """Return a copy of elements; waits for work that may write them."""
+        """Return a copy of elements; waits for work that may write them.
+
+        Examples:
+            >>> device.storage(int, [1, 2, 3]).read(1).tolist()
+            [2, 3]
+        """
         return self._typed().read(first, count)
 
     def read_async(self, first: int = 0, count: int | None = None) -> Readback:
@@ -447,7 +484,14 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
 
     def write(self, values: ArrayLike, first: int = 0) -> None:
         """Replace elements from `first` on. `values` is an array as for `Device.storage`; `layout-mismatch`
-        for anything else."""
+        for anything else.
+
+        Examples:
+            >>> numbers = device.storage(int, 4)
+            >>> numbers.write([7, 8], first=2)
+            >>> numbers.read().tolist()
+            [0, 0, 7, 8]
+        """
         owner, dtype = self.owner, self.dtype
         if owner.dtype != dtype:
             self._refuse_type()

@@ -82,6 +82,11 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
     Raises:
         ValidationError: `image-file` if the source is no readable image of these formats.
         DeviceError: `image-library` without Pillow.
+
+    Examples:
+        >>> device.texture(np.full((2, 3, 4), 200, np.uint8)).save("grey.png")
+        >>> rhi.load_image("grey.png").shape
+        (2, 3, 4)
     """
     call = "rhi.load_image"
     image = open_image(source, max_pixels=max_pixels, call=call)

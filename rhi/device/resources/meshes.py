@@ -386,6 +386,11 @@ class Drawable(DeviceObject):
 
         Raises:
             ValidationError: `mesh-range` if the part reaches beyond the indices or vertices.
+
+        Examples:
+            >>> first = mesh.view(0, 3)  # vertices 0 to 2
+            >>> with device.render_pass(image):
+            ...     device.draw(program, first, tint=(1, 0, 0, 1))
         """
         core = self.core
         total = self.element_count
@@ -421,6 +426,10 @@ class Drawable(DeviceObject):
 
         Returns:
             (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
+
+        Examples:
+            >>> mesh.draws([0, 0], 3, instances=[5, 7])["instances"].tolist()
+            [5, 7]
         """
         core = self.core
         total = self.element_count

@@ -172,7 +172,15 @@ class Texture(TextureBinding, ArrayExchange, Resource):
     # -- parts -------------------------------------------------------------------------------------------
 
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
-        """Return one level and layer as a render target."""
+        """Return one level and layer as a render target.
+
+        Examples:
+            >>> layers = device.texture((16, 16), rhi.Format.RGBA8, kind=rhi.TextureKind.D2_ARRAY, layers=4)
+            >>> with device.render_pass(layers.at(layer=2), clear=(1, 1, 1, 1)):
+            ...     pass
+            >>> layers.read(layer=2)[0, 0].tolist()
+            [255, 255, 255, 255]
+        """
         level, layer = self._check("Texture.at", level, layer)
         self.core.require("Texture.at", limits.plain_faults(self.requested))
         return TextureTarget(self, level, layer)
@@ -182,6 +190,11 @@ class Texture(TextureBinding, ArrayExchange, Resource):
 
         It is the same object as long as a program or a variable refers to it, so draws that call this again
         bind nothing again.
+
+        Examples:
+            >>> nearest = rhi.SamplerDescriptor(rhi.Filter.NEAREST, rhi.Filter.NEAREST)
+            >>> with device.render_pass(image):
+            ...     device.draw(device.program(Show), device.mesh(3), albedo=albedo.sampled(nearest))
         """
         core, call = self.core, "Texture.sampled"
         self._check(call)
@@ -236,6 +249,12 @@ class Texture(TextureBinding, ArrayExchange, Resource):
         """Return one layer: (height, width, channels), or (height, width) for one channel; top row first.
 
         Waits for the device. Depth is read as float32. A packed format has one number per texel.
+
+        Examples:
+            >>> with device.render_pass(image, clear=(1, 0.5, 0, 1)):
+            ...     pass
+            >>> image.read()[0, 0].tolist()  # the top left texel
+            [255, 128, 0, 255]
         """
         level, where = self._region("Texture.read", level, layer, region)
         texels = self._read("Texture.read", level, where, False)
@@ -250,6 +269,9 @@ class Texture(TextureBinding, ArrayExchange, Resource):
         Raises:
             ValidationError: `texture-format` for integers, `image-file` for an ending that isn't known.
             DeviceError: `image-library` without Pillow.
+
+        Examples:
+            >>> image.save("frame.png")
         """
         if not isinstance(path, (str, Path)):
             ArgumentChecker("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
@@ -286,6 +308,11 @@ class Texture(TextureBinding, ArrayExchange, Resource):
         """Begin to read one layer, as `read` does, and return its future at once.
 
         Without `capabilities.texture_buffer_copies` the texels are read now, and the future is done.
+
+        Examples:
+            >>> read = image.read_async()
+            >>> read.result().shape
+            (48, 64, 4)
         """
         call, core = "Texture.read_async", self.core
         self.core.require(call, limits.plain_faults(self.requested))
@@ -316,6 +343,11 @@ class Texture(TextureBinding, ArrayExchange, Resource):
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
                 `texture-format` for depth, `texture-samples` for multi-sampled textures.
+
+        Examples:
+            >>> image.write(np.full((8, 8, 4), 255, np.uint8), x=16, y=8)
+            >>> image.read()[8, 16].tolist()
+            [255, 255, 255, 255]
         """
         call = "Texture.write"
         check = ArgumentChecker(call, self.core.refuse)
@@ -397,6 +429,13 @@ class Texture(TextureBinding, ArrayExchange, Resource):
         """Generate mip levels 1…, each from the one above, by a box filter in linear light.
 
         A texel is the mean of all that it covers: 2 texels along an even axis, 3 along an odd one.
+
+        Examples:
+            >>> texture = device.texture((32, 32), rhi.Format.RGBA8, levels=None)
+            >>> texture.write(np.full((32, 32, 4), 255, np.uint8))
+            >>> texture.generate_mipmaps()
+            >>> texture.read(level=5).tolist()
+            [[[255, 255, 255, 255]]]
         """
         self._generate_mipmaps(self.core)
 
@@ -421,7 +460,11 @@ class Texture(TextureBinding, ArrayExchange, Resource):
         layer: int = 0,
     ) -> None:
         """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; the formats must be
-        equal."""
+        equal.
+
+        Examples:
+            >>> image.copy_to(image, region=rhi.Region(0, 0, 4, 4), x=8, y=8)
+        """
         self._copy(self.core, target, level, region, target_level, x, y, layer)
 
     def _copy(
@@ -548,7 +591,14 @@ class Texture(TextureBinding, ArrayExchange, Resource):
 
     def resolve_to(self, target: Texture) -> None:
         """Resolve this multi-sampled texture to `target`: average the samples; size and format must be
-        equal."""
+        equal.
+
+        Examples:
+            >>> samples = device.texture((64, 48), rhi.Format.RGBA8, samples=4)
+            >>> with device.render_pass(samples, clear=(1, 1, 1, 1)):
+            ...     device.draw(program, mesh, tint=(1, 0, 0, 1))
+            >>> samples.resolve_to(image)
+        """
         self._resolve(self.core, target)
 
     def _resolve(self, core: Core, target: Texture) -> None:
@@ -565,7 +615,12 @@ class Texture(TextureBinding, ArrayExchange, Resource):
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row
-        first."""
+        first.
+
+        Examples:
+            >>> with image.lock(rhi.Access.WRITE, region=rhi.Region(0, 0, 4, 4)) as texels:
+            ...     texels[:] = 255
+        """
         call = "Texture.lock"
         ArgumentChecker(call, self.core.refuse).choice("access", access, Access)
         self.core.require(call, limits.plain_faults(self.requested))

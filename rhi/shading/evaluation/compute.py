@@ -66,6 +66,10 @@ def evaluate(
     Raises:
         ValidationError `shading-arguments`: an argument is missing, unknown or has the wrong shape.
         ShaderError: the function breaks a rule of the language.
+
+    Examples:
+        >>> sl.evaluate(falloff, np.array([0.0, 1.0, 2.0]), 2.0).tolist()
+        [1.0, 0.5, 0.0]
     """
     call = f"evaluate({getattr(function, '__name__', repr(function))}, …)"
     if not isinstance(function, ShadingFunction):
@@ -190,6 +194,10 @@ def run_compute(
     Raises:
         ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
         ShaderError: the shader breaks a rule.
+
+    Examples:
+        >>> sl.run_compute(Double, 1, numbers=np.ones(3, np.float32))["numbers"].tolist()
+        [2.0, 2.0, 2.0]
     """
     call = f"run_compute({shader.__name__}, …)"
     kernel = _compiled_shader(shader)

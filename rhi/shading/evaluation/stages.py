@@ -107,6 +107,10 @@ def run_vertex(
     Raises:
         ValidationError `shading-arguments`: an attribute or binding is missing, unknown or has another shape.
         ShaderError: the shader has no vertex stage, or breaks a rule.
+
+    Examples:
+        >>> sl.run_vertex(Flat, {"position": np.array([(1, 2)])}, tint=(1, 0, 0, 1)).position.tolist()
+        [[1.0, 2.0, 0.5, 1.0]]
     """
     call = f"run_vertex({shader.__name__}, …)"
     compiled = _compiled_stage(shader, Stage.VERTEX, call)
@@ -155,6 +159,11 @@ def run_fragment(
         ValidationError `shading-arguments`: a varying or binding is missing, unknown or has another shape; or
             the stage uses `ddx` or `ddy` and the number of rows or columns is odd.
         ShaderError: the shader has no fragment stage, or breaks a rule.
+
+    Examples:
+        >>> result = sl.run_fragment(Flat, {}, covered=np.ones((2, 2), bool), tint=(1, 0, 0, 1))
+        >>> result.outputs["color"][0, 0].tolist()
+        [1.0, 0.0, 0.0, 1.0]
     """
     call = f"run_fragment({shader.__name__}, …)"
     compiled = _compiled_stage(shader, Stage.FRAGMENT, call)

@@ -60,6 +60,17 @@ def from_source(
     Raises:
         ShaderError: `shading-text`: the text isn't Python, raises an exception or doesn't define the names;
             the error shows the line. Errors of the shading language are raised as they are.
+
+    Examples:
+        >>> Grey = sl.from_source('''
+        ... from rhi.shading import FullScreen, vec4
+        ...
+        ... class Grey(FullScreen):
+        ...     def fragment(self) -> vec4:
+        ...         return vec4(0.5)
+        ... ''')
+        >>> Grey.__name__
+        'Grey'
     """
     source = SourceFile(file)
     source.lines, source.spec = text.splitlines(keepends=True), None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -40,12 +41,19 @@ def write_reference() -> str:
 
 
 def _lines() -> Iterator[str]:
-    for name, row in BUILTINS.items():
-        if name in _SECTIONS:
-            yield f"\n**{_SECTIONS[name]}**\n"
-            yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |"
-            yield "|---|---|---|---|---|---|"
-        yield f"| `{_form(row)}` | {row.doc}{_domain(row.error)} | {' | '.join(_errors(row))} |"
+    names = list(BUILTINS)
+    firsts = [*(names.index(name) for name in _SECTIONS), len(names)]
+    for first, end in pairwise(firsts):
+        rows = [BUILTINS[name] for name in names[first:end]]
+        errors = [_errors(row) for row in rows]
+        has_errors = any(error not in ("", "0") for numbers in errors for error in numbers)
+        is_exact = any("0" in numbers for numbers in errors) and not has_errors
+        yield f"\n**{_SECTIONS[names[first]]}**{', all exact' if is_exact else ''}\n"
+        yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |" if has_errors else "| | |"
+        yield "|---|---|---|---|---|---|" if has_errors else "|---|---|"
+        for row, numbers in zip(rows, errors, strict=True):
+            cells = [f"`{_form(row)}`", f"{row.doc}{_domain(row.error)}", *(numbers if has_errors else [])]
+            yield f"| {' | '.join(cells)} |"
     yield "\n**Operators**\n"
     yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |"
     yield "|---|---|---|---|---|---|"

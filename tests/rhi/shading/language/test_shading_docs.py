@@ -27,7 +27,7 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
     shaders = [
         v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader
     ]
-    assert len(shaders) == 7
+    assert len(shaders) == 5
     for shader in shaders:
         link(shader)
 
