@@ -7,7 +7,7 @@ queries, and CHC++ also with the platform's own parameters (`benchmarks/settings
 renderer tune`).
 
     python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into
-    docs/visibility-tables.md]
+    docs/measurements/visibility-tables.md]
 
 It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and
 query, and for each platform its counts, each beside the thesis's, and which kernels drew. `--into` also

@@ -50,6 +50,27 @@ EXTRA_PAGES: Final = {
 }
 """The pages outside of `docs/`, with their names in the site."""
 
+REDIRECTS: Final = {
+    "accuracy": "measurements/accuracy",
+    "effect-costs": "measurements/effect-costs",
+    "lighting-measured": "measurements/lighting-measured",
+    "performance": "measurements/performance",
+    "visibility-costs": "measurements/visibility-costs",
+    "visibility-device": "visibility-algorithms",
+    "visibility-tables": "measurements/visibility-tables",
+}
+"""Former addresses of pages in the site, each with the address of the page that has its text now."""
+_REDIRECT: Final = """\
+<!doctype html>
+<meta charset="utf-8">
+<title>Moved</title>
+<link rel="canonical" href="{address}">
+<meta http-equiv="refresh" content="1; url={address}">
+<script>location.replace("{address}" + location.hash)</script>
+<p>This page has moved: <a href="{address}">{name}</a>.</p>
+"""
+"""The page at a former address; the script leads to the same heading, where there is one."""
+
 LINK: Final = re.compile(r"\]\((?![a-z]+:|#)([^)#\s]+)")
 _HARMLESS: Final = ("Build started", "No issues found", "Build finished")
 
@@ -89,6 +110,15 @@ def _site_link(target: Path, folder: Path) -> str:
     return copied.relative_to(folder).as_posix()
 
 
+def write_redirects(site: Path) -> None:
+    """Write a page to each former address of the site that leads to the page's present address."""
+    for former, present in REDIRECTS.items():
+        file = site / former / "index.html"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        page = _REDIRECT.format(address=f"../{present}/", name=present)
+        file.write_text(page, encoding="utf-8")
+
+
 def build(folder: Path, *, live: bool = True, pyodide: Path | None = None) -> list[str]:
     """Build the site in `folder/site` and return the generator's warnings.
 
@@ -113,6 +143,7 @@ def build(folder: Path, *, live: bool = True, pyodide: Path | None = None) -> li
         check=False,
         encoding="utf-8",
     )
+    write_redirects(folder / "site")
     lines = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
     return [line for line in lines if not line.strip().startswith(_HARMLESS)] + ["failed"] * (
         done.returncode != 0

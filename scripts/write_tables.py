@@ -253,7 +253,10 @@ TABLES: Final = {
         "docs/materials.md", ("programs", "materials", "meshes", "draws"), count_order_changes
     ),
     "encodings": MeasuredTable(
-        "docs/deferred-plus.md", ("mean error", "largest error"), measure_encodings, ("ns, gl", "ns, cl")
+        "docs/measurements/deferred-plus-costs.md",
+        ("mean error", "largest error"),
+        measure_encodings,
+        ("ns, gl", "ns, cl"),
     ),
     "inferred": MeasuredTable(
         "docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), compare_inferred
@@ -262,16 +265,20 @@ TABLES: Final = {
         "docs/renderer.md", ("objects", "lights listed, longest list"), count_light_lists
     ),
     "memory": MeasuredTable("docs/materials.md", ("bytes",), sum_memory),
-    "useless devices": MeasuredTable("docs/exam.md", (DRAWS, COMPUTES, NOTHING), count_useless),
-    "reprojected": MeasuredTable("docs/stereo.md", ("reprojected", "the left eye's"), compare_reprojected),
+    "useless devices": MeasuredTable(
+        "docs/measurements/exam-results.md", (DRAWS, COMPUTES, NOTHING), count_useless
+    ),
+    "reprojected": MeasuredTable(
+        "docs/measurements/stereo-costs.md", ("reprojected", "the left eye's"), compare_reprojected
+    ),
     "ground level": MeasuredTable(
-        "docs/visibility-tables.md",
+        "docs/measurements/visibility-tables.md",
         ("triangles", "draws", "queries", "software states", "hardware states"),
         count_visibility_work,
         tolerance=0.1,
     ),
     "frames before": MeasuredTable(
-        "docs/visibility-tables.md",
+        "docs/measurements/visibility-tables.md",
         tuple(
             f"{name}: {what}"
             for name in ("chc", "chc_plus_plus")
@@ -281,7 +288,7 @@ TABLES: Final = {
         tolerance=0.1,
     ),
     "leaf sizes": MeasuredTable(
-        "docs/visibility-costs.md", ("queries", "draws"), count_leaf_sizes, tolerance=0.25
+        "docs/measurements/visibility-costs.md", ("queries", "draws"), count_leaf_sizes, tolerance=0.25
     ),
 }
 """The tables that are made again, by the names of their marks."""

@@ -35,6 +35,29 @@ def test_a_how_to_page_is_printed(topic: str) -> None:
     assert pages.read_page(topic) == page.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    "topic",
+    ["performance", "docs/measurements/performance.md", "measurements/performance", "docs/performance.md"],
+)
+def test_a_page_in_a_folder_is_printed(topic: str) -> None:
+    page = ROOT / "docs" / "measurements" / "performance.md"
+    assert pages.read_page(topic) == page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("former", "topic"), pages.FORMER_TOPICS.items())
+def test_a_former_topic_prints_the_page_that_has_its_text(former: str, topic: str) -> None:
+    assert former not in PAGES
+    assert pages.read_page(former) == pages.read_page(topic)
+
+
+def test_tables_of_former_names_answer_no_question() -> None:
+    assert "decisions" in {file.parent.name for file in (ROOT / "docs").rglob("*.md")}
+    sections = pages.search(["old", "new", "where"])
+    assert not {section.topic for section in sections} & {
+        file.stem for file in (ROOT / "docs" / "decisions").glob("*.md")
+    }
+
+
 @pytest.mark.parametrize("topic", ["traces", "docs/traces.md", "traces.md", "trac", "TRACES"])
 def test_a_page_is_printed(topic: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["docs", topic]) == 0
@@ -209,6 +232,7 @@ def test_the_package_contains_the_pages(tmp_path: Path) -> None:
     build.copy_pages()
     built = sorted(file.stem for file in (tmp_path / "rhi" / "documentation").rglob("*.md"))
     assert built == PAGES
+    assert (tmp_path / "rhi" / "documentation" / "measurements" / "performance.md").is_file()
 
 
 def test_an_installed_package_finds_its_own_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -141,7 +141,7 @@ def test_a_package_index_finds_the_files_and_images_of_the_readme() -> None:
     targets = re.findall(r"\]\(([^)]+)\)", text)
     assert [target for target in targets if not target.startswith("https://")] == []
     assert f"]({home}/raw/v0.1.0/docs/images/city.webp)" in text
-    assert f"]({home}/blob/v0.1.0/docs/performance.md#small-programs)" in text
+    assert f"]({home}/blob/v0.1.0/docs/measurements/performance.md#small-programs)" in text
     assert (
         link_absolutely("[a](#part) [b](https://x.example/y.md)", home, "1")
         == "[a](#part) [b](https://x.example/y.md)"

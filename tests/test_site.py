@@ -15,7 +15,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "scripts"))
 
-from build_site import EXTRA_PAGES, MODULES, build, collect_pages  # noqa: E402
+from build_site import (  # noqa: E402
+    EXTRA_PAGES,
+    MODULES,
+    REDIRECTS,
+    build,
+    collect_pages,
+    write_redirects,
+)
+
+from rhi.errors.pages import FORMER_TOPICS, read_page  # noqa: E402
 
 
 def test_each_page_is_in_the_navigation_once(tmp_path: Path) -> None:
@@ -32,7 +41,36 @@ def test_links_to_files_outside_of_the_pages_lead_to_copies(tmp_path: Path) -> N
     collect_pages(tmp_path / "docs")
     assert "](files/examples/programs/triangle.py.txt)" in (tmp_path / "docs/gallery.md").read_text()
     assert (tmp_path / "docs/files/examples/programs/triangle.py.txt").exists()
-    assert "](performance.md)" in (tmp_path / "docs/index.md").read_text()
+    assert "](measurements/performance.md)" in (tmp_path / "docs/index.md").read_text()
+
+
+def test_links_lead_from_folder_to_folder(tmp_path: Path) -> None:
+    collect_pages(tmp_path / "docs")
+    for page in (tmp_path / "docs").rglob("*.md"):
+        for target in re.findall(r"\]\((?![a-z]+:|#)([^)#\s]+)", page.read_text(encoding="utf-8")):
+            if page.parent.name != "reference":
+                assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_former_addresses_lead_to_the_present_ones(tmp_path: Path) -> None:
+    collect_pages(tmp_path / "docs")
+    for page in (tmp_path / "docs").rglob("*.md"):  # as the generator does
+        address = tmp_path / "site" / page.relative_to(tmp_path / "docs").with_suffix("")
+        address.mkdir(parents=True)
+        (address / "index.html").write_text("")
+    pages = {page.parent for page in (tmp_path / "site").rglob("index.html")}
+    assert not pages & {tmp_path / "site" / former for former in REDIRECTS}, "a page would be overwritten"
+    write_redirects(tmp_path / "site")
+    for former, present in REDIRECTS.items():
+        (link,) = Links(tmp_path / "site" / former / "index.html").links
+        assert (tmp_path / "site" / former / link).resolve() == tmp_path / "site" / present
+    assert list_broken(tmp_path / "site") == []
+
+
+def test_merged_pages_have_redirects_and_moved_pages_their_topics() -> None:
+    assert FORMER_TOPICS.items() <= REDIRECTS.items()
+    for former, present in REDIRECTS.items():
+        assert read_page(former) == (ROOT / "docs" / f"{present}.md").read_text(encoding="utf-8")
 
 
 class Links(HTMLParser):

@@ -43,7 +43,7 @@ DOTTED = re.compile(r"(?:rhi_screen|rhi_pytest|rhi|renderer)(?:\.\w+)+")
 FILE = re.compile(
     r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)"
 )
-MOVED = "CHANGELOG.md"  # lists names that are gone, beside those that took their place
+MOVED = "docs/decisions/new-names.md"  # lists names that are gone, beside those that took their place
 
 
 @cache

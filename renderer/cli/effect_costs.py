@@ -43,7 +43,7 @@ from renderer.lab.effect_costs import (
 )
 
 _PAGE: Final = Path(__file__).with_name("effect_costs_page.md")
-"""The text of `docs/effect-costs.md`, around the tables that are measured."""
+"""The text of `docs/measurements/effect-costs.md`, around the tables that are measured."""
 _COLUMNS: Final = 4
 _SIZE: Final = (640, 360)
 """The size of the images in pixels; counts and times are those of smaller frames."""

@@ -3,7 +3,7 @@
 Few techniques are worth a trial. What the lists of objects cost grows with the lights that reach an object
 and with what is drawn and hidden again; a geometry buffer is paid once a pixel, and lists of clusters or
 tiles have the lights that are near. So `forward` is tried against deferred shading by clusters and by tiles;
-every other technique was slower than one of these wherever they were compared (docs/lighting-measured.md).
+every other technique was slower than one of these wherever they were compared (docs/measurements/lighting-measured.md).
 """
 
 from __future__ import annotations

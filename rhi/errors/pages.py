@@ -17,6 +17,12 @@ _FOLDERS: Final = (_PACKAGE / "documentation", _PACKAGE.parent / "docs")
 """Where the pages lie: in an installed package, and in a checkout."""
 _INDEXES: Final = ("contents", "questions")
 """Topics of pages that only list others, which a search doesn't look through."""
+_UNSEARCHED_FOLDER: Final = "decisions"
+"""The folder of pages that answer no question of a user, such as tables of former names."""
+FORMER_TOPICS: Final = {
+    "visibility-device": "visibility-algorithms",
+}
+"""Topics of former pages, with the topic of the page that has their text now."""
 _HTML: Final = """\
 <!doctype html>
 <meta charset="utf-8">
@@ -105,13 +111,14 @@ def read_page(topic: str) -> str:
     """Return the text of a page, which is Markdown.
 
     Args:
-        topic: the name of its file, or the beginning of one that no other has.
+        topic: the name of its file, or the beginning of one that no other has; a former name, too.
 
     Raises:
         UnknownPageError: there is no such page, or several.
     """
     topics = _list_files()
     topic = re.sub(r"^(docs/)?(([a-z-]+)/)?", "", topic).removesuffix(".md").lower()
+    topic = FORMER_TOPICS.get(topic, topic)
     matches = [topic] if topic in topics else [name for name in topics if topic and name.startswith(topic)]
     if len(matches) != 1:
         close = matches or get_close_matches(topic, topics, 3)
@@ -158,7 +165,7 @@ def _stem(word: str) -> str:
 def _list_sections() -> Iterator[Section]:
     """Split all pages at their headings, but not at comments of programs."""
     for topic, file in _list_files().items():
-        if topic in _INDEXES:
+        if topic in _INDEXES or file.parent.name == _UNSEARCHED_FOLDER:
             continue
         heading, in_program = "", False
         lines: list[str] = []

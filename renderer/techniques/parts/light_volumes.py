@@ -11,8 +11,8 @@ spot lights).
 What lies in front of a volume passes this test. **Stencil masking** leaves that out, too, as in Wilks (2019):
 each light is drawn twice, first both faces into the stencil buffer (plus 1 where a back face is behind the
 geometry, minus 1 where a front face is: what remains is inside), then the back faces where the buffer isn't
-0, which also sets it back. It evaluates fewer lights and takes two draws for each; docs/lighting-measured.md
-has the figures.
+0, which also sets it back. It evaluates fewer lights and takes two draws for each;
+docs/measurements/lighting-measured.md has the figures.
 
 Back faces beyond a far plane would be clipped. A volume that reaches it is moved to the depth of the
 background as a whole, which never hides a lit pixel.

@@ -1,0 +1,193 @@
+"""How hard pages are to read: what the command counts, and that pages stay within the limits of their kind."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("markdown")
+pytest.importorskip("pymdownx")
+
+ROOT = Path(__file__).parents[1]
+sys.path.append(str(ROOT / "scripts"))
+
+from measure_docs import (  # noqa: E402
+    LIMITS,
+    Limits,
+    list_excesses,
+    list_pages,
+    main,
+    measure_pages,
+    measure_text,
+    merge,
+    split_sentences,
+)
+
+NO_LIMITS = Limits()
+NOT_REWRITTEN: dict[str, Limits] = {
+    "docs/architecture.md": NO_LIMITS,
+    "docs/coverage.md": NO_LIMITS,
+    "docs/effects.md": NO_LIMITS,
+    "docs/engine-tests.md": NO_LIMITS,
+    "docs/exam.md": NO_LIMITS,
+    "docs/frame-commands.md": NO_LIMITS,
+    "docs/gallery.md": NO_LIMITS,
+    "docs/glossary.md": NO_LIMITS,
+    "docs/light-culling.md": NO_LIMITS,
+    "docs/lighting-techniques.md": NO_LIMITS,
+    "docs/lighting.md": NO_LIMITS,
+    "docs/materials.md": NO_LIMITS,
+    "docs/memory-and-time.md": NO_LIMITS,
+    "docs/renderer.md": NO_LIMITS,
+    "docs/scene-files.md": NO_LIMITS,
+    "docs/scene.md": NO_LIMITS,
+    "docs/shadows.md": NO_LIMITS,
+    "docs/skipped-simulation.md": NO_LIMITS,
+    "docs/stereo.md": NO_LIMITS,
+    "docs/tutorial.md": NO_LIMITS,
+    "docs/viewer.md": NO_LIMITS,
+    "docs/visibility-algorithms.md": NO_LIMITS,
+    "docs/visibility.md": NO_LIMITS,
+}
+"""Guides that are still longer or harder than a guide should be. Take a page out once it is within the limits."""
+
+
+def test_sentences_end_at_full_stops_before_capitals() -> None:
+    text = "Draws cost 1.5 µs, e.g. on gl. `draw` is fast! See Fig. 3. Is it? (Yes.) The end"
+    assert split_sentences(text) == [
+        "Draws cost 1.5 µs, e.g. on gl.",
+        "`draw` is fast!",
+        "See Fig. 3.",
+        "Is it?",
+        "(Yes.)",
+        "The end",
+    ]
+
+
+PAGE = """# A heading of five words
+
+A buffer holds bytes. It is destroyed by the device. Draws are never reordered.
+
+- An item.
+- Another item, that continues
+  on a line.
+
+| a table | is not prose |
+|---|---|
+| cells | are not counted |
+
+```python
+short = 1
+```
+"""
+
+
+def test_paragraphs_and_items_count_and_tables_code_and_headings_do_not() -> None:
+    figures = measure_text("docs/a.md", PAGE)
+    assert figures.words == len(PAGE.split())
+    assert figures.paragraphs == (14, 2, 7)
+    assert figures.sentences == tuple(
+        len(sentence.split())
+        for sentence in (
+            "A buffer holds bytes.",
+            "It is destroyed by the device.",
+            "Draws are never reordered.",
+            "An item.",
+            "Another item, that continues on a line.",
+        )
+    )
+    assert figures.passive == 2
+    assert figures.passive_share == pytest.approx(0.4)
+    assert figures.median == 4
+    assert figures.wide_code_blocks == 0
+
+
+@pytest.mark.parametrize(
+    ("sentence", "is_passive"),
+    [
+        ("Buffers are destroyed.", True),
+        ("Buffers are not always written.", True),
+        ("The list was quickly rebuilt.", True),
+        ("The device destroys buffers.", False),
+        ("Buffers are red.", False),
+        ("The draws ended.", False),
+    ],
+)
+def test_the_passive_voice_is_a_form_of_be_before_a_participle(sentence: str, is_passive: bool) -> None:
+    assert measure_text("docs/a.md", sentence).passive == is_passive
+
+
+@pytest.mark.parametrize(("columns", "count"), [(88, 0), (89, 1)])
+def test_wide_code_blocks_are_counted_once(columns: int, count: int) -> None:
+    line = "x" * columns
+    assert measure_text("docs/a.md", f"```\n{line}\n{line}\n```\n").wide_code_blocks == count
+
+
+@pytest.mark.parametrize(("words", "count"), [(90, 0), (91, 1)])
+def test_long_paragraphs_are_counted(words: int, count: int) -> None:
+    figures = measure_text("docs/a.md", "word " * words)
+    assert figures.long_paragraphs == count
+    assert [line.split(": ")[1] for line in list_excesses([figures])] == [
+        *["long paragraphs"] * count,
+        "median",
+    ]
+
+
+def test_a_percentile_is_that_of_sentences_in_order() -> None:
+    text = " ".join("A" + " b" * (words - 1) + "." for words in (10, 1, 2, 3, 4, 5, 6, 7, 8, 9))
+    assert measure_text("docs/a.md", text).percentile_90 == 9
+    assert measure_text("docs/a.md", "").percentile_90 == 0
+    assert measure_text("docs/a.md", "").median == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [
+        ("README.md", "project"),
+        ("docs/states.md", "guide"),
+        ("docs/measurements/a.md", "measurements"),
+        ("docs/decisions/a.md", "decisions"),
+    ],
+)
+def test_a_page_has_the_kind_of_its_folder(path: str, kind: str) -> None:
+    assert measure_text(path, "").kind == kind
+
+
+def test_measurements_may_be_long_and_guides_may_not() -> None:
+    long = "A word. " * (LIMITS["guide"].words or 0)
+    assert list_excesses([measure_text("docs/measurements/a.md", long)]) == []
+    (line,) = [line for line in list_excesses([measure_text("docs/a.md", long)]) if " words" in line]
+    assert line == "docs/a.md: words: 5000, at most 2500"
+    assert list_excesses([measure_text("docs/a.md", long)], {"docs/a.md": NO_LIMITS}) == []
+
+
+def test_totals_are_of_all_sentences() -> None:
+    figures = [measure_text("docs/a.md", "A b."), measure_text("docs/b.md", "A b c d. A b c d.")]
+    total = merge("all", figures)
+    assert (total.words, total.sentences, total.median) == (10, (2, 4, 4), 4)
+
+
+def test_the_command_prints_a_row_for_each_page_and_totals(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    pages = [page.relative_to(ROOT).as_posix() for page in list_pages()]
+    assert [line.split()[0] for line in lines[1 : 1 + len(pages)]] == pages
+    assert [line.split("  ")[0] for line in lines[1 + len(pages) :]] == [
+        *(f"all {kind}" for kind in LIMITS),
+        "all pages",
+    ]
+
+
+def test_a_page_within_its_limits_ends_the_check_with_0(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--check", str(ROOT / "docs/installation.md")]) == 0
+    assert capsys.readouterr().out == "1 pages are within their limits\n"
+
+
+def test_pages_are_within_the_limits_of_their_kind() -> None:
+    assert list_excesses(measure_pages(list_pages()), NOT_REWRITTEN) == []
+
+
+def test_pages_without_limits_exist() -> None:
+    assert [path for path in NOT_REWRITTEN if not (ROOT / path).is_file()] == []
