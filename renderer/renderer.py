@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import (
+    DEFAULT_OCCLUSION,
     EXACT_BLOOM,
     SAMPLER_DEFAULTS,
     Blending,
@@ -25,6 +26,7 @@ from renderer.frame import (
     Frame,
     FrameEffects,
     Layer,
+    OcclusionSettings,
     Plan,
     SceneLayer,
     SceneResources,
@@ -44,6 +46,7 @@ from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, eye_image_size
 from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.techniques.inspection import Inspection
+from renderer.techniques.parts.ambient_occlusion import occlusion_passes
 from renderer.techniques.parts.depth import bind_depth_programs
 from renderer.techniques.parts.scaling import scale_image
 from renderer.tessellation import Tessellator, tessellation_passes
@@ -144,11 +147,11 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending`, `precision` and `bloom` may be exchanged between any
-    two frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the
-    scene first. With `simulates_hidden`, by default off, what an absence would change, such as cloth, is
-    simulated in every frame. `show` ends a frame with its image: by default it is `Device.present`; a window
-    puts its own in that place.
+    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom` and `occlusion` may be
+    exchanged between any two frames, and `layers` changed, which are drawn over each frame in their order,
+    those that belong to the scene first. With `simulates_hidden`, by default off, what an absence would
+    change, such as cloth, is simulated in every frame. `show` ends a frame with its image: by default it is
+    `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -163,6 +166,7 @@ class Renderer:
         precision: Precision = Precision.FAST,
         textures: TextureSettings = SAMPLER_DEFAULTS,
         bloom: BloomSettings = EXACT_BLOOM,
+        occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -178,6 +182,7 @@ class Renderer:
                 themselves.
             textures: how well the scene's textures are read.
             bloom: how exactly bloom is computed.
+            occlusion: how exactly ambient occlusion is computed.
             validation: whether to check samples of what is simulated: each batch has one object whose
                 vertices must be inside its bounds (`scene-left-bounds`)."""
         self.device = device
@@ -186,6 +191,7 @@ class Renderer:
         self.blending = blending
         self.precision = precision
         self.bloom = bloom
+        self.occlusion = occlusion
         self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
         self.simulates_hidden = False
         self.layers: list[Layer] = []
@@ -530,6 +536,7 @@ class Renderer:
             self.blending,
             self.precision,
             self.bloom,
+            self.occlusion,
             self._resources.simulator,
         )
 
@@ -586,6 +593,7 @@ class Renderer:
             reaches=resources.reaching,
             blending=self.blending,
             bloom=self.bloom,
+            occlusion=self.occlusion,
             visible_features=recent_features,
             shows_objects=shows_objects,
             lights=resources.lights,
@@ -608,6 +616,7 @@ class Renderer:
             before = [
                 *tessellation_passes(effects),
                 *(shadow_passes(effects, bind_depth_programs) if is_lit else ()),
+                *(occlusion_passes(effects) if is_lit else ()),
             ]
             plan = self._plans[effects.key] = make_plan([*before, *technique.declare(effects)])
         return plan

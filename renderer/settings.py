@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
-from renderer.frame import Blending, BloomSettings, TextureSettings
+from renderer.frame import Blending, BloomSettings, OcclusionSettings, TextureSettings
 from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, PathFrame, Perspective, Scene, StereoRig
 from renderer.scene.files import read_json
@@ -41,6 +41,7 @@ class RenderSettings:
         tessellation: how small the triangles of height fields are.
         blending: how transparent surfaces that cover each other are blended.
         bloom: how exactly bloom is computed.
+        occlusion: how exactly ambient occlusion is computed.
         precision: that of the techniques' shaders.
         depth: the direction of depth.
         animation_step: the step of animations in seconds, 0 for every frame.
@@ -60,6 +61,7 @@ class RenderSettings:
     tessellation: TessellationSettings = field(default_factory=TessellationSettings)
     blending: Blending = Blending.SORTED
     bloom: BloomSettings = field(default_factory=BloomSettings)
+    occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
@@ -147,6 +149,7 @@ class RenderSettings:
         textures are read, and which objects are found. `technique` draws instead of that of the settings."""
         renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision, renderer.bloom = self.blending, self.precision, self.bloom
+        renderer.occlusion = self.occlusion
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag

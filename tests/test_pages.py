@@ -203,7 +203,7 @@ def test_an_unknown_name_is_an_unknown_page(name: str, capsys: pytest.CaptureFix
         ("hot reload test", "Hot reload"),
         ("shadow map sun projection", "Shadow map"),
         ("draw_many mesh many meshes one buffer", "Parts, and many draws"),
-        ("RHI_CACHE", "How the OpenCL backend works"),
+        ("RHI_CACHE", "The cache of compiled kernels"),
     ],
 )
 def test_headings_outweigh_tables_that_have_every_word(words: str, heading: str) -> None:

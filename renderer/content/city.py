@@ -20,11 +20,13 @@ from renderer.content.shapes import plane
 from renderer.content.specs import (
     BLOOM,
     FOG,
+    OCCLUSION,
     SEED,
     SHADOWS,
     Generator,
     Option,
     add_fog_and_bloom,
+    add_occlusion,
     cast_shadows,
 )
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
@@ -79,7 +81,13 @@ class CityPlan:
 
 
 def make_city(
-    blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, bloom: float = 0.0
+    blocks: int,
+    detail: int,
+    seed: int,
+    shadows: int,
+    fog: float = 0.0,
+    bloom: float = 0.0,
+    occlusion: float = 0.0,
 ) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies
     everything."""
@@ -90,6 +98,7 @@ def make_city(
     if shadows:
         cast_shadows(builder)
     add_fog_and_bloom(builder, fog, bloom, builder.background, 0.05)
+    add_occlusion(builder, occlusion)
     return builder.build()
 
 
@@ -141,6 +150,7 @@ CITY: Final = Generator(
         SHADOWS,
         FOG,
         BLOOM,
+        OCCLUSION,
     ),
     make_city,
 )

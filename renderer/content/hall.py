@@ -21,11 +21,13 @@ from renderer.content.fountains import BOUNDS, DROPS, FountainSimulation, make_d
 from renderer.content.specs import (
     BLOOM,
     FOG,
+    OCCLUSION,
     SEED,
     SHADOWS,
     Generator,
     Option,
     add_fog_and_bloom,
+    add_occlusion,
     cast_shadows,
 )
 from renderer.content.textures import paint_stripes
@@ -88,6 +90,7 @@ def make_hall(
     sub_steps: int,
     fog: float = 0.0,
     bloom: float = 0.0,
+    occlusion: float = 0.0,
 ) -> Scene:
     """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle
     aisle and `cloths` banners between its columns, lit by its bulbs, or by `lights` coloured lights among the
@@ -120,6 +123,7 @@ def make_hall(
     if shadows:
         cast_shadows(builder)
     add_fog_and_bloom(builder, fog, bloom, (0.16, 0.13, 0.10), 0.4)
+    add_occlusion(builder, occlusion)
     return builder.build()
 
 
@@ -148,6 +152,7 @@ HALL: Final = Generator(
         Option("sub_steps", SUB_STEPS, "sub-steps of a step of banners", 1, 32),
         FOG,
         BLOOM,
+        OCCLUSION,
     ),
     make_hall,
 )

@@ -18,11 +18,13 @@ from renderer.content.furniture import CAR_LENGTH, HEADLIGHT, STREET_LIGHT_REACH
 from renderer.content.specs import (
     BLOOM,
     FOG,
+    OCCLUSION,
     SEED,
     SHADOWS,
     Generator,
     Option,
     add_fog_and_bloom,
+    add_occlusion,
     cast_shadows,
 )
 from renderer.content.textures import NIGHT_WINDOWS
@@ -82,6 +84,7 @@ def make_night(
     shadows: int,
     fog: float = 0.0,
     bloom: float = 0.0,
+    occlusion: float = 0.0,
 ) -> Scene:
     """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun
     shines."""
@@ -116,6 +119,7 @@ def make_night(
     if shadows:
         cast_shadows(builder)
     add_fog_and_bloom(builder, fog, bloom, builder.background if sun else _LIT_FOG, 0.05)
+    add_occlusion(builder, occlusion)
     return builder.build()
 
 
@@ -131,6 +135,7 @@ NIGHT: Final = Generator(
         SHADOWS,
         FOG,
         BLOOM,
+        OCCLUSION,
     ),
     make_night,
 )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from renderer import rules
+from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi.errors import refuse
@@ -93,6 +94,17 @@ def cast_shadows(builder: SceneBuilder) -> None:
 
 FOG: Final = Option("fog", 0.0, "density of the fog per metre, at the ground", 0.0, 10.0)
 BLOOM: Final = Option("bloom", 0.0, "share of all light that is scattered in the eye", 0.0, 1.0)
+
+OCCLUSION: Final = Option(
+    "occlusion", 0.0, "metres within which surfaces take ambient light from each other", 0.0, 100.0
+)
+
+
+def add_occlusion(builder: SceneBuilder, radius: float) -> None:
+    """Add ambient occlusion of this radius to a scene unless it is 0; its name then says so."""
+    if radius:
+        builder.ambient_occlusion = AmbientOcclusion(radius)
+        builder.name += f",occlusion={radius:g}"
 
 
 def add_fog_and_bloom(

@@ -18,6 +18,9 @@ from renderer.frame.frame import Frame as Frame
 from renderer.frame.layer import Layer as Layer
 from renderer.frame.layer import SceneLayer as SceneLayer
 from renderer.frame.mirrors import MirroredArray as MirroredArray
+from renderer.frame.occlusion import DEFAULT_OCCLUSION as DEFAULT_OCCLUSION
+from renderer.frame.occlusion import OCCLUSION as OCCLUSION
+from renderer.frame.occlusion import OcclusionSettings as OcclusionSettings
 from renderer.frame.plan import OUTPUTS as OUTPUTS
 from renderer.frame.plan import DroppedPass as DroppedPass
 from renderer.frame.plan import FramePass as FramePass

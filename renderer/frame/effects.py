@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.frame.occlusion import DEFAULT_OCCLUSION, OCCLUSION, OcclusionSettings, is_occlusion_seen
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
 from renderer.frame.thin_air import is_fog_seen, is_haze_seen, is_sky_fogged
@@ -27,6 +28,7 @@ from renderer.lights.frustum_culling import select_lights_in_view
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.lights import Lights
+from renderer.scene.negligible import LEAST_LIGHT
 from renderer.visibility.boxes.volumes import select_in_view
 from rhi import Format, refuse
 
@@ -47,6 +49,7 @@ class Effect(Enum):
     HAZE = "haze"
     FOG = "fog"
     BLOOM = "bloom"
+    AMBIENT_OCCLUSION = "ambient occlusion"
     METALS = "metals"
     EMISSIVE_COLORS = "emissive colors"
     NORMAL_MAPS = "normal maps"
@@ -226,10 +229,11 @@ class FrameEffects:
         blending: how transparent objects are put together.
         bloom: how bloom is made.
         has_bloom: whether the scene has bloom, whatever shines in it.
+        occlusion: how exactly ambient occlusion is computed.
         shaders: those that the scene's materials have of their own.
         layers_format: the format that transparent objects are added up in; None if they are blended to the
             image itself.
-        unseen_air: haze and fog that change nothing in the view.
+        unseen: haze, fog and ambient occlusion that change nothing in the view.
         has_fogged_sky: whether fog changes the background.
         shows_objects: whether there may be an object in view.
         sources: what of this doesn't depend on the view.
@@ -243,10 +247,11 @@ class FrameEffects:
     blending: Blending
     bloom: BloomSettings
     has_bloom: bool
+    occlusion: OcclusionSettings
     shaders: tuple[type[Any], ...]
     sources: EffectSources
     visible_features: frozenset[str]
-    unseen_air: frozenset[Effect]
+    unseen: frozenset[Effect]
     has_fogged_sky: bool
     shows_objects: bool
     layers_format: Format | None
@@ -256,6 +261,11 @@ class FrameEffects:
         """The target of a technique: the image itself, or where there is bloom, linear light of any
         strength."""
         return _BRIGHT_IMAGES[self.bloom.bits] if Effect.BLOOM in self.enabled else _PLAIN_IMAGE
+
+    @property
+    def shading_reads(self) -> tuple[str, ...]:
+        """The resources that a pass reads which shades opaque surfaces, whatever the technique."""
+        return (OCCLUSION,) if Effect.AMBIENT_OCCLUSION in self.enabled else ()
 
     @property
     def local_lights_in_view(self) -> int:
@@ -294,6 +304,7 @@ class FrameEffects:
             self.has_shadow_casters,
             self.blending,
             self.bloom,
+            self.occlusion,
             self.has_fogged_sky,
             self.layers_format,
         )
@@ -302,10 +313,12 @@ class FrameEffects:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
         if effect in (Effect.HAZE, Effect.FOG):
-            unseen = ", too thin to be seen" if effect in self.unseen_air else ""
+            unseen = ", too thin to be seen" if effect in self.unseen else ""
             return f"the scene has {effect.value if count else f'no {effect.value}'}{unseen}"
         if effect is Effect.BLOOM:
             return self._explain_bloom(count)
+        if effect is Effect.AMBIENT_OCCLUSION:
+            return self._explain_occlusion(count)
         noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
@@ -321,6 +334,15 @@ class FrameEffects:
             return f"the only {noun} doesn't reach what is in view"
         verb = "reaches" if count_in_view == 1 else "reach"
         return f"{count_in_view or 'none'} of {nouns} {verb} what is in view"
+
+    def _explain_occlusion(self, count: int) -> str:
+        if not count:
+            return "the scene has no ambient occlusion"
+        if not self.shows_objects:
+            return "the scene has ambient occlusion, and no object in view"
+        if Effect.AMBIENT_OCCLUSION in self.unseen:
+            return "the scene has ambient occlusion, within less than a pixel"
+        return "surfaces take ambient light away from each other"
 
     def _explain_bloom(self, count: int) -> str:
         if not self.has_bloom:
@@ -339,6 +361,7 @@ def collect_frame_effects(
     reaches: Sequence[bool] = (True,) * len(LOCAL_LIGHT_KINDS),
     blending: Blending = Blending.SORTED,
     bloom: BloomSettings = EXACT_BLOOM,
+    occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
     visible_features: frozenset[str] | None = None,
     shows_objects: bool | None = None,
     lights: Lights | None = None,
@@ -351,6 +374,7 @@ def collect_frame_effects(
         reaches: whether any light reaches an object, for each kind of lights with a position.
         blending: how transparent surfaces are to be put together.
         bloom: how bloom is to be made.
+        occlusion: how ambient occlusion is to be computed.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
         shows_objects: whether any object is in view, on which shadows of the sun could fall; None to look.
@@ -369,8 +393,15 @@ def collect_frame_effects(
     in_view, air, has_fogged_sky = _look(scene, camera, sources, reaches)
     if (
         last is not None
-        and (sources, blending, bloom, visible_features, shows_objects)
-        == (last.sources, last.blending, last.bloom, last.visible_features, last.shows_objects)
+        and (sources, blending, bloom, occlusion, visible_features, shows_objects)
+        == (
+            last.sources,
+            last.blending,
+            last.bloom,
+            last.occlusion,
+            last.visible_features,
+            last.shows_objects,
+        )
         and _shows_same(last, in_view, air, has_fogged_sky)
     ):
         return last
@@ -384,7 +415,7 @@ def collect_frame_effects(
         )
     hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)} | air
     if not shows_objects:
-        hidden.add(Effect.DIRECTIONAL_SHADOWS)
+        hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.AMBIENT_OCCLUSION}
     hidden |= {
         _EFFECTS[name]
         for name in (*sources.features, "bloom")
@@ -400,6 +431,7 @@ def collect_frame_effects(
         blending,
         bloom,
         scene.bloom is not None,
+        occlusion,
         sources.shaders,
         sources,
         visible_features,
@@ -428,7 +460,7 @@ def are_effects_same(
 def _look(
     scene: Scene, camera: Camera, sources: EffectSources, reaches: Sequence[bool]
 ) -> tuple[dict[Effect, Indices], frozenset[Effect], bool]:
-    """Return the effects of the view: the rows of each that are in it, the air that can't be seen, and whether
+    """Return the effects of the view: the rows of each that are in it, what of them can't be seen, and whether
     fog changes the background."""
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
     planes, counts = camera.frustum.planes, sources.counts
@@ -446,6 +478,8 @@ def _look(
         unseen.add(Effect.HAZE)
     if counts[Effect.FOG] and not is_fog_seen(scene, camera):
         unseen.add(Effect.FOG)
+    if counts[Effect.AMBIENT_OCCLUSION] and not is_occlusion_seen(scene, camera):
+        unseen.add(Effect.AMBIENT_OCCLUSION)
     has_fogged_sky = counts[Effect.FOG] > 0 and Effect.FOG not in unseen and is_sky_fogged(scene, camera)
     return in_view, frozenset(unseen), has_fogged_sky
 
@@ -454,7 +488,7 @@ def _shows_same(
     last: FrameEffects, in_view: Mapping[Effect, Indices], air: frozenset[Effect], has_fogged_sky: bool
 ) -> bool:
     """Return whether what depends on the view is the same as in the last frame."""
-    if (air, has_fogged_sky) != (last.unseen_air, last.has_fogged_sky):
+    if (air, has_fogged_sky) != (last.unseen, last.has_fogged_sky):
         return False
     return [indices.tobytes() for indices in in_view.values()] == [
         last.in_view[effect].tobytes() for effect in in_view
@@ -481,6 +515,8 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         scene.haze > 0.0,
         scene.fog is None,
         scene.bloom is None,
+        scene.ambient_occlusion is None,
+        _has_ambient_light(scene),
         bool(scene.objects.casts_shadow.any()),
         tuple(scene.height_fields),
     )
@@ -493,6 +529,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.FOG: int(scene.fog is not None),
         Effect.BLOOM: 0 if scene.bloom is None else len(scene.list_emitters()),
+        Effect.AMBIENT_OCCLUSION: int(scene.ambient_occlusion is not None and _has_ambient_light(scene)),
         Effect.TRANSPARENCY: len(scene.list_transparent()),
         Effect.HEIGHT_FIELDS: len(height_fields),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
@@ -508,6 +545,12 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
     shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)
     layers = TransparentLayers.count(scene)
     return EffectSources(state, counts, tuple(features), tuple(local_lights), height_fields, shaders, layers)
+
+
+def _has_ambient_light(scene: Scene) -> bool:
+    """Return whether ambient light adds more than half a level to any pixel."""
+    brightest = max(*scene.lights.sky, *scene.lights.ground)
+    return brightest * scene.strongest_response() > LEAST_LIGHT
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.light_kinds.arrays import check_lights
+from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.features import MaterialFeatures
@@ -94,7 +95,8 @@ class Scene:
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the
             background.
-        fog, bloom: effects of the air and of the camera, None for none; they may be exchanged between frames.
+        fog, bloom, ambient_occlusion: effects of the air, of the camera and of surfaces nearby, None for none;
+            they may be exchanged between frames.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs
             copies.
         seconds: the time of the last update or frame.
@@ -137,6 +139,7 @@ class Scene:
         self.background = background
         self.haze = haze
         self.fog, self.bloom = fog, bloom
+        self.ambient_occlusion: AmbientOcclusion | None = None
         self.nodes = nodes
         self.objects = objects
         self.meshes = meshes
@@ -242,6 +245,7 @@ class Scene:
             objects.casts_shadow.tobytes(),
             self.fog,
             self.bloom,
+            self.ambient_occlusion,
             tuple(self.height_fields),
         )
 
@@ -550,6 +554,7 @@ class SceneBuilder:
         self.haze = 0.0
         self.fog: Fog | None = None
         self.bloom: Bloom | None = None
+        self.ambient_occlusion: AmbientOcclusion | None = None
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self.omissions = Omissions()
@@ -828,7 +833,7 @@ class SceneBuilder:
             ),
             *self._simulated,
         )
-        return Scene(
+        scene = Scene(
             self.name,
             nodes,
             objects,
@@ -852,6 +857,8 @@ class SceneBuilder:
             table=self._table,
             parameters=parameters,
         )
+        scene.ambient_occlusion = self.ambient_occlusion
+        return scene
 
     def _complete_vertices(
         self, table: NDArray[np.int64], materials: NDArray[Any], textures: NDArray[Any]

@@ -86,14 +86,13 @@ class ViewRayShader(sl.Shader):
             return self.rays.along * sl.max(sl.dot(position, self.rays.forward), 0.0)
         return position
 
+    def get_pixel(self) -> sl.ivec2:
+        """Return the coordinates of the pixel: the fragment's, unless a derived shader overrides this."""
+        return sl.ivec2(sl.fragment_coordinate().xy)
+
 
 class PixelShader(ViewRayShader):
-    """The base of shaders that run once for each pixel: the fragment's, unless a derived shader overrides
-    `get_pixel`."""
-
-    def get_pixel(self) -> sl.ivec2:
-        """Return the coordinates of the pixel."""
-        return sl.ivec2(sl.fragment_coordinate().xy)
+    """The base of shaders that run once for each pixel."""
 
     def shade_sample(self, sample: int) -> sl.vec4:
         """Return the colour of one sample of the pixel, which has a surface there; without multisampling, of

@@ -313,10 +313,11 @@ class TiledDeferred:
         geometry = geometry_pass(effects, samples=samples, normal_bits=self.normal_bits)
         name, shader = ("light", TiledLighting) if samples == 1 else ("lit", SampledTiles)
         run = partial(light_tiles, name=name, shader=shader, samples=samples)
-        light = FramePass("tiles", run, explain_local_lights(effects), reads, (Target(name, LIGHT_FORMAT),))
+        inputs = reads if samples == 1 else (*reads, *effects.shading_reads)
+        light = FramePass("tiles", run, explain_local_lights(effects), inputs, (Target(name, LIGHT_FORMAT),))
         if samples == 1:
             add, reason = partial(resolve, lights=(name,)), "lights surfaces by what reaches all of them"
-            image = resolve_pass(effects, add, reason, (*reads, name))
+            image = resolve_pass(effects, add, reason, (*reads, name, *effects.shading_reads))
         else:
             image = resolve_pass(effects, _show, "shows what was shaded", (name,))
         return frame_samples(effects, geometry, light, image, samples=samples)

@@ -233,6 +233,7 @@ class DeferredPlus:
                 *list_samples(samples, *packed_formats(effects, samples), "depth"),
                 *(("light lists",) if lists else ()),
                 *material_passes,
+                *effects.shading_reads,
             ),
             writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (effects.image, *copied),
         )

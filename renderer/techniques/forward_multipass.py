@@ -16,6 +16,7 @@ spot lights.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -38,6 +39,7 @@ from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.scene.arrays import Indices
 from renderer.shaders.structs import Object, SurfaceVarying
+from renderer.techniques.parts.depth import DEPTH_SHADERS, depth_pass
 from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
 from renderer.techniques.parts.light_volumes import declare_lights
 from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, LightSum, check_bits, sum_pass
@@ -175,6 +177,7 @@ class ForwardMultipass:
         BasePassShader,
         VisibleLightPairs,
         LightSum,
+        *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
@@ -189,15 +192,15 @@ class ForwardMultipass:
         those of transparent surfaces."""
         if not local_light_effects(effects):
             return forward_passes(effects)
+        # Ambient occlusion is found from depth, so depth is drawn before.
+        before = (depth_pass("ambient occlusion is found from depth"),) if effects.shading_reads else ()
+        written = Target("light", SUM_FORMATS[self.light_bits]), Target("visible_objects", Format.R32UI)
         base = FramePass(
             "base",
-            _draw_base,
+            partial(_draw_base, after_depth=bool(before)),
             "draws the visible objects with all light but that of local lights",
-            writes=(
-                Target("light", SUM_FORMATS[self.light_bits]),
-                Target("visible_objects", Format.R32UI),
-                Target("depth", DEPTH_FORMAT),
-            ),
+            reads=("depth", *effects.shading_reads) if before else (),
+            writes=written if before else (*written, Target("depth", DEPTH_FORMAT)),
         )
         passes, (light,) = declare_lights(
             effects,
@@ -207,13 +210,20 @@ class ForwardMultipass:
             are_written=True,
             reason="adds a light at a time; ",
         )
-        return base, *passes, sum_pass(effects, light), *finish_image(effects, FORWARD)
+        return *before, base, *passes, sum_pass(effects, light), *finish_image(effects, FORWARD)
 
 
-def _draw_base(frame: Frame) -> None:
+def _draw_base(frame: Frame, *, after_depth: bool) -> None:
     switches = {**NO_LOCAL_LIGHTS, "has_haze": False, "has_fog": False}
     color = [frame.targets["light"], frame.targets["visible_objects"]]
-    base = make_scene_drawer(frame, BasePassShader, switches=switches, color=color)
+    base = make_scene_drawer(
+        frame,
+        BasePassShader,
+        switches=switches,
+        color=color,
+        states=(DepthWrite.OFF,) if after_depth else (),
+        clears=not after_depth,
+    )
     frame.draw_visible(base)
 
 

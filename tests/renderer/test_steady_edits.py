@@ -16,9 +16,10 @@ from test_reused_renderer import EDITS, Random, make
 
 import rhi
 from renderer.content import load_scene
-from renderer.frame import Blending, BloomSettings
+from renderer.frame import Blending, BloomSettings, OcclusionSettings
 from renderer.renderer import Renderer
 from renderer.scene import (
+    AmbientOcclusion,
     Bloom,
     Camera,
     Depth,
@@ -151,6 +152,7 @@ CASES: Final[dict[str, Edit]] = {
     "thin haze": set_attribute(of_scene, "haze", 1e-7),
     "fog": set_attribute(of_scene, "fog", Fog(0.05, (0.5, 0.6, 0.7))),
     "bloom": set_attribute(of_scene, "bloom", Bloom()),
+    "ambient occlusion": set_attribute(of_scene, "ambient_occlusion", AmbientOcclusion()),
     "base color": set_items(lambda renderer: renderer.scene.materials, "base_color", (0.1, 0.9, 0.3, 0.4)),
     "emission": set_items(lambda renderer: renderer.scene.materials, "emission", 0.0),
     "set_material": lambda renderer: renderer.scene.set_material(2, double_sided=False),
@@ -170,6 +172,7 @@ CASES: Final[dict[str, Edit]] = {
     "blending": set_attribute(lambda renderer: renderer, "blending", Blending.WEIGHTED),
     "precision": set_attribute(lambda renderer: renderer, "precision", Precision.EXACT),
     "bloom settings": lambda renderer: setattr(renderer, "bloom", BloomSettings(levels=2)),
+    "occlusion settings": lambda renderer: setattr(renderer, "occlusion", OcclusionSettings(slices=3)),
     "light cutoff": set_attribute(lambda renderer: renderer, "light_cutoff", 0.2),
     "technique": exchange_technique,
     "visibility": exchange_visibility,

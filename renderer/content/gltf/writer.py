@@ -91,9 +91,9 @@ class _GltfWriter:
         self._write_animations(motions)
         self._write_lights()
         self._write_views()
-        for what, effect in (("fog", self._scene.fog), ("bloom", self._scene.bloom)):
-            if effect is not None:
-                self.omissions.add(what, "scene")
+        for attribute in ("fog", "bloom", "ambient_occlusion"):
+            if getattr(self._scene, attribute) is not None:
+                self.omissions.add(attribute.replace("_", " "), "scene")
         for custom in self._scene.shaders:
             self.omissions.add("shaders of materials", custom.shader.__name__)
 

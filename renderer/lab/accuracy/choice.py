@@ -135,6 +135,9 @@ def select_effective_reports(
             and not casts
         )
         lacks = lacks or (
+            setting.requirement is Requirement.AMBIENT_LIGHT and scene.ambient_occlusion is None
+        )
+        lacks = lacks or (
             setting.requirement is Requirement.BLOOM and not (scene.bloom and len(scene.list_emitters()))
         )
         if report.rows and setting.path and setting.unit is ErrorUnit.LEVELS and matters and not lacks:

@@ -59,6 +59,7 @@ class Requirement(Enum):
     IMAGES = "an image"
     LOCAL_LIGHTS = "a point or spot light"
     BLOOM = "an object that emits more light than a white surface reflects"
+    AMBIENT_LIGHT = "ambient light and a surface"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
     DIVERGING_SIMULATIONS = "a simulation that depends on its history"
@@ -472,6 +473,46 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "half floats are a level off in one pixel of thirty",
             reference=Reference("light of 32 bits", {"bloom.bits": 32}),
             requirement=Requirement.BLOOM,
+        ),
+        _image_quality(
+            "occlusion_slices",
+            "slices in which a pixel looks for what takes ambient light",
+            "occlusion.slices",
+            _same(1, 2, 3, 4, 8),
+            "more of them change less than what the screen doesn't show",
+            reference=PIXEL_CENTRE_RAY,
+            requirement=Requirement.AMBIENT_LIGHT,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "occlusion_steps",
+            "samples of depth on each side of a slice",
+            "occlusion.steps",
+            _same(1, 2, 4, 6, 8, 16),
+            "thin occluders are between the samples if there are fewer",
+            reference=PIXEL_CENTRE_RAY,
+            requirement=Requirement.AMBIENT_LIGHT,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "occlusion_smoothing",
+            "whether a pixel takes the mean of what 4 × 4 pixels of its surface have found",
+            "occlusion.is_smooth",
+            {"off": False, "on": True},
+            "16 pixels together look along 16 times as many slices",
+            reference=PIXEL_CENTRE_RAY,
+            requirement=Requirement.AMBIENT_LIGHT,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "occlusion_bits",
+            "bits of the share of ambient light that is left",
+            "occlusion.bits",
+            _same(8, 16),
+            "a level of it is at most a level of the image",
+            reference=PIXEL_CENTRE_RAY,
+            requirement=Requirement.AMBIENT_LIGHT,
+            base_settings=_FORWARD,
         ),
         _image_quality(
             "depth",

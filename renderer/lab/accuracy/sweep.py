@@ -50,7 +50,7 @@ from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.measurement import Measurement, alternate
 from renderer.renderer import FrameResult
-from renderer.scene import Bloom, CameraPath, PathFrame, Scene
+from renderer.scene import AmbientOcclusion, Bloom, CameraPath, PathFrame, Scene
 from renderer.scene.arrays import Floats
 from renderer.scene.cloth import ClothSimulation
 from renderer.settings import RenderSettings
@@ -305,7 +305,7 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
 
 
 def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
-    """Add what a quality setting needs to a scene where possible: shadows, bloom. Return what is still
+    """Add what a quality setting needs to a scene where possible: shadows, bloom, occlusion. Return what is still
     missing, None for nothing."""
     if setting.unit is ErrorUnit.OVERDRAW and scene.height_fields:
         return "the scene has a ground, of which each view has other triangles"
@@ -326,6 +326,9 @@ def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
         case Requirement.BLOOM:
             scene.bloom = scene.bloom or Bloom()
             has = len(scene.list_emitters())
+        case Requirement.AMBIENT_LIGHT:
+            scene.ambient_occlusion = scene.ambient_occlusion or AmbientOcclusion()
+            has = max(*scene.lights.sky, *scene.lights.ground) > 0.0
         case Requirement.MOTION:
             has = len(scene.simulated)
         case Requirement.DIVERGING_SIMULATIONS:

@@ -22,6 +22,7 @@ from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
+    AmbientOcclusion,
     Bloom,
     Camera,
     Fog,
@@ -304,6 +305,18 @@ EFFECT_STEPS: Final = (
         ),
         switch=partial(_switch_air, "bloom", Bloom(0.1), None),
         modules=("renderer.techniques.parts.bloom",),
+    ),
+    EffectStep(
+        "occlusion",
+        "surfaces nearby take ambient light away from each other",
+        EffectPattern(
+            "occlusion",
+            words=("find_occluder",),
+            bindings=("occlusion", "ambient_occlusion", "turned_occlusion"),
+            events=("ambient occlusion", "smooth ambient occlusion"),
+        ),
+        switch=partial(_switch_air, "ambient_occlusion", AmbientOcclusion(), None),
+        modules=("renderer.techniques.parts.ambient_occlusion",),
     ),
     EffectStep(
         "glass",

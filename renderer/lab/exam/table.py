@@ -15,6 +15,7 @@ from renderer.lab.exam import (
     input_cases,
     light_culling_cases,
     limit_cases,
+    occlusion_cases,
     plan_cases,
     ray_traced_cases,
     shadow_cases,
@@ -36,6 +37,7 @@ _CASE_MODULES: Final = (
     limit_cases,
     ray_traced_cases,
     crack_cases,
+    occlusion_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

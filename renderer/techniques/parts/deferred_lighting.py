@@ -113,7 +113,7 @@ def volume_passes(
             effects,
             partial(resolve, lights=last),
             "lights surfaces by what reaches all of them",
-            (*reads, *last),
+            (*reads, *last, *effects.shading_reads),
         ),
         *finish_image(effects, FORWARD),
     )
@@ -138,7 +138,7 @@ def cluster_passes(
             effects,
             partial(light_clusters if has_local_lights else resolve, samples=samples),
             reason,
-            (*reads, *(["light lists"] if has_local_lights else [])),
+            (*reads, *(["light lists"] if has_local_lights else []), *effects.shading_reads),
         ),
         samples=samples,
         lighting=lit_by_cells(CLUSTERS) if has_local_lights else FORWARD,

@@ -78,6 +78,8 @@ def draw_once(
         transparent: how transparent surfaces are lit.
     """
     passes = list(lists)
+    if effects.shading_reads:
+        depth_first = depth_first or "ambient occlusion is found from depth"
     if depth_first or samples > 1:
         passes.insert(0, depth_pass(depth_first or "layers and culling can't read depth of several samples"))
     if depth_first and samples > 1:

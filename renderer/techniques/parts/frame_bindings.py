@@ -269,6 +269,8 @@ class FrameBindings:
     # Textures of the plan; those of several samples per pixel are named by `name_samples`
 
     depth = PlanTexture()
+    ambient_occlusion = PlanTexture()
+    turned_occlusion = PlanTexture()
     depth_samples = PlanTexture()
     surface = PlanTexture()
     surface_samples = PlanTexture()

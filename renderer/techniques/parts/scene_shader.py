@@ -274,6 +274,8 @@ class FinishShader(FogReader):
 class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
     """Shades a surface by ambient, emitted and directional light."""
 
+    has_ambient_occlusion = False
+
     has_emission = False
     has_emissive_colors = False
     has_directional_lights = False
@@ -282,11 +284,14 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
     same for all fragments, which saves llvmpipe a twentieth of the pass."""
 
     ambient: sl.Uniform[Ambient]
+    ambient_occlusion: sl.Texture2D
     directional_lights: sl.Storage[DirectionalLight]
 
     def shade(self, surface: SurfacePoint, material: Material) -> sl.vec3:
         """Light of the surface without local lights."""
         color = self.reflect_ambient(surface, self.ambient, material)
+        if self.has_ambient_occlusion:
+            color *= self.ambient_occlusion.load(self.get_pixel()).x
         if self.has_emission:
             color += surface.base_color * material.emission
         if self.has_emissive_colors:

@@ -243,7 +243,8 @@ def _draw(
         shader,
         *lighting.bases,
         shader_bindings=lighting.bind(frame),
-        switches=lighting.switches,
+        # Ambient occlusion is that of the opaque surfaces behind.
+        switches={**lighting.switches, "has_ambient_occlusion": False},
         color=[targets[name] for name in resources],
         depth=targets[depth],
         clear=clear,

@@ -281,7 +281,12 @@ def lit_pass(
         name,
         partial(draw_lit, lighting=lighting, after_depth=after_depth, samples=samples),
         reason if samples == 1 else f"{reason}, {samples} samples per pixel",
-        reads=(*([depth.name] if after_depth else []), *(["depth"] if samples > 1 else []), *lighting.reads),
+        reads=(
+            *([depth.name] if after_depth else []),
+            *(["depth"] if samples > 1 else []),
+            *lighting.reads,
+            *effects.shading_reads,
+        ),
         writes=(image,) if after_depth else (image, depth),
     )
 

@@ -17,7 +17,17 @@ import numpy as np
 from renderer.content import BUILT_IN
 from renderer.frame import Blending
 from renderer.light_kinds.table import LIGHT_KINDS
-from renderer.scene import AlphaMode, Bloom, Fog, Scene, SceneBuilder, make_height_field, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    AmbientOcclusion,
+    Bloom,
+    Fog,
+    Scene,
+    SceneBuilder,
+    make_height_field,
+    scaling,
+    translation,
+)
 from renderer.shadows import ShadowFilter
 from rhi import Filter
 
@@ -148,6 +158,7 @@ SCENE_PARTS: dict[str, str] = {
     "lights": "LIGHT_FIELDS",
     "fog": "FOG_FIELDS",
     "bloom": "BLOOM_FIELDS",
+    "ambient_occlusion": "`spread_air`: a radius of less than a pixel",
     "haze": "HAZES",
     "nodes": "`spread_objects`: transforms, hidden and moving nodes",
     "objects": "`spread_objects`",
@@ -351,6 +362,7 @@ def spread_air() -> Iterator[Neutral]:
         yield Neutral(f"haze: {haze}", partial(_set, name="haze", value=haze))
     for values in one_at_a_time(BLOOM_FIELDS):
         yield Neutral(f"bloom: {values}", partial(_set, name="bloom", value=Bloom(**values)))
+    yield Neutral("occlusion", partial(_set, name="ambient_occlusion", value=AmbientOcclusion(1e-9)))
 
 
 def _set(builder: SceneBuilder, name: str, value: Any) -> None:
@@ -414,6 +426,10 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "bloom.levels": (1, 12),
     "bloom.karis_average": (True,),
     "bloom.bits": (11, 32),
+    "occlusion.slices": (1, 32),
+    "occlusion.steps": (1, 64),
+    "occlusion.is_smooth": (False,),
+    "occlusion.bits": (16,),
     "animation_step": (0.1, 1e3),
     "animation_lag": (0.0, 100.0),
     "light_cutoff": (1e-3, 1e3),

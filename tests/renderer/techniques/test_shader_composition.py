@@ -24,7 +24,17 @@ from frames import EYE, open_renderer
 import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Blending
-from renderer.scene import AlphaMode, Bloom, Fog, Scene, SceneBuilder, TextureMap, make_geometry, translation
+from renderer.scene import (
+    AlphaMode,
+    AmbientOcclusion,
+    Bloom,
+    Fog,
+    Scene,
+    SceneBuilder,
+    TextureMap,
+    make_geometry,
+    translation,
+)
 from renderer.shaders.materials import MaterialShader
 from renderer.techniques import TECHNIQUES
 from rhi.shading import Shader
@@ -53,6 +63,7 @@ def build_scene(
     mixes_coordinates: bool = False,
     shader: type[MaterialShader] | None = None,
     has_bloom: bool = True,
+    has_occlusion: bool = False,
 ) -> Scene:
     """Build an opaque, a masked and a transparent box, with or without a light of each kind, in fog and with
     bloom."""
@@ -88,6 +99,8 @@ def build_scene(
     builder.fog = Fog(0.1)
     if has_bloom:
         builder.bloom = Bloom()
+    if has_occlusion:
+        builder.ambient_occlusion = AmbientOcclusion()
     builder.views["eye"] = EYE
     return builder.build()
 
@@ -102,6 +115,8 @@ def build_scenes() -> tuple[Scene, ...]:
         build_scene(has_lights=False, mixes_coordinates=True),
         build_scene(mixes_coordinates=True),
         build_scene(shader=PlainMaterial),
+        build_scene(has_occlusion=True),
+        build_scene(has_details=True, has_occlusion=True),
         build_scene(has_bloom=False),  # whose layers of transparency need less than single floats
     )
 
@@ -129,6 +144,8 @@ def draw_all(device: rhi.Device, name: str) -> None:
 
 FAINT_LAYER_SHADERS = {"LayersShader", "WideBlendShader"}
 """Drawn where faint layers are many, on devices that blend single floats: test_faint_layers.py does so."""
+ADDED_BY_RENDERER = ("renderer.techniques.parts.scaling", "renderer.techniques.parts.ambient_occlusion")
+"""The modules of the passes that the renderer adds to those of any technique."""
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
@@ -147,7 +164,7 @@ def test_a_technique_declares_the_shaders_that_it_draws_with_and_no_others(
     parts = {part for shader in programs for part in collect_parts(shader)}
     declared: tuple[type[Any], ...] = vars(TECHNIQUES[name])["shaders"]
     drawn = {part for part in parts if part.__module__.startswith("renderer.techniques") or part in declared}
-    drawn = {part for part in drawn if not part.__module__.startswith("renderer.techniques.parts.scaling")}
+    drawn = {part for part in drawn if not part.__module__.startswith(ADDED_BY_RENDERER)}
     expected = {part.__name__ for part in declared} - FAINT_LAYER_SHADERS
     assert {part.__name__ for part in drawn} - FAINT_LAYER_SHADERS == expected
     assert len(set(declared)) == len(declared)

@@ -4,13 +4,14 @@ the documents that the renderer's own refer to, in another form where there is o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, normalize
-from renderer.lab.measure.ray_tracer.triangle_tree import Floats, TriangleTree
+from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Fog, Scene, ShadingModel
 
 _AWAY: Final = 1e-6
@@ -20,6 +21,8 @@ _SMOOTHEST: Final = 0.1
 """The roughness below which the metallic-roughness model uses this value."""
 _RINGS: Final = 24
 """Rings of directions to a sphere light, each with twice as many directions."""
+_OCCLUSION_RAYS: Final = 512
+"""Rays of ambient occlusion for each surface."""
 
 
 class LitSurfaces:
@@ -114,9 +117,48 @@ class LitSurfaces:
         mirrored = np.where(is_metal[:, None], mirror * scale[:, None] + offset[:, None], mirrored)
         blunt = np.where(is_metal, rough**2, 0.0)[:, None]
         beyond = beyond * (1.0 - blunt) + seen.normal * blunt
-        return np.asarray(
-            (diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * seen.occlusion[:, None]
-        )
+        left = (seen.occlusion * self._measure_openness(seen))[:, None]
+        return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * left)
+
+    def _measure_openness(self, seen: Surfaces) -> Floats:
+        """The share (k,) of ambient light that other surfaces leave, by the scene's `AmbientOcclusion`.
+
+        Of all rays within the hemisphere, spread by the cosine to the geometric normal, the share is counted
+        that are as long as their lengths without a hit. The lengths' squares are spread evenly from 0 to that
+        of the radius: so a surface at the distance d is hit by a share of 1 - (d / radius)².
+        """
+        ambient_occlusion, normal = self._scene.ambient_occlusion, seen.geometric_normal
+        if ambient_occlusion is None:
+            return np.ones(len(normal))
+        aside = normalize(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
+        up = np.cross(normal, aside)
+        origins = seen.position + normal * (_AWAY + 1e-13 * np.abs(seen.position).max(axis=1))[:, None]
+        open_rays = np.zeros(len(normal))
+        for number in range(_OCCLUSION_RAYS):
+            sine = np.sqrt((number + 0.5) / _OCCLUSION_RAYS)
+            angle = 2.0 * np.pi * _reverse_digits(number, 2)
+            around = aside * np.cos(angle) + up * np.sin(angle)
+            direction = around * sine + normal * np.sqrt(1.0 - sine * sine)
+            length = ambient_occlusion.radius * np.sqrt(_reverse_digits(number, 3))
+            open_rays += ~self._tree.are_occluded(
+                origins, direction, np.full(len(normal), length), partial(self._take_light, direction)
+            )
+        return open_rays / _OCCLUSION_RAYS
+
+    def _take_light(self, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
+        """The hits of opaque surfaces that rays see."""
+        is_glass = self._geometry.is_glass[self._geometry.objects[hits.triangle]]
+        return np.asarray(self._geometry.are_visible(hits, directions) & ~is_glass)
+
+
+def _reverse_digits(number: int, base: int) -> float:
+    """Return 0.abc for the digits cba of a number, and half of the last digit more: Hammersley's points."""
+    value, weight = 0.0, 1.0
+    while number:
+        weight /= base
+        number, digit = divmod(number, base)
+        value += digit * weight
+    return value + 0.5 / _OCCLUSION_RAYS
 
 
 def _list_directions(to_light: Floats, sine: Floats) -> Iterator[tuple[Floats, Any]]:

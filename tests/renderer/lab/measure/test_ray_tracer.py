@@ -216,6 +216,7 @@ def test_the_ray_tracer_imports_the_scene_alone() -> None:
         "__future__",
         "collections.abc",
         "dataclasses",
+        "functools",
         "typing",
         "numpy",
         "numpy.typing",
