@@ -25,7 +25,7 @@ from typing import Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from live_site import add_live_programs, write_live
+from live_site import add_live_programs, list_absent, write_live
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 
@@ -75,9 +75,15 @@ LINK: Final = re.compile(r"\]\((?![a-z]+:|#)([^)#\s]+)")
 _HARMLESS: Final = ("Build started", "No issues found", "Build finished")
 
 
-def collect_pages(folder: Path, *, live: bool = False) -> None:
-    """Write the pages of the site to a folder, with the files that they link; `live`: with programs that
-    run."""
+def collect_pages(folder: Path, *, live: bool = False, pyodide: Path | None = None) -> None:
+    """Write the pages of the site to a folder, with the files that they link.
+
+    Args:
+        folder: where to; it doesn't exist yet.
+        live: whether programs run in their pages.
+        pyodide: a folder with Pyodide's distribution for them; None: they load it from its own address.
+    """
+    absent = list_absent(pyodide)
     shutil.copytree(ROOT / "docs", folder)
     for page in (*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in EXTRA_PAGES)):
         name = (
@@ -89,7 +95,7 @@ def collect_pages(folder: Path, *, live: bool = False) -> None:
             return f"]({os.path.relpath(target, os.path.dirname(name) or '.')}"
 
         text = page.read_text(encoding="utf-8")
-        text = LINK.sub(lead, add_live_programs(text) if live else text)
+        text = LINK.sub(lead, add_live_programs(text, absent) if live else text)
         (folder / name).write_text(text, encoding="utf-8")
     (folder / "reference").mkdir()
     for module in MODULES:
@@ -128,7 +134,7 @@ def build(folder: Path, *, live: bool = True, pyodide: Path | None = None) -> li
         pyodide: a folder with Pyodide's distribution for them, whose files are copied.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    collect_pages(folder / "docs", live=live)
+    collect_pages(folder / "docs", live=live, pyodide=pyodide)
     if live:
         write_live(folder / "docs" / "live", pyodide)
     shutil.copyfile(ROOT / "mkdocs.yml", folder / "mkdocs.yml")

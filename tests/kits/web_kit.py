@@ -17,12 +17,17 @@ import run_in_node  # noqa: E402
 TIMEOUT = 900.0
 
 
-def require_node(*, gpu: bool = True) -> None:
-    """Fetch what programs in node need, or skip the test; without `gpu`, what a page without WebGPU needs."""
+def require_pyodide() -> None:
+    """Fetch the packages of `run_in_node.py`, Pyodide among them, or skip the test."""
     try:
         run_in_node.fetch()
     except (OSError, SystemExit, subprocess.CalledProcessError) as error:
         pytest.skip(f"packages for node can't be had: {error}")
+
+
+def require_node(*, gpu: bool = True) -> None:
+    """Fetch what programs in node need, or skip the test; without `gpu`, what a page without WebGPU needs."""
+    require_pyodide()
     obstacle = run_in_node.find_obstacle(gpu=gpu)
     if obstacle is not None:
         pytest.skip(obstacle)

@@ -98,7 +98,8 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         set_indices = self._resolve_query_indices(query_indices, draws, call)
         if query_indices is None:
             return set_indices
-        repeated = np.bincount(run_starts(set_indices)) > 1
+        starts = run_starts(set_indices).astype(np.intp, copy=False)  # a page's NumPy has indices of 32 bits
+        repeated = np.bincount(starts) > 1
         if repeated.any():
             repeat = f"query {repeated.argmax()} again after other queries"
             self._core.refuse(QUERY_INDICES, call, repeat, "consecutive draws for each query")

@@ -291,7 +291,9 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
     close = np.where(rng.random(count) < 0.5, rng.choice(_ANCHORS, count), turns)
     close *= 1 + rng.choice((-1, 1), count) * np.exp(rng.uniform(np.log(1e-8), 0, count))
     sign = np.where(rng.random(count) < 0.5, -1, 1) if low < 0 else 1
-    values = np.choose(rng.integers(0, 3, count), (even, sign * magnitude, sign * close)).astype(np.float32)
+    values = np.choose(rng.integers(0, 3, count, np.intp), (even, sign * magnitude, sign * close)).astype(
+        np.float32
+    )
     return np.clip(values, np.float32(low), np.float32(high)).view(np.uint32)
 
 

@@ -254,10 +254,12 @@ def test_the_kit_passes() -> None:
     assert {name for name in failed if not any(map(name.startswith, EXPECTED_FAILURES))} == set(), (
         done.stdout[-20000:]
     )
-    assert sum(int(passed) for passed, _ in totals) > 2000
+    assert sum(int(passed) for passed, _ in totals) > 3000
 
 
 _SCISSOR = "test_the_same_triangle_has_the_same_depth_whatever_the_scissor[web-direct-"
+_TABLE = "test_an_enlarged_image_of_a_table_is_filtered_and_wrapped_as_a_texture"
+_CLAMPED_LOADS = "Dawn loads the nearest texel for one that doesn't exist, as WGSL allows; zero is promised"
 EXPECTED_FAILURES = {
     **{
         f"{_SCISSOR}{size}-clipped]": "SwiftShader's rasteriser"
@@ -267,9 +269,25 @@ EXPECTED_FAILURES = {
     "a depth of .5 to another number than a clear to .5 stores",
     "test_each_operator_of_scalars_and_vectors[web-direct-float-": "SwiftShader's pow: inf and NaN",
     "test_the_ends_of_a_format_s_range_are_cleared_to[web-direct-RGB10A2UI]": "Dawn clears RGB10A2UI to 255 at most",
+    **dict.fromkeys(
+        (
+            "test_a_triangle_with_a_corner_just_behind_the_eye_is_drawn[web-direct]",
+            "test_a_clipped_triangle_covers_the_texels_that_float64_computes[web-direct-",
+            "test_small_triangles_of_a_tilted_plane_have_the_distance_of_the_plane[web-direct-",
+            "test_each_sample_has_the_color_of_the_triangle_that_covers_its_position[web-direct-4]",
+        ),
+        "SwiftShader's rasteriser",
+    ),
+    "test_a_cube_is_filtered_across_its_edges[web-direct]": "SwiftShader reads what memory held beyond a face's edge",
+    f"{_TABLE}[web-direct-MIRROR-CLAMP-NEAREST]": "SwiftShader selects other texels where a mirrored texture repeats",
+    "test_texels_outside_are_zeros_and_stores_outside_are_dropped[web-direct]": _CLAMPED_LOADS,
+    "test_a_sample_outside_the_texture_is_zero[web-direct]": _CLAMPED_LOADS,
 }
 """Tests of the kit that fail in node, by the beginnings of their names, and why. Those of SwiftShader fail with wgpu on
-it too; the one of Dawn fails in plain JavaScript."""
+it too; the clear of Dawn fails in plain JavaScript."""
 
-ENDLESS = ("(test_far_indirect_arguments_read_the_mesh and (count or instances))",)
+ENDLESS = (
+    "(test_far_indirect_arguments_read_the_mesh and (count or instances))",
+    "(test_random_indirect_arguments_read_the_mesh and (plain or instanced))",
+)
 """Tests that draw up to 2³² vertices or instances, each of which SwiftShader shades on the CPU."""
