@@ -11,12 +11,18 @@ from dataclasses import fields
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
-from math import inf
-from numbers import Real
-from typing import Any, Final, NoReturn, get_args, get_type_hints
+from math import inf, isfinite
+from types import NoneType
+from typing import Any, Final, NoReturn, get_args, get_origin, get_type_hints
 
-from rhi.errors import RhiError, Rule, refuse
+import numpy as np
+
+from rhi.errors import RhiError, Rule, describe_value, refuse
 from rhi.errors.arguments import describe_choices, to_integer
+from rhi.errors.array_likes import to_real, to_real_array
+
+_MOST: Final = 2**31 - 1
+"""The largest whole number of a setting."""
 
 # Model files
 MISSING_FILE: Final = Rule("scene-missing-file", "the model file does not exist")
@@ -26,6 +32,7 @@ UNREADABLE_MODEL: Final = Rule(
     "the model file can't be read as the format that its extension names",
     "open the file in a viewer, or export it again",
 )
+BAD_LIMIT: Final = Rule("scene-bad-limit", "a limit of model files is a number of 0 or more, or infinite")
 MODEL_LIMIT: Final = Rule(
     "scene-model-limit",
     "the model file exceeds a limit",
@@ -144,6 +151,9 @@ UNKNOWN_CAMERA: Final = Rule(
     "camera-unknown-name",
     "the text names no camera of the scene",
     "give a name, a position x,y,z, or a position and a target x,y,z,x,y,z",
+)
+BAD_PATH: Final = Rule(
+    "camera-bad-route", "a camera path has positions and targets of finite numbers, one of each for a frame"
 )
 BAD_CAMERA_PATH: Final = Rule(
     "camera-bad-path", "the file is not a walk-through", "CameraPath.record(cameras).save(path) writes one"
@@ -324,8 +334,9 @@ def refuse_name(rule: Rule, call: str, name: str, allowed: Iterable[str]) -> NoR
 
 def check_non_negative(rule: Rule, call: str, value: float) -> None:
     """Refuse a number that isn't 0 or more, and finite."""
-    if not 0.0 <= value < inf:
-        refuse(rule, call, value, "0 or more, finite")
+    number = _as_float(value)
+    if number is None or not 0.0 <= number < inf:
+        refuse(rule, call, describe_value(value), "0 or more, finite")
 
 
 def check_scale(call: str, value: float) -> None:
@@ -335,39 +346,103 @@ def check_scale(call: str, value: float) -> None:
 
 
 def check_types(settings: Any, rule: Rule) -> None:
-    """Refuse settings, a dataclass, with a value of another type than its field's. NumPy's numbers become
-    Python's."""
+    """Refuse a dataclass with a value of another type than its field's, or a whole number beyond 32 bits.
+
+    NumPy's numbers become Python's, and sequences of numbers become tuples of floats. NaN is refused by the
+    field's range.
+    """
     owner: type = type(settings)
     for name, kinds in _list_types(owner):
         value = getattr(settings, name)
-        if not any(_is_instance(value, kind) for kind in kinds):
+        if value.__class__ is kinds[0] and kinds[0] in (bool, str):
+            continue
+        for kind in kinds:
+            number = _as_kind(value, kind)
+            if number is not None or (kind is NoneType and value is None):
+                break
+        else:
             allowed = " or ".join(_describe_type(kind) for kind in kinds)
-            refuse(rule, f"{owner.__name__}({name}=...)", repr(value), allowed)
-        if kinds[0] in (int, float) and type(value) not in (int, float):
-            object.__setattr__(settings, name, kinds[0](value))
+            refuse(rule, f"{owner.__name__}({name}=...)", describe_value(value), allowed)
+        if number is not None and type(value) not in (int, float) and number is not value:
+            object.__setattr__(settings, name, number)
+
+
+def check_count(rule: Rule, call: str, value: Any, least: int = 1) -> int:
+    """Return a whole number as an int, and refuse anything else, fewer than `least`, or more than 32 bits
+    hold."""
+    number = to_integer(value)
+    if number is None or not least <= number <= _MOST:
+        refuse(rule, call, describe_value(value), f"a whole number of {least} or more, up to {_MOST:,}")
+    return number
+
+
+def check_numbers(rule: Rule, call: str, **values: Any) -> tuple[float, ...]:
+    """Return finite real numbers as floats, and refuse anything else."""
+    numbers = []
+    for name, value in values.items():
+        number = _as_float(value)
+        if number is None or not isfinite(number):
+            refuse(rule, f"{call}({name}=...)", describe_value(value), "a finite number")
+        numbers.append(number)
+    return tuple(numbers)
 
 
 @cache
-def _list_types(owner: type) -> tuple[tuple[str, tuple[type, ...]], ...]:
+def _list_types(owner: type) -> tuple[tuple[str, tuple[Any, ...]], ...]:
     """Return the fields of a dataclass, each with the types that its value may have."""
     hints = get_type_hints(owner)
-    return tuple((field.name, get_args(hints[field.name]) or (hints[field.name],)) for field in fields(owner))
-
-
-def _is_instance(value: object, kind: type) -> bool:
-    if kind is int:
-        return to_integer(value) is not None
-    return (
-        isinstance(value, Real) and not isinstance(value, bool) if kind is float else isinstance(value, kind)
+    kinds = ((field.name, hints[field.name]) for field in fields(owner))
+    return tuple(
+        (name, (kind,) if get_origin(kind) is tuple else get_args(kind) or (kind,)) for name, kind in kinds
     )
 
 
-def _describe_type(kind: type) -> str:
+def _as_kind(value: Any, kind: Any) -> Any:
+    """Return a value as a field of a type holds it, None if it isn't of that type."""
+    if kind is int:
+        number = to_integer(value)
+        return number if number is not None and abs(number) <= _MOST else None
+    if kind is float:
+        return _as_float(value)
+    if get_origin(kind) is tuple:
+        return _as_floats(value, len(get_args(kind)))
+    return value if isinstance(value, kind) else None
+
+
+def _as_float(value: Any) -> float | None:
+    """Return a real number, also NaN, as an int or a float; None for anything else, bools too."""
+    if value.__class__ is float:
+        return value
+    if isinstance(value, bool | np.bool_):
+        return None
+    try:
+        number = float(to_real(value))
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return value if value.__class__ is int else number
+
+
+def _as_floats(value: Any, count: int) -> tuple[float, ...] | None:
+    """Return finite numbers of this count as floats, None for anything else."""
+    if value.__class__ is tuple and len(value) == count and all(v.__class__ is float for v in value):
+        return value if all(map(isfinite, value)) else None
+    try:
+        numbers = np.asarray(to_real_array(value), np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        return None
+    return tuple(numbers.tolist())
+
+
+def _describe_type(kind: Any) -> str:
+    if get_origin(kind) is tuple:
+        return f"{len(get_args(kind))} finite numbers"
     words = {
         bool: "True or False",
-        int: "a whole number",
+        int: f"a whole number up to {_MOST:,}",
         float: "a number",
         str: "a text",
-        type(None): "None",
+        NoneType: "None",
     }
     return describe_choices(kind) if issubclass(kind, Enum) else words.get(kind, f"a {kind.__name__}")

@@ -41,6 +41,14 @@ class ModelLimits:
     seconds: float = 600.0
     outside: bool = False
 
+    def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_LIMIT)
+        for name in ("bytes", "pixels", "vertices", "seconds"):
+            if not getattr(self, name) >= 0:
+                refuse(
+                    rules.BAD_LIMIT, f"ModelLimits({name}=...)", getattr(self, name), "0 or more; may be inf"
+                )
+
     @classmethod
     def parse(cls, words: str) -> ModelLimits | None:
         """Parse the options of a model file in a scene's text: `outside`, `unlimited` or both; None for other

@@ -115,6 +115,7 @@ class Stepwise:
     methods = ("step",)
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_SIMULATION)
         _check("Stepwise(steps_per_frame=...)", self.steps_per_frame)
         if self.memory is not None:
             _check("Stepwise(memory=...)", self.memory)
@@ -163,6 +164,7 @@ class Leap:
     methods = ("step", "leap")
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_SIMULATION)
         _check("Leap(steps_per_frame=...)", self.steps_per_frame)
         if not 0.0 <= self.error < np.inf:
             refuse(rules.BAD_SIMULATION, "Leap(error=...)", self.error, "a finite number, at least 0")

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from rhi.errors import refuse
+from rhi.errors import describe_value, refuse
+from rhi.errors.array_likes import to_real_array
 
 _LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, and 0.1 ms be told apart
 
@@ -26,8 +27,12 @@ def check_finite(call: str, **values: ArrayLike) -> None:
     for name, value in values.items():
         if value.__class__ is float and isfinite(value):
             continue
-        if not np.logical_and.reduce(np.isfinite(value), axis=None):
-            refuse(rules.NOT_FINITE, f"{call}: {name}", value, "finite numbers")
+        try:
+            is_finite = np.logical_and.reduce(np.isfinite(to_real_array(value)), axis=None)
+        except (TypeError, ValueError, OverflowError):  # no numbers, or too large ones
+            is_finite = False
+        if not is_finite:
+            refuse(rules.NOT_FINITE, f"{call}: {name}", describe_value(value), "finite numbers")
 
 
 def check_time(call: str, seconds: float) -> None:
@@ -35,6 +40,8 @@ def check_time(call: str, seconds: float) -> None:
     (`animation-time`)."""
     if not (seconds.__class__ is float and isfinite(seconds)):
         check_finite(call, seconds=seconds)
+        if np.ndim(seconds):
+            refuse(rules.BAD_TIME, f"{call}: seconds", seconds, "a number")
     if abs(seconds) > _LONGEST_TIME:
         refuse(rules.BAD_TIME, f"{call}: seconds", seconds, f"{-_LONGEST_TIME:g} to {_LONGEST_TIME:g}")
 

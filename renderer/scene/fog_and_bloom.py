@@ -35,6 +35,7 @@ class Fog:
     base: float = 0.0
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_EFFECT)
         _check(
             "Fog(density=...)",
             self.density,
@@ -63,6 +64,7 @@ class Bloom:
     strength: float = 0.05
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_EFFECT)
         _check("Bloom(strength=...)", self.strength, 0.0 < self.strength <= 1.0, "more than 0, at most 1")
 
 

@@ -25,7 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, vertex_format
-from rhi.errors import refuse
+from rhi.errors import describe_value, refuse
+from rhi.errors.array_likes import to_real_array
 
 MAX_SAMPLES: Final = 4097
 """The largest side of a map of heights."""
@@ -145,23 +146,30 @@ def make_height_field(
         0.
     """
     call = "make_height_field"
-    samples = np.asarray(heights, np.float64)
+    try:
+        samples = np.asarray(to_real_array(heights), np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        refuse(rules.BAD_HEIGHTS, f"{call}(heights=...)", describe_value(heights), f"real numbers: {error}")
     if samples.ndim != 2 or not samples.size or max(samples.shape) > MAX_SAMPLES:
         refuse(rules.BAD_HEIGHTS, call, f"shape {samples.shape}", f"(r, c), each from 1 to {MAX_SAMPLES:,}")
     if not np.isfinite(samples).all() or np.abs(samples).max() > 1e9:
         refuse(
             rules.BAD_HEIGHTS, call, "a height that isn't finite or too large", "finite heights up to 10⁹ m"
         )
-    sides = (float(size), float(size)) if isinstance(size, int | float) else (float(size[0]), float(size[1]))
+    x, z = size if isinstance(size, tuple | list | np.ndarray) and np.shape(size) == (2,) else (size, size)
+    sides = rules.check_numbers(rules.BAD_HEIGHTS, call, size=x) + rules.check_numbers(
+        rules.BAD_HEIGHTS, call, size=z
+    )
     if not all(0.0 < side < 1e9 for side in sides):
         refuse(rules.BAD_HEIGHTS, f"{call}(size=...)", size, "above 0, up to 10⁹ m")
-    if limit < 2:
-        refuse(rules.BAD_HEIGHTS, f"{call}(limit=...)", limit, "at least 2 triangles")
+    limit = rules.check_count(rules.BAD_HEIGHTS, f"{call}(limit=...)", limit, 2)
     cells = 1 << max(max(samples.shape) - 2, 0).bit_length()
     for _ in range(2):
         samples = _resample(samples, cells + 1).T
     grid = np.ascontiguousarray(samples, np.float32)
-    return HeightField(grid, sides, 1 << (min(limit, 2 * cells * cells).bit_length() - 1), has_normal_map)
+    return HeightField(
+        grid, (sides[0], sides[1]), 1 << (min(limit, 2 * cells * cells).bit_length() - 1), has_normal_map
+    )
 
 
 def _resample(rows: Floats, count: int) -> Floats:

@@ -126,6 +126,7 @@ class TextureMap:
     sampler: SamplerDescriptor = DEFAULT_SAMPLER
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_MATERIAL)
         if self.uv_set not in (0, 1):
             refuse(rules.BAD_MATERIAL, "TextureMap(uv_set=...)", self.uv_set, "0 or 1")
         if self.sampler.compare is not None:

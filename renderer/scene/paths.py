@@ -23,6 +23,7 @@ from renderer.scene.files import read_json
 from renderer.scene.finite import check_finite
 from rhi.errors import RhiError, refuse
 from rhi.math import Camera, Depth, Orthographic, Perspective, Projection
+from rhi.math.arguments import read_floats
 
 FRAMES_PER_SECOND: Final = 60
 FRAME_COUNT: Final = 30 * FRAMES_PER_SECOND
@@ -59,6 +60,20 @@ class CameraPath:
     targets: Floats
     projection: Projection
     ups: Floats = field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "targets"):
+            points = _read_points(f"CameraPath({name}=...)", getattr(self, name))
+            object.__setattr__(self, name, points)
+        shape = self.positions.shape
+        if self.targets.shape != shape:
+            refuse(rules.BAD_PATH, "CameraPath(targets=...)", f"shape {self.targets.shape}", f"shape {shape}")
+        ups = read_floats("CameraPath(ups=...)", self.ups, 3, rule=rules.BAD_PATH)
+        if ups.shape not in ((3,), shape) or not np.isfinite(ups).all():
+            refuse(
+                rules.BAD_PATH, "CameraPath(ups=...)", self.ups, f"finite numbers of shape (3,) or {shape}"
+            )
+        object.__setattr__(self, "ups", ups)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -134,6 +149,14 @@ class CameraPath:
         return cls(rows[:, :3], rows[:, 3:6], projection, rows[:, 6:])
 
 
+def _read_points(call: str, points: ArrayLike) -> Floats:
+    """Return finite points (n, 3) as float64; refuse anything else."""
+    read = read_floats(call, points, 3, rule=rules.BAD_PATH)
+    if read.ndim != 2 or not np.isfinite(read).all():
+        refuse(rules.BAD_PATH, call, points, "finite points of shape (n, 3)")
+    return read
+
+
 def make_path(
     corners: ArrayLike,
     projection: Projection,
@@ -146,8 +169,21 @@ def make_path(
 
     `rounding` is the length of the route in metres over which a corner is spread, `ahead` the distance in
     metres from the camera to its target along the route, and `sink` how far the target lies below the route.
+
+    Raises:
+        ValidationError: `camera-bad-route` for numbers that aren't finite, fewer than two corners, or corners
+            in the same place.
     """
-    route = np.asarray(corners, np.float64)
+    route = _read_points("make_path(corners=...)", corners)
+    numbers = rules.check_numbers(rules.BAD_PATH, "make_path", rounding=rounding, ahead=ahead, sink=sink)
+    rounding, ahead, sink = numbers
+    frames = rules.check_count(rules.BAD_PATH, "make_path(frames=...)", frames)
+    for name, number in (("rounding", rounding), ("ahead", ahead)):
+        rules.check_non_negative(rules.BAD_PATH, f"make_path({name}=...)", number)
+    if len(route) < 2 or not np.linalg.norm(np.diff(route, axis=0), axis=1).all():
+        refuse(
+            rules.BAD_PATH, "make_path(corners=...)", corners, "two corners or more, each apart from the next"
+        )
     lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
     total = float(lengths.sum())
     # The route is extended at both ends, to keep the averages centred and to give the last frames a target.

@@ -35,6 +35,7 @@ from rhi.math import (
     distance_at_depth,
     is_parallel,
 )
+from rhi.math.arguments import read_floats
 
 HUMAN_EYE_DISTANCE: Final = 0.063
 """The distance of human eyes in metres, the mean of adults."""
@@ -52,6 +53,9 @@ class SkewedProjection:
 
     projection: Projection
     skew: float
+
+    def __post_init__(self) -> None:
+        rules.check_numbers(rules.BAD_STEREO, "SkewedProjection", skew=self.skew)
 
     @property
     def depth(self) -> Depth:
@@ -86,6 +90,7 @@ class StereoRig:
     is_toed_in: bool = False
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_STEREO)
         rules.check_non_negative(rules.BAD_STEREO, "StereoRig(eye_distance=...)", self.eye_distance)
         if not self.convergence > 0.0:
             refuse(rules.BAD_STEREO, "StereoRig(convergence=...)", self.convergence, "above 0; may be inf")
@@ -207,9 +212,12 @@ def _enclose(rig: StereoRig, projection: Projection) -> tuple[Projection, float]
 def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:
     """Return (n, 2), how far points (n, 3) of the world are to the right and upwards in the right eye's image
     of where they are in the left one's, in units of half the image's width and height."""
+    world = read_floats("measure_parallax(points=...)", points, 3, rule=rules.BAD_STEREO)
+    if world.ndim != 2 or not np.isfinite(world).all():
+        refuse(rules.BAD_STEREO, "measure_parallax(points=...)", points, "finite points of shape (n, 3)")
     positions = []
     for eye in eyes:
-        relative = (np.asarray(points, np.float64) - eye.position) @ eye.rotation.T
+        relative = (world - eye.position) @ eye.rotation.T
         clip = np.concatenate([relative, np.ones((len(relative), 1))], axis=1) @ eye.projection.matrix.T
         positions.append(clip[:, :2] / clip[:, 3:])
     return np.asarray(positions[1] - positions[0])

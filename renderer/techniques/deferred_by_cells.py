@@ -15,6 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import rhi.shading as sl
+from renderer import rules
 from renderer.frame import LOCAL_LIGHTS, Frame, FrameEffects, FramePass, Target
 from renderer.light_kinds.bounds import WORD_FIELDS
 from renderer.light_kinds.generation import define
@@ -302,7 +303,8 @@ class TiledDeferred:
         """`samples` is the number of samples per pixel, as for `Forward`; `normal_bits` is as for
         `Deferred`."""
         check_bits(normal_bits, NORMAL_BITS, "TiledDeferred(normal_bits=...)")
-        self.samples, self.normal_bits = samples, normal_bits
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "TiledDeferred(samples=...)", samples)
+        self.normal_bits = normal_bits
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `geometry`, `tiles` and `resolve`, after `depth` with several samples. Without local
@@ -343,7 +345,8 @@ class ClusteredDeferred:
         """`samples` is the number of samples per pixel, as for `Forward`; `normal_bits` is as for
         `Deferred`."""
         check_bits(normal_bits, NORMAL_BITS, "ClusteredDeferred(normal_bits=...)")
-        self.samples, self.normal_bits = samples, normal_bits
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "ClusteredDeferred(samples=...)", samples)
+        self.normal_bits = normal_bits
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `geometry`, `light lists` and `resolve`, after `depth` with several samples. Without

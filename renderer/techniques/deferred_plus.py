@@ -200,8 +200,8 @@ class DeferredPlus:
         """`samples` is the number of samples per pixel, as for `Forward`. `multi_pass` finds the pixels of
         each material by a depth test and shades them in draws of their own; `binned` lists pixels by
         material and shades them in compute. They exclude each other and several samples."""
-        check_passes(multi_pass, binned, samples, "DeferredPlus")
-        self.samples = samples
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "DeferredPlus(samples=...)", samples)
+        check_passes(multi_pass, binned, self.samples, "DeferredPlus")
         self.multi_pass = multi_pass
         self.binned = binned
 

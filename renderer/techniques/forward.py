@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from renderer import rules
 from renderer.frame import Frame, FrameEffects, FramePass
 from renderer.light_kinds.bounds import LightBounds
 from renderer.light_kinds.generation import define, for_each_kind
@@ -63,7 +64,7 @@ class Forward:
         """`samples` is the number of samples per pixel, one of the device's `capabilities.sample_counts`.
         `all_lights` evaluates every light of the scene for each opaque fragment instead of its object's
         light list, as Wilks's forward shading does."""
-        self.samples = samples
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "Forward(samples=...)", samples)
         self.all_lights = all_lights
 
     @property

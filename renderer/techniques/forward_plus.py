@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from renderer import rules
 from renderer.frame import Frame, FrameEffects, FramePass
 from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS, draw_once, forward_passes
@@ -46,7 +47,7 @@ class ForwardPlus:
     def __init__(self, samples: int = 1, *, tiles: ClusterSettings = TILES) -> None:
         """`samples` is the number of samples per pixel, as for `Forward`; `tiles` are the tiles whose
         lights are listed."""
-        self.samples = samples
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "ForwardPlus(samples=...)", samples)
         self.cells = tiles
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
@@ -81,7 +82,7 @@ class Clustered:
         """`samples` is the number of samples per pixel, as for `Forward`; `clusters` are the clusters
         whose lights are listed. `depth_first` draws depth in a pass before, so that no hidden fragment is
         lit."""
-        self.samples = samples
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "Clustered(samples=...)", samples)
         self.depth_first = depth_first
         self.cells = clusters
 

@@ -198,7 +198,8 @@ class InferredLightShader(ForwardShader, SurfaceReader):
 
 def check_scale(scale: float, call: str) -> None:
     """Refuse a scale of the light buffers that isn't above 0 and at most 1."""
-    if not 0.0 < scale <= 1.0:
+    (number,) = rules.check_numbers(rules.BAD_TECHNIQUE, call, scale=scale)
+    if not 0.0 < number <= 1.0:
         refuse(
             rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 or more looks good"
         )

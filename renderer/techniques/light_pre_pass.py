@@ -40,6 +40,7 @@ from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, c
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, lit_pass
 from rhi import Format, refuse
+from rhi.errors.arguments import to_integer
 
 
 class LitByTerms(ForwardShader):
@@ -65,7 +66,7 @@ class LitByTerms(ForwardShader):
 
 def check_channels(specular_channels: int, call: str) -> None:
     """Refuse a number of specular channels that isn't 1 or 3."""
-    if specular_channels not in (1, 3):
+    if to_integer(specular_channels) not in (1, 3):
         refuse(rules.BAD_TECHNIQUE, f"{call}(specular_channels=...)", specular_channels, "1 or 3")
 
 

@@ -54,13 +54,15 @@ class PlainQueries:
         backend, queries = self._backend, self._queries
         size = DRAW.itemsize
         for query_index, begin, end in list_runs(query_indices):
-            backend.begin_conditional(queries[query_index], False)
             try:
+                backend.begin_conditional(queries[query_index], False)
                 backend.draw_indirect(
                     vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0
                 )
-            finally:
                 backend.end_conditional()
+            except BaseException:  # whether it has begun, or ended, or not
+                backend.end_conditional()
+                raise
 
     def read(self, query_indices: NDArray[np.int64]) -> NDArray[np.int64] | None:
         """Return the samples of each query, or None; see `rhi.contract.backend.PreparedQueries.read`."""

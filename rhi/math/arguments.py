@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,18 @@ def read_floats(
     return numbers
 
 
+def read_finite(call: str, value: ArrayLike, *shape: int) -> NDArray[np.float64]:
+    """Return finite real numbers of exactly this shape, as float64, of a camera or projection.
+
+    Raises:
+        ValidationError: `camera-bad-value` in the name of `call`, for other numbers and shapes.
+    """
+    numbers = read_floats(call, value, rule=CAMERA_VALUE)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        refuse(CAMERA_VALUE, call, value, f"finite numbers of shape {shape}")
+    return numbers
+
+
 def check_camera(call: str, value: object, is_valid: bool, allowed: str, tip: str = "") -> None:
     """Refuse an invalid value of a camera or projection."""
     if not is_valid:
@@ -43,3 +56,11 @@ def check_real(call: str, **values: Any) -> None:
             float(to_real(value))
         except (TypeError, ValueError, OverflowError):
             refuse(CAMERA_VALUE, f"{call}({name}=...)", value, "a real number")
+
+
+def check_angles(call: str, **angles: Any) -> None:
+    """Refuse angles that aren't finite real numbers."""
+    check_real(call, **angles)
+    for name, angle in angles.items():
+        if not isfinite(angle):
+            refuse(CAMERA_VALUE, f"{call}({name}=...)", angle, "a finite angle in radians")

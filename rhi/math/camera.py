@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from math import cos, sin
+from math import cos, isfinite, sin
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rhi.errors.rules import CAMERA_VALUE
-from rhi.math.arguments import check_camera, check_real, read_floats
+from rhi.math.arguments import check_angles, check_camera, check_real, read_finite, read_floats
 from rhi.math.projections import Depth, Perspective, Projection
 from rhi.math.transforms import Floats, freeze
 
@@ -71,6 +71,14 @@ class Camera:
     position: Floats
     rotation: Floats
     projection: Projection
+
+    def __post_init__(self) -> None:
+        # Arrays of floats that aren't finite are refused where the camera is used.
+        position, rotation = self.position, self.rotation
+        if not (position.__class__ is np.ndarray and position.shape == (3,) and position.dtype.kind == "f"):
+            object.__setattr__(self, "position", read_finite("Camera(position=...)", position, 3))
+        if not (rotation.__class__ is np.ndarray and rotation.shape == (3, 3) and rotation.dtype.kind == "f"):
+            object.__setattr__(self, "rotation", read_finite("Camera(rotation=...)", rotation, 3, 3))
 
     @classmethod
     def look_at(
@@ -193,22 +201,29 @@ def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0
         pitch: angle of the eye above the horizontal through `target`, in radians, from -pi / 2 to pi / 2.
 
     Raises:
-        ValidationError: `camera-bad-value` for a distance that isn't above 0.
+        ValidationError: `camera-bad-value` for a distance that isn't above 0, or numbers that aren't finite.
 
     Examples:
         >>> orbit((0, 0, 0), 5.0).shape
         (4, 4)
     """
-    check_real("orbit", distance=distance, yaw=yaw, pitch=pitch)
-    middle = read_floats("orbit(target=...)", target, 3, rule=CAMERA_VALUE)
+    check_real("orbit", distance=distance)
+    check_angles("orbit", yaw=yaw, pitch=pitch)
+    middle = read_finite("orbit(target=...)", target, 3)
     check_camera("orbit(distance=...)", distance, 0.0 < distance < np.inf, "above 0, finite")
-    turned = yaw_pitch_rotation(yaw, -pitch)
+    turned = yaw_pitch_rotation(float(yaw), -float(pitch))
     return Camera(middle + distance * turned[2], turned, Perspective()).view.copy()
 
 
 def yaw_pitch_rotation(yaw: float, pitch: float) -> Floats:
     """Return the rotation (3, 3) of a camera without roll, turned to the left by `yaw` around +Y, then
-    upwards by `pitch`, in radians: rows are right, up, back."""
+    upwards by `pitch`, in radians: rows are right, up, back.
+
+    Raises:
+        ValidationError: `camera-bad-value` for an angle that isn't finite.
+    """
+    if not (yaw.__class__ is pitch.__class__ is float and isfinite(yaw + pitch)):
+        check_angles("yaw_pitch_rotation", yaw=yaw, pitch=pitch)
     s, c, t, d = sin(yaw), cos(yaw), sin(pitch), cos(pitch)
     return np.array([(c, 0.0, -s), (s * t, d, c * t), (s * d, -t, c * d)])
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from math import isfinite
 from typing import Protocol
 
 import numpy as np
 
-from rhi.math.arguments import check_camera, check_real
+from rhi.errors.rules import CAMERA_VALUE
+from rhi.math.arguments import check_camera, check_real, read_floats
 from rhi.math.transforms import Floats, freeze
 
 
@@ -201,6 +203,15 @@ def is_parallel(projection: Projection) -> bool:
 
 def distance_at_depth(matrix: Floats, depth: float) -> float:
     """Distance along the view at which a projection's matrix (4, 4) gives this clip depth; it may be
-    infinite."""
+    infinite.
+
+    Raises:
+        ValidationError: `camera-bad-value` for a depth that isn't a finite number.
+    """
+    if not (depth.__class__ is float and isfinite(depth)):
+        check_real("distance_at_depth", depth=depth)
+        check_camera("distance_at_depth(depth=...)", depth, isfinite(depth), "a finite number")
+    if not (matrix.__class__ is np.ndarray and matrix.shape == (4, 4) and matrix.dtype.kind == "f"):
+        matrix = read_floats("distance_at_depth(matrix=...)", matrix, 4, 4, rule=CAMERA_VALUE)
     below = float(matrix[2, 2] - matrix[3, 2] * depth)
     return float(matrix[2, 3] - matrix[3, 3] * depth) / below if below else np.inf

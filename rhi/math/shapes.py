@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+from rhi.errors import refuse
+from rhi.errors.arguments import to_integer
+from rhi.errors.rules import DEVICE_ARGUMENT
+
+_MAX_RINGS: Final = 180
+"""The most rings whose vertices 16-bit indices reach: 181 · 361 of them."""
 
 
 def make_cube() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
@@ -29,7 +38,18 @@ def make_cube() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.fl
 
 
 def make_sphere(rings: int = 24) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Return a sphere: (n, 3) positions at a distance of 1, which are also its normals, and its indices."""
+    """Return a sphere: (n, 3) positions at a distance of 1, which are also its normals, and its indices.
+
+    Args:
+        rings: from pole to pole, 2 to 180; more vertices than 16-bit indices reach are refused.
+
+    Raises:
+        ValidationError: `device-argument` for another number of rings.
+    """
+    count = to_integer(rings)
+    if count is None or not 2 <= count <= _MAX_RINGS:
+        refuse(DEVICE_ARGUMENT, "make_sphere(rings=...)", rings, f"a whole number from 2 to {_MAX_RINGS}")
+    rings = count
     v, u = np.mgrid[0 : rings + 1, 0 : 2 * rings + 1]
     theta, phi = v * np.pi / rings, u * np.pi / rings
     positions = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], -1)

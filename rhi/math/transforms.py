@@ -83,7 +83,8 @@ def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
 
 def is_affine(matrices: Floats) -> bool:
     """True if all `matrices` (..., 4, 4) are finite and have the last row 0 0 0 1."""
-    return bool(np.isfinite(matrices).all() and (matrices[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all())
+    read = read_floats("is_affine(matrices=...)", matrices, 4, 4)
+    return bool(np.isfinite(read).all() and (read[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
 def transform_bounds(matrices: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
@@ -93,6 +94,12 @@ def transform_bounds(matrices: Floats, lower: Floats, upper: Floats) -> tuple[Fl
     half extents by its absolute values, which gives the bounds of the eight transformed corners.
     Values are rounded outwards by the error of that sum, so that no corner lies outside.
     """
+    matrices = read_floats("transform_bounds(matrices=...)", matrices, 4, 4)
+    lower = read_floats("transform_bounds(lower=...)", lower, 3)
+    upper = read_floats("transform_bounds(upper=...)", upper, 3)
+    if not (matrices.ndim == 3 and lower.ndim == upper.ndim == 2):
+        shapes = f"shapes {matrices.shape}, {lower.shape} and {upper.shape}"
+        refuse(DEVICE_ARGUMENT, "transform_bounds", shapes, "shapes (n, 4, 4), (n, 3) and (n, 3)")
     centre, extent = 0.5 * (lower + upper), 0.5 * (upper - lower)
     linear = matrices[:, :3, :3]
     absolute = np.abs(linear)
@@ -110,7 +117,7 @@ def normal_matrices(matrices: NDArray[Any]) -> Floats:
     The cofactor matrix is the inverse transpose times the determinant, whose sign is removed so that
     mirrored objects keep outward normals. Results are not normalised.
     """
-    linear = read_floats("normal_matrices(matrices=...)", matrices)[..., :3, :3]
+    linear = read_floats("normal_matrices(matrices=...)", matrices, 4, 4)[..., :3, :3]
     x, y, z = linear[..., :, 0], linear[..., :, 1], linear[..., :, 2]
     cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
     determinant = (x * cofactors[..., :, 0]).sum(-1)

@@ -70,12 +70,13 @@ class GlQuerySet:
                 query = gl_queries[query_index]
                 if query is not current:
                     if current is not None:
+                        current = None  # an interrupt may come as soon as a call returns
                         end(samples_passed)
                     if query.is_pending:
                         renew(query)
                     query.is_pending, query.begin, query.end = True, None, None
-                    begin(samples_passed, query.name)
                     current = query
+                    begin(samples_passed, query.name)
                 call(*draw)
         finally:
             if current is not None:

@@ -193,7 +193,8 @@ class Stream:
 
     def end_pass(self) -> None:
         """End the pass and resolve its targets."""
-        assert self.pass_ is not None
+        if self.pass_ is None:  # an interrupt came before its begin, or after its end
+            return
         resolves = any(color.resolve for color in self.pass_.colors)
         if self.render is None and ((not self._begun and _clears(self.pass_)) or resolves):
             self.begin_segment()
