@@ -14,14 +14,20 @@ from collections.abc import Iterator
 import pytest
 
 import rhi
+from rhi.conformance import plugin
 from rhi.conformance.plugin import FAILED, PROPERTY, has_threads
 from rhi.conformance.shapes import rectangle
 from rhi_pytest import get_backend_names
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the kit's plugin, unless an option or another conftest has done so."""
-    config.pluginmanager.import_plugin("rhi.conformance.plugin")
+    """Register the kit's plugin, unless an option or another conftest has done so.
+
+    It is imported above, so `import_plugin` would warn, where the tree isn't the installed one, that pytest
+    can't rewrite it.
+    """
+    if not config.pluginmanager.has_plugin(plugin.__name__):
+        config.pluginmanager.register(plugin, plugin.__name__)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -74,7 +74,7 @@ class Row:
     test: str
     outcome: str  # passed, failed, skipped; started: the process ended in it, or it took too long
     ran: str  # when it last began, in UTC
-    seconds: float
+    seconds: float  # of processor time, which a busy machine doesn't change
     seed: int  # of its last run
     commit: str = "-"  # on which it last passed
     passed: str = "-"  # when it last passed
@@ -156,6 +156,11 @@ def read_record(path: Path) -> dict[str, Row]:
 def list_durations(record: Mapping[str, Row]) -> dict[str, float]:
     """Return the seconds of the tests that have run to their end, by test."""
     return {test: row.seconds for test, row in record.items() if row.seconds}
+
+
+def read_processor_time() -> float:
+    """Return the seconds of processor time of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
 
 
 def append_row(path: Path, row: Row) -> None:
@@ -287,6 +292,7 @@ class Night:
     durations: Mapping[str, float] | None = None
     lists_only: bool = False
     clock: Callable[[], float] = time.monotonic
+    processor_clock: Callable[[], float] = read_processor_time
     attempt: Attempt | None = None
 
     def __post_init__(self) -> None:
@@ -368,11 +374,13 @@ class Night:
         append_row(self.path, row)
         _seed_hypothesis(seed)
         os.environ[SEED_VARIABLE] = str(seed)
-        begin = self.clock()
-        left = None if self._end is None else self._end - begin
+        begin = self.processor_clock()
+        left = None if self._end is None else self._end - self.clock()
         with nullcontext() if self.attempt is None else self.attempt.limit(row.test, row.seconds, left):
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-        row = replace(row, seconds=self.clock() - begin, outcome=self._outcomes.get(item.nodeid, "failed"))
+        row = replace(
+            row, seconds=self.processor_clock() - begin, outcome=self._outcomes.get(item.nodeid, "failed")
+        )
         if row.outcome == "passed":
             row = replace(row, commit=self.commit, passed=now)
         append_row(self.path, row)

@@ -314,6 +314,30 @@ def test_a_test_longer_than_the_remaining_budget_waits_and_a_shorter_test_runs(
     assert run(folder, Night(path, "a", budget=600.0), "-k", "test_passes and 2") == [long]
 
 
+def test_seconds_are_of_the_processor_also_in_processes_but_not_of_waiting(pytester: pytest.Pytester) -> None:
+    pytester.makeini("[pytest]\nmarkers = nightly: takes long")
+    pytester.makepyfile(
+        test_costs="""
+        import subprocess, sys, time
+        import pytest
+        pytestmark = pytest.mark.nightly
+        WORK = "import time\\nwhile time.process_time() < 1.0: pass"
+        def test_waits():
+            time.sleep(1.0)
+        def test_works():
+            begin = time.process_time()
+            while time.process_time() < begin + 1.0: pass
+        def test_calls():
+            subprocess.run([sys.executable, "-S", "-c", WORK], check=True)
+        """
+    )
+    path = pytester.path / "record.tsv"
+    run(pytester, Night(path, "a"))
+    seconds = {row.test.partition("::")[2]: row.seconds for row in read_record(path).values()}
+    assert seconds["test_waits"] < 0.5
+    assert all(0.9 < seconds[name] < 1.9 for name in ("test_works", "test_calls"))
+
+
 def test_fixtures_of_a_file_are_set_up_once_though_a_test_is_left_out(pytester: pytest.Pytester) -> None:
     pytester.makeini("[pytest]\nmarkers = nightly: takes long")
     pytester.makepyfile(

@@ -144,7 +144,7 @@ def test_the_core_profile_of_webgpu_suffices_for_all_techniques_but_light_indexe
         assert np.ptp(expected[:, :, :3]) > 20
         assert max(max_difference(image, expected) for image in images) <= 3
         assert {"two_pass", "conditional"} == ALGORITHMS.keys() - set(list_algorithms(device))
-        with pytest.raises(rhi.DeviceError, match="unblendable_formats"):
+        with pytest.raises(rhi.ValidationError, match="unblendable_formats"):
             draw_each(
                 device, scene, TechniqueSettings("light_indexed").make(scene, device), camera=EYE, size=SIZE
             )

@@ -285,6 +285,19 @@ def test_a_scope_that_was_withdrawn_can_be_entered_again(null_device: Device, ki
     assert len(scopes) == 0
 
 
+@pytest.mark.parametrize("kind", ["states", "event"])
+def test_blocks_of_withdrawn_scopes_are_left_once_without_an_error(null_device: Device, kind: str) -> None:
+    outer: Any = null_device.event("outer")
+    inner: Any = null_device.states(CullMode.NONE) if kind == "states" else null_device.event("inner")
+    for block in (outer, inner):
+        block.__enter__()
+    null_device._core.scopes.withdraw(outer)
+    for block in (inner, outer):
+        block.__exit__(None, None, None)
+        with pytest.raises(rhi.ValidationError):
+            block.__exit__(None, None, None)
+
+
 def test_a_pass_begins_with_the_states_of_scopes_that_are_open(null_device: Device) -> None:
     image, states = null_device.texture((4, 4), Format.RGBA8), null_device._core.states
     with null_device.states(CullMode.FRONT):

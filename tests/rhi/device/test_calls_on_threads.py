@@ -10,8 +10,10 @@ from dataclasses import replace
 
 import calls
 import pytest
+from null_kit import Camera, hand_made_program
 
 import rhi
+from rhi.contract.descriptors import Binding, BindingKind
 
 FREE = {
     "Device.backend_as",
@@ -127,3 +129,12 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         assert len(device.stream) == before
         stack.close()
         calls.check_drawing(harness)
+
+
+def test_another_thread_is_refused_before_the_faults_of_its_program() -> None:
+    bad = hand_made_program("bad", Binding("self", BindingKind.UNIFORM, 0, False, Camera, 16))
+    with rhi.create_device("null", validation=True) as device, ThreadPoolExecutor(1) as pool:
+        with pytest.raises(rhi.ValidationError, match=r"^\[device-thread\]"):
+            pool.submit(device.program, bad).result()
+        with pytest.raises(rhi.ValidationError, match=r"^\[binding-name\]"):
+            device.program(bad)

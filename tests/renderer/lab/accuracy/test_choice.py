@@ -461,7 +461,7 @@ def test_the_reason_for_omitted_values_is_stated_once_for_all_of_them() -> None:
 @pytest.mark.nightly
 @pytest.mark.usefixtures("gl")
 def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
-    quality_settings = ("fxaa", "depth", "precision", "second_eye")
+    quality_settings = ("fxaa", "depth", "texture_filter", "second_eye")
     command = [
         sys.executable,
         "-m",

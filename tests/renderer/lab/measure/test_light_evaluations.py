@@ -82,16 +82,17 @@ def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_ev
         assert 0 < number < size[0] * size[1]
 
 
-def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Device) -> None:
+@pytest.mark.parametrize("forward", [-1, 1])
+def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Device, forward: int) -> None:
     """Objects are drawn front to back by their farthest corners: that of the near, thick wall is the farther
     one."""
     thick, thin = (
-        translation((0, 0, -10)) @ scaling((40, 40, 10)),
-        translation((0, 0, -8)) @ scaling((40, 40, 0.1)),
+        translation((0, 0, 10 * forward)) @ scaling((40, 40, 10)),
+        translation((0, 0, 8 * forward)) @ scaling((40, 40, 0.1)),
     )
     builder = make_boxes(thick, thin)
-    builder.lights.add_point((0, 0, -1), 100.0)
-    builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
+    builder.lights.add_point((0, 0, forward), 100.0)
+    builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, forward))
     scene = builder.build()
     assert count(gl, scene, techniques.Forward()) == count(gl, scene, techniques.Clustered()) == 2 * PIXELS
     assert (

@@ -333,3 +333,13 @@ def test_of_too_many_boxes_the_map_shows_the_largest(gl: Device, monkeypatch: py
         False, corners, corners + sides[:, None], np.full(4, TraversalOutcome.HIDDEN, np.uint8)
     )
     assert draw_ground(gl, traversal)[13, [12, 32, 52, 72]].tolist() == [False, True, False, True]
+
+
+@pytest.mark.parametrize("count", [2000, 2048, 2050])
+def test_the_map_shows_2048_boxes_at_most(gl: Device, count: int) -> None:
+    numbers = np.arange(count)
+    corners = np.stack([2.0 * (numbers % 48), np.zeros(count), 2.0 * (numbers // 48)], axis=1)
+    traversal = CullingTraversal(
+        False, corners, corners + 1.0, np.full(count, TraversalOutcome.HIDDEN, np.uint8)
+    )
+    assert draw_ground(gl, traversal).sum() == min(count, 2048)

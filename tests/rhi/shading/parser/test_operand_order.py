@@ -23,7 +23,7 @@ BACKENDS = ("gl", "cl", "wgpu", "null")
 GROUPS = [list(FORMS)[start : start + 15] for start in range(0, len(FORMS), 15)]
 SOME = range(1)
 BODIES = 3
-MANY = range(1000, 1040)
+MANY = range(1000, 1010)
 
 
 @pytest.fixture(scope="module", params=BACKENDS)

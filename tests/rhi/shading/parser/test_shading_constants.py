@@ -324,3 +324,15 @@ def test_a_constant_that_no_int_holds_is_refused_though_a_variable_would_give_th
         compile_shader(
             shader("x = 1.0", "if False:", f"    x = float({kind}(VALUE))", "self.out[0] = x", VALUE=value)
         )
+
+
+RUN_BY_HOSTS = {
+    *("HostTexture", "HostTextureTable", "NumpyKernel", "ShaderCode", "compile_shader", "evaluate"),
+    *("ImageBinding", "StorageRange", "TableBinding", "TableTexture", "TextureBinding", "UniformRange"),
+    *("find_element", "from_source", "opencl_kernel", "register_language", "run_compute", "run_fragment"),
+    *("run_vertex", "stage_trees", "value_type_of"),
+}
+
+
+def test_all_that_shaders_may_import_is_suggested() -> None:
+    assert set(rhi.shading.__all__) - RUN_BY_HOSTS == LANGUAGE_NAMES

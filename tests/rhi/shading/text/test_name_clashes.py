@@ -22,7 +22,7 @@ from rhi.shading.wgsl.wgsl_names import RESERVED as WGSL_RESERVED
 
 BACKENDS = ("gl", "cl", "wgpu", "null")
 SOME = range(3)
-MANY = range(100, 130)
+MANY = range(100, 110)
 NAMES = sorted({name for family in FAMILIES for name in family})
 
 
