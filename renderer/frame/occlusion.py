@@ -8,12 +8,13 @@ from typing import Final
 from renderer import rules
 from renderer.scene import Camera, Scene
 from rhi import refuse
-from rhi.math import is_parallel
+from rhi.math import Depth, distance_at_depth, is_parallel
 
 OCCLUSION: Final = "ambient_occlusion"
 """The resource that has the share of ambient light that reaches each pixel's surface."""
 _MOST_PIXELS: Final = 32_768
 """The height of the largest image that any device draws."""
+_NEAREST: Final = {Depth.REVERSED: 1.0, Depth.STANDARD: 0.0}
 _MAX_SLICES: Final = 32
 _MAX_STEPS: Final = 64
 
@@ -58,5 +59,5 @@ def is_occlusion_seen(scene: Scene, camera: Camera) -> bool:
     projection = camera.projection
     scale = float(abs(projection.matrix[1, 1])) * 0.5 * _MOST_PIXELS
     if not is_parallel(projection):
-        scale /= projection.near
+        scale /= distance_at_depth(projection.matrix, _NEAREST[projection.depth])
     return scene.ambient_occlusion.radius * scale >= 1.0

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import BUILT_IN
-from renderer.lab.exam.case import CaseResult, Measures, largest_error
+from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
 from renderer.lab.exam.ray_traced_cases import draw
 from renderer.lab.exam.scenes import shows_something
 from renderer.lab.measure.ray_tracer import RayTracer
@@ -126,7 +126,8 @@ def _take_middles(image: NDArray[np.uint8]) -> Floats:
 
 def measure_occlusion(settings: str, technique: str, device: Device) -> CaseResult:
     """Draw roofs with ambient occlusion, and measure by how many levels pixels are off in the mean."""
-    numbers, holds, images, error = dict[str, object](), dict[str, bool](), {}, 0.0
+    numbers, holds, images = dict[str, object](), dict[str, bool](), dict[str, CaseImage]()
+    error = 0.0
     for title, (scene, camera, traced) in trace_views().items():
         size = (_SIZE[0] * _FINER, _SIZE[1] * _FINER)
         image = draw(device, scene, camera, size, technique, _SETTINGS[settings])

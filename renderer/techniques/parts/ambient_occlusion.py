@@ -227,15 +227,15 @@ def occlusion_passes(effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
     if Effect.AMBIENT_OCCLUSION not in effects.enabled:
         return ()
     settings, reason = effects.occlusion, effects.explain(Effect.AMBIENT_OCCLUSION)
-    format = _FORMATS[settings.bits]
+    texture_format = _FORMATS[settings.bits]
     turned = _TURNED if settings.is_smooth else OCCLUSION
-    passes = [
+    passes: list[FramePass[Frame]] = [
         FramePass(
             "ambient occlusion",
             lambda frame: _find_occlusion(frame, settings, turned),
             f"finds what takes ambient light away; {reason}",
             reads=("depth",),
-            writes=(Target(turned, format),),
+            writes=(Target(turned, texture_format),),
         )
     ]
     if settings.is_smooth:
@@ -245,7 +245,7 @@ def occlusion_passes(effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
                 _smooth_occlusion,
                 "takes the mean of the slices of neighbouring pixels",
                 reads=("depth", _TURNED),
-                writes=(Target(OCCLUSION, format),),
+                writes=(Target(OCCLUSION, texture_format),),
             )
         )
     return tuple(passes)
