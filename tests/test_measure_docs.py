@@ -1,4 +1,4 @@
-"""How hard pages are to read: what the command counts, and that pages stay within the limits of their kind."""
+"""Measures of how hard pages are to read, and the limits within which pages of each kind stay."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Ambient occlusion on the screen: the share of ambient light that reaches each visible surface, found from
+"""Ambient occlusion on the screen: the share of ambient light that reaches each visible surface, computed from
 depth alone.
 
 1. `ambient occlusion` looks along slices through the view ray of each pixel (Jimenez et al. 2016, *Practical
    Realtime Strategies for Accurate Indirect Occlusion*). On both sides of a slice it steps over the depth
-   buffer and keeps the horizon: the largest angle, from the surface up, that what it finds has taken. The
+   buffer and keeps the horizon: the largest angle, from the surface up, that the surfaces it meets have taken. The
    cosine-weighted visibility between two horizons has a closed form; the mean over the slices is the result.
    A sample counts less the farther it is away, and not at all from the radius of the scene's
    `AmbientOcclusion` on.
@@ -65,7 +65,7 @@ class DepthSurface(ViewRayShader):
         distance = nearness_to_distance(self.rays, nearness)
         return pixel_position(self.rays, sl.vec2(pixel) + 0.5, distance)
 
-    def find_tangent(self, pixel: sl.ivec2, position: sl.vec3, nearness: float, step: sl.ivec2) -> sl.vec3:
+    def compute_tangent(self, pixel: sl.ivec2, position: sl.vec3, nearness: float, step: sl.ivec2) -> sl.vec3:
         """Return the way to the neighbour along `step` or against it, whichever nearness differs less: that
         one is more likely to be on the same surface."""
         after = self.load_nearness(pixel + step)
@@ -78,10 +78,10 @@ class DepthSurface(ViewRayShader):
             return self.locate(pixel + step, after) - position
         return position - self.locate(pixel - step, before)
 
-    def find_normal(self, pixel: sl.ivec2, position: sl.vec3, nearness: float, to_eye: sl.vec3) -> sl.vec3:
+    def compute_normal(self, pixel: sl.ivec2, position: sl.vec3, nearness: float, to_eye: sl.vec3) -> sl.vec3:
         """Return the unit normal of a pixel's surface, on the side of the eye."""
-        right = self.find_tangent(pixel, position, nearness, sl.ivec2(1, 0))
-        down = self.find_tangent(pixel, position, nearness, sl.ivec2(0, 1))
+        right = self.compute_tangent(pixel, position, nearness, sl.ivec2(1, 0))
+        down = self.compute_tangent(pixel, position, nearness, sl.ivec2(0, 1))
         normal = sl.cross(right / sl.length(right), down / sl.length(down))
         normal = normal / sl.max(sl.length(normal), 1e-20)
         return normal if sl.dot(normal, to_eye) >= 0.0 else -normal
@@ -103,7 +103,7 @@ class HorizonOcclusion(BackgroundScreen, DepthSurface):
             sl.discard()
         position = self.locate(pixel, nearness)
         to_eye = self.direction_to_eye(position)
-        normal = self.find_normal(pixel, position, nearness, to_eye)
+        normal = self.compute_normal(pixel, position, nearness, to_eye)
         distance = nearness_to_distance(self.rays, nearness)
         width = self.rays.projection.y - self.rays.projection.w * distance
         right = self.rays.across @ sl.vec3(1.0, 0.0, 0.0)
@@ -158,19 +158,19 @@ class HorizonOcclusion(BackgroundScreen, DepthSurface):
             # What raises the horizon begins somewhere between the last sample and this one.
             middle = 0.5 + 0.5 * last / away
             last = away
-            sample = self.find_occluder(pixel + step, position, normal, middle) / sl.vec2(length, 1.0)
+            sample = self.measure_occluder(pixel + step, position, normal, middle) / sl.vec2(length, 1.0)
             if sample.x > after.x and sample.y > 0.0:
                 arc = self.integrate_arc(sl.max(tilt + sl.acos(sl.min(sample.x, 1.0)), 0.0), tilt)
                 visible -= sample.y * (after.y - arc)
                 after = sl.vec2(sample.x, arc)
-            sample = self.find_occluder(pixel - step, position, normal, middle) / sl.vec2(length, 1.0)
+            sample = self.measure_occluder(pixel - step, position, normal, middle) / sl.vec2(length, 1.0)
             if sample.x > before.x and sample.y > 0.0:
                 arc = self.integrate_arc(sl.min(tilt - sl.acos(sl.min(sample.x, 1.0)), 0.0), tilt)
                 visible -= sample.y * (before.y - arc)
                 before = sl.vec2(sample.x, arc)
         return length * sl.vec2(visible, unoccluded)
 
-    def find_occluder(self, pixel: sl.ivec2, position: sl.vec3, normal: sl.vec3, middle: float) -> sl.vec2:
+    def measure_occluder(self, pixel: sl.ivec2, position: sl.vec3, normal: sl.vec3, middle: float) -> sl.vec2:
         """Return the height of a pixel's surface above the plane of the surface at `position`, as the sine of
         the angle, and the share of light that a surface takes at `middle` of its distance. A plane has a sine
         of 0 in all of its pixels, wherever they are beside the slice."""
@@ -202,7 +202,7 @@ class SmoothOcclusion(BackgroundScreen, DepthSurface):
         if nearness == 0.0:
             sl.discard()
         position = self.locate(pixel, nearness)
-        normal = self.find_normal(pixel, position, nearness, self.direction_to_eye(position))
+        normal = self.compute_normal(pixel, position, nearness, self.direction_to_eye(position))
         total = 0.0
         weights = 0.0
         for y in range(-2, 3):
@@ -223,7 +223,7 @@ OCCLUSION_SHADERS: Final[tuple[type[sl.Shader], ...]] = (HorizonOcclusion, Smoot
 
 
 def occlusion_passes(effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
-    """The passes that find ambient occlusion from `depth`; none without it."""
+    """The passes that compute ambient occlusion from `depth`; none without it."""
     if Effect.AMBIENT_OCCLUSION not in effects.enabled:
         return ()
     settings, reason = effects.occlusion, effects.explain(Effect.AMBIENT_OCCLUSION)
@@ -232,8 +232,8 @@ def occlusion_passes(effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
     passes: list[FramePass[Frame]] = [
         FramePass(
             "ambient occlusion",
-            lambda frame: _find_occlusion(frame, settings, turned),
-            f"finds what takes ambient light away; {reason}",
+            lambda frame: _draw_occlusion(frame, settings, turned),
+            f"computes the share of ambient light that arrives; {reason}",
             reads=("depth",),
             writes=(Target(turned, texture_format),),
         )
@@ -258,7 +258,7 @@ def _bind_constants(frame: Frame) -> dict[str, object]:
     return {"occlusion": frame.resources.mirror(constants)}
 
 
-def _find_occlusion(frame: Frame, settings: OcclusionSettings, target: str) -> None:
+def _draw_occlusion(frame: Frame, settings: OcclusionSettings, target: str) -> None:
     switches = {"slices": settings.slices, "steps": settings.steps}
     bindings = _bind_constants(frame)
     draw_full_screen(frame, HorizonOcclusion, frame.targets[target], bindings, clear=_OPEN, switches=switches)
