@@ -31,18 +31,6 @@ NOT_REWRITTEN: dict[str, Limits] = {
     "docs/coverage.md": NO_LIMITS,
     "docs/exam.md": NO_LIMITS,
     "docs/frame-commands.md": NO_LIMITS,
-    "docs/lighting-techniques.md": NO_LIMITS,
-    "docs/lighting.md": NO_LIMITS,
-    "docs/materials.md": NO_LIMITS,
-    "docs/memory-and-time.md": NO_LIMITS,
-    "docs/renderer.md": NO_LIMITS,
-    "docs/scene-files.md": NO_LIMITS,
-    "docs/scene.md": NO_LIMITS,
-    "docs/shadows.md": NO_LIMITS,
-    "docs/skipped-simulation.md": NO_LIMITS,
-    "docs/viewer.md": NO_LIMITS,
-    "docs/visibility-algorithms.md": NO_LIMITS,
-    "docs/visibility.md": NO_LIMITS,
 }
 """Guides that are still longer or harder than a guide should be. Take a page out once it is within the limits."""
 
