@@ -311,7 +311,7 @@ EFFECT_STEPS: Final = (
         "surfaces nearby take ambient light away from each other",
         EffectPattern(
             "occlusion",
-            words=("find_occluder",),
+            words=("measure_occluder",),
             bindings=("occlusion", "ambient_occlusion", "turned_occlusion"),
             events=("ambient occlusion", "smooth ambient occlusion"),
         ),

@@ -99,10 +99,11 @@ def execute(
     """
     sys.modules[module.__name__] = module
     try:
-        tree = ast.parse(text, str(source))
+        program: str | ast.Module = text
         if module.__name__ == "__main__":
-            _leave_out_program(tree, call, source)
-        exec(compile(tree, str(source), "exec", dont_inherit=True), vars(module))
+            program = ast.parse(text, str(source))
+            _leave_out_program(program, call, source)
+        exec(compile(program, str(source), "exec", dont_inherit=True), vars(module))
     except RhiError:
         raise
     except (Exception, SystemExit) as error:

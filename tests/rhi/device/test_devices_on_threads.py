@@ -15,6 +15,7 @@ import warnings
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from rhi.contract.descriptors import Stage
 from rhi.contract.states import Scissor
 from rhi.errors.array_likes import is_masked
 from rhi.errors.shared_caches import cache_once
+from rhi.shading import compile as compilation
 
 TEAMS = {
     "null": ("null",) * 4,
@@ -185,6 +187,8 @@ def test_a_thread_that_compiles_during_a_reload_sees_a_whole_text(
     def text(number: int) -> str:
         return _RELOADED.replace("NUMBER", f"{number}.125")
 
+    # A reload looks at every shader that this process has compiled: here at none of other tests.
+    monkeypatch.setattr(compilation, "_compiled", WeakKeyDictionary())
     (tmp_path / "reloaded_by_a_thread.py").write_text(text(100), encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("reloaded_by_a_thread")

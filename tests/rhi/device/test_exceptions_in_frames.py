@@ -254,6 +254,14 @@ def test_an_exception_at_any_call_of_a_frame_leaves_the_next_frame_unchanged(
         check_undisturbed(drawn, f"{kind.__name__} at call {at}")
 
 
+@pytest.fixture(autouse=True)
+def default_interrupts() -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt, also where a shell started the tests in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def fail() -> None:
     raise MineError
 
