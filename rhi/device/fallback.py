@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
@@ -54,10 +54,13 @@ class FallbackLoader(SourceFileLoader):
         try:
             super().exec_module(module)
         except Exception as error:
+            saved = load_checkpoint()
+            text = saved.get(self.path)
+            # Packages look for others that may be missing: such a failure is no shader's.
+            concerns_shaders = text is not None or any(file in saved for file in _list_files(module, error))
             vars(module).clear()
             vars(module).update(names)
-            text = load_checkpoint().get(self.path)
-            if not Reloader(on_error=repr).roll_back(error) and text is None:
+            if not concerns_shaders or (not Reloader(on_error=repr).roll_back(error) and text is None):
                 raise
             with suppress(Exception):  # the first error counts
                 if text is None:
@@ -72,3 +75,16 @@ class FallbackLoader(SourceFileLoader):
                 )
                 return
             raise
+
+
+def _list_files(module: ModuleType, error: Exception) -> Iterator[str]:
+    """Yield the files of the modules that a failed import has to do with: the one in which it misses a name, and
+    those from which it has names."""
+    yield str(getattr(error, "path", None))
+    for value in list(vars(module).values()):
+        source = (
+            value
+            if isinstance(value, ModuleType)
+            else sys.modules.get(getattr(value, "__module__", None) or "")
+        )
+        yield str(getattr(source, "__file__", None))

@@ -199,3 +199,14 @@ def test_a_file_that_is_saved_while_the_program_begins_is_taken(begin: Any, tmp_
     with Reloader() as reloader:
         reloader.watch(sys.modules["kept_shaders"])
         assert [reloader.update(), reloader.update()] == [True, False]
+
+
+def test_an_import_of_a_missing_package_changes_no_shader(begin: Any, tmp_path: Path) -> None:
+    begin()
+    (tmp_path / "needs_more.py").write_text("import a_package_that_is_missing")
+    optional = "import contextlib\nwith contextlib.suppress(ImportError):\n    import needs_more\n"
+    text = TEXT.replace("1.0", "0.5")
+    begin(text, keeps=False)
+    importlib.invalidate_caches()
+    exec(optional, {})
+    assert text_of(sys.modules["kept_shaders"]) == text
