@@ -33,6 +33,7 @@ class AmbientOcclusion:
     radius: float = 1.0
 
     def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_EFFECT)
         if not 0.0 < self.radius <= _MAX_RADIUS:
             refuse(
                 rules.BAD_EFFECT,

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from rhi.errors import describe_value, refuse
+from rhi.errors import Rule, describe_value, refuse
 from rhi.errors.array_likes import to_real_array
+from rhi.math.arguments import read_floats
 
 _LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, and 0.1 ms be told apart
 
@@ -33,6 +34,14 @@ def check_finite(call: str, **values: ArrayLike) -> None:
             is_finite = False
         if not is_finite:
             refuse(rules.NOT_FINITE, f"{call}: {name}", describe_value(value), "finite numbers")
+
+
+def read_points(rule: Rule, call: str, points: ArrayLike) -> NDArray[np.float64]:
+    """Return finite points (n, 3) as float64; refuse anything else by `rule`."""
+    read = read_floats(call, points, 3, rule=rule)
+    if read.ndim != 2 or not np.isfinite(read).all():
+        refuse(rule, call, points, "finite points of shape (n, 3)")
+    return read
 
 
 def check_time(call: str, seconds: float) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from renderer import rules
 from renderer.scene.arrays import Floats
 from renderer.scene.files import read_json
-from renderer.scene.finite import check_finite
+from renderer.scene.finite import check_finite, read_points
 from rhi.errors import RhiError, refuse
 from rhi.math import Camera, Depth, Orthographic, Perspective, Projection
 from rhi.math.arguments import read_floats
@@ -63,7 +63,7 @@ class CameraPath:
 
     def __post_init__(self) -> None:
         for name in ("positions", "targets"):
-            points = _read_points(f"CameraPath({name}=...)", getattr(self, name))
+            points = read_points(rules.BAD_PATH, f"CameraPath({name}=...)", getattr(self, name))
             object.__setattr__(self, name, points)
         shape = self.positions.shape
         if self.targets.shape != shape:
@@ -149,14 +149,6 @@ class CameraPath:
         return cls(rows[:, :3], rows[:, 3:6], projection, rows[:, 6:])
 
 
-def _read_points(call: str, points: ArrayLike) -> Floats:
-    """Return finite points (n, 3) as float64; refuse anything else."""
-    read = read_floats(call, points, 3, rule=rules.BAD_PATH)
-    if read.ndim != 2 or not np.isfinite(read).all():
-        refuse(rules.BAD_PATH, call, points, "finite points of shape (n, 3)")
-    return read
-
-
 def make_path(
     corners: ArrayLike,
     projection: Projection,
@@ -174,7 +166,7 @@ def make_path(
         ValidationError: `camera-bad-route` for numbers that aren't finite, fewer than two corners, or corners
             in the same place.
     """
-    route = _read_points("make_path(corners=...)", corners)
+    route = read_points(rules.BAD_PATH, "make_path(corners=...)", corners)
     numbers = rules.check_numbers(rules.BAD_PATH, "make_path", rounding=rounding, ahead=ahead, sink=sink)
     rounding, ahead, sink = numbers
     frames = rules.check_count(rules.BAD_PATH, "make_path(frames=...)", frames)

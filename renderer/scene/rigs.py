@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from renderer import rules
 from renderer.scene.arrays import Floats
+from renderer.scene.finite import read_points
 from rhi.errors import refuse
 from rhi.math import (
     Camera,
@@ -35,7 +36,6 @@ from rhi.math import (
     distance_at_depth,
     is_parallel,
 )
-from rhi.math.arguments import read_floats
 
 HUMAN_EYE_DISTANCE: Final = 0.063
 """The distance of human eyes in metres, the mean of adults."""
@@ -212,9 +212,7 @@ def _enclose(rig: StereoRig, projection: Projection) -> tuple[Projection, float]
 def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:
     """Return (n, 2), how far points (n, 3) of the world are to the right and upwards in the right eye's image
     of where they are in the left one's, in units of half the image's width and height."""
-    world = read_floats("measure_parallax(points=...)", points, 3, rule=rules.BAD_STEREO)
-    if world.ndim != 2 or not np.isfinite(world).all():
-        refuse(rules.BAD_STEREO, "measure_parallax(points=...)", points, "finite points of shape (n, 3)")
+    world = read_points(rules.BAD_STEREO, "measure_parallax(points=...)", points)
     positions = []
     for eye in eyes:
         relative = (world - eye.position) @ eye.rotation.T

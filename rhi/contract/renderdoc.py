@@ -7,7 +7,7 @@ import os
 import sys
 
 
-def find_renderdoc_library() -> ctypes.CDLL | None:
+def get_renderdoc_library() -> ctypes.CDLL | None:
     """Return RenderDoc's library; None if it isn't loaded, for it is never loaded here."""
     try:
         if sys.platform == "win32":

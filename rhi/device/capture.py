@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from rhi.contract.renderdoc import find_renderdoc_library
+from rhi.contract.renderdoc import get_renderdoc_library
 from rhi.device.core.core import Core
 from rhi.errors.device_objects import DeviceObject
 
@@ -79,7 +79,7 @@ def find_renderdoc() -> RenderDoc | None:
 
 def _find_library() -> Any:
     """Return RenderDoc's function `RENDERDOC_GetAPI`, None if its library isn't loaded."""
-    library = find_renderdoc_library()
+    library = get_renderdoc_library()
     return library and _GET_API(("RENDERDOC_GetAPI", library))
 
 

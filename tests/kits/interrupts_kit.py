@@ -11,6 +11,8 @@ from __future__ import annotations
 import dis
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import CodeType, FrameType, TracebackType
 from typing import Any, Self
 
@@ -32,6 +34,17 @@ _DESTRUCTORS = {
     "finalize.__call__",
 }
 _FROM_C = {"__init__", "__new__", "__post_init__", "__call__", "__del__", "__init_subclass__"}
+
+
+@contextmanager
+def use_default_handler() -> Iterator[None]:
+    """Make SIGINT raise KeyboardInterrupt inside a block, also where this process was started to ignore it, as
+    background jobs of a shell are."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class Interrupt:

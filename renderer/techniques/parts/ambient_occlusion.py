@@ -39,6 +39,7 @@ _TURNED: Final = "turned_occlusion"
 _FORMATS: Final = {8: Format.R8, 16: Format.R16}
 _HALF_TURN: Final = 3.141592653589793
 _QUARTER_TURN: Final = 0.5 * _HALF_TURN
+_OPEN: Final = (1.0, 1.0, 1.0, 1.0)  # all of the light arrives
 _FLATNESS: Final = 0.1
 """Pixels of the mean are up to this share of the radius away from the plane of the surface."""
 
@@ -266,6 +267,3 @@ def _draw_occlusion(frame: Frame, settings: OcclusionSettings, target: str) -> N
 
 def _smooth_occlusion(frame: Frame) -> None:
     draw_full_screen(frame, SmoothOcclusion, frame.targets[OCCLUSION], _bind_constants(frame), clear=_OPEN)
-
-
-_OPEN: Final = (1.0, 1.0, 1.0, 1.0)

@@ -18,7 +18,7 @@ from wgpu.backends.wgpu_native.extras import set_instance_extras
 from rhi.backends.webgpu.implementation import GpuObject, Host
 from rhi.backends.webgpu.webgpu_limits import CORE_LIMITS
 from rhi.backends.wgpu.native import check_version, retain_callbacks
-from rhi.contract.renderdoc import find_renderdoc_library
+from rhi.contract.renderdoc import get_renderdoc_library
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 from rhi.errors.shared_caches import make_shared_lock
@@ -89,7 +89,7 @@ def _list_adapters(name: str) -> tuple[list[GpuObject], str]:
     then, and wgpu-native ends the process where a second thread has done so.
     """
     with _LOCK:
-        if find_renderdoc_library() is not None:  # it would capture the context with which wgpu asks OpenGL
+        if get_renderdoc_library() is not None:  # it would capture the context with which wgpu asks OpenGL
             with suppress(RuntimeError):  # this process has listed adapters already
                 set_instance_extras(backends=("Vulkan", "DX12"))
         with _quiet_without_wayland():

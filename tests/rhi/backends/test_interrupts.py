@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 from harness_kit import CALLS, DeviceHarness, destroy_everything, end_a_frame, make_things_to_destroy
-from interrupts_kit import EXEMPT, Interrupt
+from interrupts_kit import EXEMPT, Interrupt, use_default_handler
 from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
@@ -43,11 +43,8 @@ time."""
 
 @pytest.fixture(autouse=True)
 def interrupts() -> Iterator[None]:
-    """Python's own handler, also where this process was started to ignore Ctrl-C, as background jobs of a
-    shell are."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+    with use_default_handler():
+        yield
 
 
 @pytest.fixture(scope="module", params=["gl", "cl", "wgpu", "null"])

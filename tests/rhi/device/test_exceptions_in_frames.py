@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from harness_kit import DeviceHarness, Tint
-from interrupts_kit import EXEMPT
+from interrupts_kit import EXEMPT, use_default_handler
 
 import rhi
 from rhi import BlendFactor, BlendFunction, ColorWrite, CullMode, DepthTest, Scissor, Viewport
@@ -256,10 +256,8 @@ def test_an_exception_at_any_call_of_a_frame_leaves_the_next_frame_unchanged(
 
 @pytest.fixture(autouse=True)
 def default_interrupts() -> Iterator[None]:
-    """Ctrl-C raises KeyboardInterrupt, also where a shell started the tests in the background."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+    with use_default_handler():
+        yield
 
 
 def fail() -> None:
