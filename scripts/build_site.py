@@ -52,9 +52,11 @@ EXTRA_PAGES: Final = {
 
 REDIRECTS: Final = {
     "accuracy": "measurements/accuracy",
+    "coverage": "decisions/coverage",
     "effect-costs": "measurements/effect-costs",
     "lighting-measured": "measurements/lighting-measured",
     "performance": "measurements/performance",
+    "tutorial": "tutorials/first-triangle",
     "visibility-costs": "measurements/visibility-costs",
     "visibility-device": "visibility-algorithms",
     "visibility-tables": "measurements/visibility-tables",

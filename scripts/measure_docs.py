@@ -65,6 +65,7 @@ class Limits:
 
 
 LIMITS: Final = {
+    "tutorials": Limits(words=2_500, long_paragraphs=0, median=18, wide_code_blocks=0),
     "guide": Limits(words=2_500, long_paragraphs=0, median=18, wide_code_blocks=0),
     "how-to": Limits(words=600, long_paragraphs=0, median=18, wide_code_blocks=0),
     "measurements": Limits(),
@@ -72,6 +73,13 @@ LIMITS: Final = {
     "project": Limits(words=4_000, median=18),
 }
 """The limits of each kind of page: guides are the pages of `docs/` itself, project pages those beside `docs/`."""
+PAGE_LIMITS: Final = {"README.md": Limits(words=600, long_paragraphs=0, median=18, wide_code_blocks=0)}
+"""Limits of single pages, in place of those of their kind."""
+MAX_TOTAL_WORDS: Final = 75_000
+"""The words of all pages of the kinds `READ_KINDS`, without those of `GENERATED`."""
+READ_KINDS: Final = ("tutorials", "guide", "how-to")
+GENERATED: Final = ("docs/shading-builtins.md",)
+"""Pages that a command writes from a table of the program, as the API reference is written from docstrings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,20 +238,18 @@ def format_rows(figures: Sequence[PageFigures]) -> Iterator[str]:
         )
 
 
-def list_excesses(figures: Iterable[PageFigures], exceptions: dict[str, Limits] | None = None) -> list[str]:
-    """Return a line for each limit that a page exceeds.
-
-    Args:
-        figures: of the pages.
-        exceptions: limits of single pages, by path, in place of those of their kind.
-    """
-    excesses = []
+def list_excesses(figures: Iterable[PageFigures]) -> list[str]:
+    """Return a line for each limit that a page exceeds, and one for that of all together."""
+    excesses, total = [], 0
     for page in figures:
-        limits = (exceptions or {}).get(page.path, LIMITS[page.kind])
+        limits = PAGE_LIMITS.get(page.path, LIMITS[page.kind])
+        total += page.words if page.kind in READ_KINDS and page.path not in GENERATED else 0
         for name in ("words", "long_paragraphs", "median", "wide_code_blocks"):
             value, limit = getattr(page, name), getattr(limits, name)
             if limit is not None and value > limit:
                 excesses.append(f"{page.path}: {name.replace('_', ' ')}: {value:g}, at most {limit:g}")
+    if total > MAX_TOTAL_WORDS:
+        excesses.append(f"all {', '.join(READ_KINDS)}: words: {total}, at most {MAX_TOTAL_WORDS}")
     return excesses
 
 

@@ -250,7 +250,9 @@ def count_useless() -> Cells:
 
 TABLES: Final = {
     "orders": MeasuredTable(
-        "docs/materials.md", ("programs", "materials", "meshes", "draws"), count_order_changes
+        "docs/measurements/material-costs.md",
+        ("programs", "materials", "meshes", "draws"),
+        count_order_changes,
     ),
     "encodings": MeasuredTable(
         "docs/measurements/deferred-plus-costs.md",
@@ -259,12 +261,16 @@ TABLES: Final = {
         ("ns, gl", "ns, cl"),
     ),
     "inferred": MeasuredTable(
-        "docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), compare_inferred
+        "docs/measurements/lighting-measured.md",
+        ("PSNR, dB", "pixels more than 2 of 255 off"),
+        compare_inferred,
     ),
     "light lists": MeasuredTable(
-        "docs/renderer.md", ("objects", "lights listed, longest list"), count_light_lists
+        "docs/measurements/lighting-measured.md",
+        ("objects", "lights listed, longest list"),
+        count_light_lists,
     ),
-    "memory": MeasuredTable("docs/materials.md", ("bytes",), sum_memory),
+    "memory": MeasuredTable("docs/measurements/material-costs.md", ("bytes",), sum_memory),
     "useless devices": MeasuredTable(
         "docs/measurements/exam-results.md", (DRAWS, COMPUTES, NOTHING), count_useless
     ),

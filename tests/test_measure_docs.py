@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -15,7 +16,7 @@ sys.path.append(str(ROOT / "scripts"))
 
 from measure_docs import (  # noqa: E402
     LIMITS,
-    Limits,
+    MAX_TOTAL_WORDS,
     list_excesses,
     list_pages,
     main,
@@ -24,15 +25,6 @@ from measure_docs import (  # noqa: E402
     merge,
     split_sentences,
 )
-
-NO_LIMITS = Limits()
-NOT_REWRITTEN: dict[str, Limits] = {
-    "docs/architecture.md": NO_LIMITS,
-    "docs/coverage.md": NO_LIMITS,
-    "docs/exam.md": NO_LIMITS,
-    "docs/frame-commands.md": NO_LIMITS,
-}
-"""Guides that are still longer or harder than a guide should be. Take a page out once it is within the limits."""
 
 
 def test_sentences_end_at_full_stops_before_capitals() -> None:
@@ -141,7 +133,25 @@ def test_measurements_may_be_long_and_guides_may_not() -> None:
     assert list_excesses([measure_text("docs/measurements/a.md", long)]) == []
     (line,) = [line for line in list_excesses([measure_text("docs/a.md", long)]) if " words" in line]
     assert line == "docs/a.md: words: 5000, at most 2500"
-    assert list_excesses([measure_text("docs/a.md", long)], {"docs/a.md": NO_LIMITS}) == []
+
+
+def test_the_readme_is_shorter_than_other_pages_of_the_project() -> None:
+    assert list_excesses([measure_text("CONTRIBUTING.md", "A word.\n\n" * 301)]) == []
+    (line,) = list_excesses([measure_text("README.md", "A word.\n\n" * 301)])
+    assert line == "README.md: words: 602, at most 600"
+
+
+def test_all_pages_together_have_a_limit() -> None:
+    page = measure_text("docs/how-to/a.md", "A word.\n\n" * 250)
+    many = [page] * (MAX_TOTAL_WORDS // 500)
+    assert list_excesses(many) == []
+    (line,) = list_excesses([*many, page])
+    assert line == f"all tutorials, guide, how-to: words: {MAX_TOTAL_WORDS + 500}, at most {MAX_TOTAL_WORDS}"
+    unread = [
+        measure_text("docs/measurements/a.md", "A word."),
+        measure_text("docs/shading-builtins.md", "A b."),
+    ]
+    assert list_excesses([*many, *unread]) == []
 
 
 def test_totals_are_of_all_sentences() -> None:
@@ -167,8 +177,19 @@ def test_a_page_within_its_limits_ends_the_check_with_0(capsys: pytest.CaptureFi
 
 
 def test_pages_are_within_the_limits_of_their_kind() -> None:
-    assert list_excesses(measure_pages(list_pages()), NOT_REWRITTEN) == []
+    assert list_excesses(measure_pages(list_pages())) == []
 
 
-def test_pages_without_limits_exist() -> None:
-    assert [path for path in NOT_REWRITTEN if not (ROOT / path).is_file()] == []
+CONTENTS = (ROOT / "docs" / "contents.md").read_text(encoding="utf-8")
+LINK = re.compile(r"\]\(([a-z0-9/-]+\.md)\)")
+
+
+def test_the_list_of_pages_has_each_page_once_and_how_to_pages_by_their_index() -> None:
+    pages = [page.relative_to(ROOT / "docs") for page in (ROOT / "docs").rglob("*.md")]
+    listed = {page.as_posix() for page in pages if page.parts[0] not in ("how-to", "contents.md")}
+    assert sorted(LINK.findall(CONTENTS)) == sorted(listed)
+
+
+def test_at_most_twenty_pages_explain() -> None:
+    section = CONTENTS.partition("## Understand\n")[2].partition("\n## ")[0]
+    assert 10 < len(LINK.findall(section)) <= 20

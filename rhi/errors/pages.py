@@ -20,6 +20,7 @@ _INDEXES: Final = ("contents", "questions")
 _UNSEARCHED_FOLDER: Final = "decisions"
 """The folder of pages that answer no question of a user, such as tables of former names."""
 FORMER_TOPICS: Final = {
+    "tutorial": "tutorials/first-triangle",
     "visibility-device": "visibility-algorithms",
 }
 """Topics of former pages, with the topic of the page that has their text now."""
@@ -118,7 +119,7 @@ def read_page(topic: str) -> str:
     """
     topics = _list_files()
     topic = re.sub(r"^(docs/)?(([a-z-]+)/)?", "", topic).removesuffix(".md").lower()
-    topic = FORMER_TOPICS.get(topic, topic)
+    topic = FORMER_TOPICS.get(topic, topic).rpartition("/")[2]
     matches = [topic] if topic in topics else [name for name in topics if topic and name.startswith(topic)]
     if len(matches) != 1:
         close = matches or get_close_matches(topic, topics, 3)

@@ -22,7 +22,7 @@ PROGRAMS: Final = [*(f"{name}.py" for name in live_site.LIVE), "orbit_viewer.py"
 PAGES: Final = (
     ".",
     "installation",
-    "tutorial",
+    "tutorials/first-triangle",
     "questions",
     "gallery",
     "frame-commands",

@@ -3,7 +3,7 @@
 - **Freed memory stays in the C heap.** For each draw whose uniforms changed, llvmpipe stores 18 kB (a copy of
   all its state), and frees them when the scene is done. Above a threshold of 128 kB, glibc returns freed
   memory at the end of its heap to the system. Each draw then costs four page faults to get it back: 11 µs a
-  draw instead of 1.8 (`docs/backends-gl.md`).
+  draw instead of 1.8.
 - **Draws are finished before llvmpipe itself reads textures.** It draws on threads of its own. Everything but
   fragments runs elsewhere, at once: reads and copies of textures, work-groups, vertex stages. Before these,
   llvmpipe asks whether a texture is in use by a pass that isn't finished. It takes the first pass that uses

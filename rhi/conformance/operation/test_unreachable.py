@@ -287,6 +287,7 @@ def test_each_form_of_dead_code_changes_nothing_in_a_compute_stage(device: Devic
     assert_same(run_compute(device, text, count), expected_values(text, count))
 
 
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize("lean", [False, True])
 def test_each_form_of_dead_code_changes_nothing_in_a_fragment_stage(device: Device, lean: bool) -> None:
     text, count = write_forms(True, lean)
@@ -328,6 +329,7 @@ class Colored(sl.FullScreen):
         return sl.vec4(0.5)
 
 
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize(("shader", "expected"), [(Always, 0), (AlwaysInBranches, 0), (Colored, 255)])
 def test_a_fragment_stage_of_dead_code(device: Device, shader: type[sl.Shader], expected: int) -> None:
     with device.texture((4, 4), Format.RGBA8) as target, device.mesh(3) as mesh:
@@ -336,6 +338,7 @@ def test_a_fragment_stage_of_dead_code(device: Device, shader: type[sl.Shader], 
         assert_same(target.read(), np.full((4, 4, 4), expected))
 
 
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize("seed", range(2))
 def test_dead_statements_of_a_fragment_stage_change_nothing(device: Device, seed: int) -> None:
     text = write_program(seed, True)

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[4]
 def readme_example() -> str:
     """The README's shader and its program on the null device."""
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    shader = next(block for block in blocks if "class Lit(" in block)
+    shader = next(block for block in blocks if "class Triangle(" in block)
     null = next(block for block in blocks if 'create_device("null")' in block)
     return shader.partition("with rhi.create_device()")[0] + null
 
