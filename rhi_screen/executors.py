@@ -241,7 +241,7 @@ def make_executor(text: str, call: str = "--executor") -> Iterator[Executor]:
                 yield threads
         elif kind == "dask" and rest:
             with _open_client(rest, call) as client:
-                yield client.get_executor(pure=False)
+                yield DaskExecutor(client)
         else:
             refuse(EXECUTOR_NAME, call, f"{text!r} is none of {KINDS}")
     except Exception as error:
@@ -265,9 +265,52 @@ def _open_client(address: str, call: str) -> Iterator[Any]:
         yield client
 
 
+class DaskExecutor(Executor):
+    """Runs calls on the workers of a Dask cluster.
+
+    Dask's own executor leaves a future unfinished for ever if its result is lost with the worker that held it,
+    and the calls that compute it again end their workers too: the error is raised where nobody waits. So this
+    executor asks for each result on Dask's thread of callbacks.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """Run a call on a worker. A cancelled future cancels the call, too."""
+        future: Future[R] = Future()
+        remote = self._client.submit(function, *args, pure=False, **kwargs)
+        future.add_done_callback(lambda done: remote.cancel() if done.cancelled() else None)
+        remote.add_done_callback(partial(_settle, future))
+        return future
+
+
+def _settle(future: Future[Any], remote: Any) -> None:
+    """Give a future the outcome of a call that a cluster has run."""
+    try:
+        result, error = remote.result(), None
+    except BaseException as raised:
+        result, error = None, raised
+    if not future.set_running_or_notify_cancel():
+        return
+    if error is None:
+        future.set_result(result)
+    else:
+        future.set_exception(error)
+
+
 def get_client(executor: Executor) -> Any | None:
     """Return the Dask client of an executor, or None if it has none."""
     return getattr(executor, "_client", None)
+
+
+def replace_dask_executor(executor: Any) -> Executor:
+    """Return an executor that finishes all of its futures, for a Dask client and for Dask's own executor; any
+    other executor is returned as it is."""
+    if isinstance(executor, DaskExecutor):
+        return executor
+    client = executor if hasattr(executor, "get_executor") else get_client(executor)
+    return executor if client is None else DaskExecutor(client)
 
 
 def is_lost(error: BaseException) -> bool:

@@ -50,6 +50,7 @@ from rhi_screen.executors import (
     get_client,
     is_lost,
     make_executor,
+    replace_dask_executor,
 )
 from rhi_screen.frame_files import FAST, SMALL, FrameFiles, decode, encode, parse_output
 from rhi_screen.rules import (
@@ -223,10 +224,8 @@ def _open_executor(executor: Any) -> Iterator[Executor]:
     if isinstance(executor, str):
         with make_executor(executor, f"{_CALL}(executor=...)") as pool:
             yield pool
-    elif not isinstance(executor, Executor) and hasattr(executor, "get_executor"):
-        yield executor.get_executor(pure=False)
     else:
-        yield executor
+        yield replace_dask_executor(executor)
 
 
 class ProgressBar(Protocol):

@@ -43,6 +43,7 @@ PROGRAMS = {
     "flip": [["-c", "import flip_evaluator, rhi"]],
     "imgui": [["-c", "import imgui_bundle, rhi"]],
     "dask": [["-c", "import distributed, rhi"]],
+    "cuda": [["-c", "import cuda.core, rhi; cuda.core.GraphicsResource.from_gl_buffer"]],
     "film": [["-c", "import av, distributed, PIL, tqdm, rhi_screen"]],
     "test": [
         ["-m", "pytest", "-q", "--pyargs", "rhi.conformance", "--rhi-backend", "null", "-k", "blending"]

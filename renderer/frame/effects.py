@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
@@ -31,9 +30,10 @@ from renderer.scene.lights import Lights
 from renderer.scene.negligible import LEAST_LIGHT
 from renderer.visibility.boxes.volumes import select_in_view
 from rhi import Format, refuse
+from rhi.errors.choices import Choice
 
 
-class Effect(Enum):
+class Effect(Choice):
     """An effect that a scene may call for. Each kind of lights with a position has three: `…_LIGHTS`,
     `…_SPHERES` (such lights with a radius) and `…_SHADOWS`."""
 
@@ -96,7 +96,7 @@ SHADOW_EFFECTS: Final = (Effect.DIRECTIONAL_SHADOWS, *(row.shadows for row in LO
 """The shadows of each kind of light."""
 
 
-class Blending(Enum):
+class Blending(Choice):
     """The way in which transparent surfaces that cover each other are put together."""
 
     SORTED = "sorted"

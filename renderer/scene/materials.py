@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
+from rhi.errors.choices import ChoiceType
 from rhi.math.arguments import read_floats
 
 MATERIAL: Final = np.dtype(
@@ -84,14 +85,14 @@ TEXTURES: Final = {
 """The fields of a material that refer to textures, and whether these hold colours."""
 
 
-class ShadingModel(IntEnum):
+class ShadingModel(IntEnum, metaclass=ChoiceType):
     """The model by which a material reflects light."""
 
     SPECULAR = 0
     METALLIC_ROUGHNESS = 1
 
 
-class AlphaMode(IntEnum):
+class AlphaMode(IntEnum, metaclass=ChoiceType):
     """The meaning of a material's alpha: nothing, a mask that is cut at `alpha_cutoff`, or the share by which
     the surface covers what is behind it."""
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 from renderer import rules
 from rhi import refuse
+from rhi.errors.choices import Choice
 
 
-class ShadowFilter(Enum):
+class ShadowFilter(Choice):
     """The filter of shadow maps: the texels that a point is compared with, and their weights."""
 
     HARD = "hard"

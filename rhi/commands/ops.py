@@ -19,9 +19,10 @@ from rhi.contract.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
+from rhi.errors.choices import ChoiceType
 
 
-class Op(enum.IntEnum):
+class Op(enum.IntEnum, metaclass=ChoiceType):
     """The operation of a command, one per method of `rhi.contract.Backend` that is a command.
 
     Reads that wait are commands, because they order the work of the device. `capabilities`, `completed` and

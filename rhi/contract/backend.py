@@ -383,6 +383,14 @@ class SupportsHostMemory(Protocol):
         it lies elsewhere. The array keeps the memory alive. It is only read."""
 
 
+class SupportsBufferNames(Protocol):
+    """Optional part of the contract: buffers that other interfaces of the same driver share by a name."""
+
+    def name_buffer(self, buffer: BufferId) -> int:
+        """Make the platform's context current, and return its name of a buffer, whose memory stays where it is
+        from now on. Return 0 if the CPU has that memory mapped."""
+
+
 class Backend(Protocol):
     """The methods that a platform implements. Sizes and offsets are in bytes unless stated otherwise.
 

@@ -18,7 +18,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.formats import Choice, Format
+from rhi.contract.formats import Format
+from rhi.errors.choices import Choice
 
 BLOCK: Final = 4
 """Edge length of a block in texels."""

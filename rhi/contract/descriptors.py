@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -15,9 +14,10 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from rhi.contract.blocks import CompressedFormat
-from rhi.contract.formats import Choice, Format, IndexFormat
+from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
 from rhi.errors.arguments import FieldChecker
+from rhi.errors.choices import Choice
 
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""
@@ -53,7 +53,7 @@ class Primitive(Choice):
     QUADS = "quads"
 
 
-class Access(enum.Enum):
+class Access(Choice):
     """Access to locked memory. READ copies from the device when the lock begins, WRITE copies to it when the
     lock ends, READ_WRITE does both."""
 
@@ -69,7 +69,7 @@ class Access(enum.Enum):
         self.writes = "write" in name
 
 
-class BufferUsage(enum.Enum):
+class BufferUsage(Choice):
     """The way in which a buffer's contents change.
 
     STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that
@@ -126,14 +126,14 @@ class TextureDescriptor:
         return max(1, self.layers >> level) if self.kind is TextureKind.D3 else self.layers
 
 
-class Filter(enum.Enum):
+class Filter(Choice):
     """Texture filter: NEAREST reads one texel, LINEAR interpolates between the nearest ones."""
 
     NEAREST = "nearest"
     LINEAR = "linear"
 
 
-class Wrap(enum.Enum):
+class Wrap(Choice):
     """Texture address mode outside 0 to 1: REPEAT the image, MIRROR it at each repetition, CLAMP to its edge
     texels, or use the sampler's BORDER color."""
 
@@ -309,7 +309,7 @@ class PassDescriptor:
 # -- queries ---------------------------------------------------------------------------------------------
 
 
-class QueryKind(enum.Enum):
+class QueryKind(Choice):
     """Type of a query. OCCLUSION counts the samples that pass between begin and end. COUNTER reads the
     running samples-passed counter and TIMESTAMP the time in nanoseconds, both at one point of the stream."""
 

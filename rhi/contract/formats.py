@@ -10,19 +10,14 @@
 
 from __future__ import annotations
 
-import enum
 from typing import Final
 
 import numpy as np
 
-
-class Choice(enum.Enum):
-    """Base class of enums that are looked up often: members hash by identity, at the speed of C."""
-
-    __hash__ = object.__hash__
+from rhi.errors.choices import Choice
 
 
-class ChannelKind(enum.Enum):
+class ChannelKind(Choice):
     """The encoding of a channel, which decides the type that a shader reads."""
 
     UNORM = "unorm"

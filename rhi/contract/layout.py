@@ -18,7 +18,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.formats import Choice
+from rhi.errors.choices import Choice
 
 
 class Layout(Choice):

@@ -718,9 +718,10 @@ def pass_faults(
             and end.samples == 1
             and end.format is source.format
             and end.size == descriptor.size
+            and end.layers == 1
         )
         if not fits or source.format.is_integer:  # integers have no average
-            allowed = "from several samples to 1, equal size and format, no integers"
+            allowed = "from several samples to 1, equal size and format, one layer, no integers"
             yield Fault(rules.PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)
     for color, texture in zip(colors, used, strict=False):
         if color.clear is not None:

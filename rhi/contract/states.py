@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Self, TypeAlias
 from weakref import WeakValueDictionary
 
-from rhi.contract.formats import Choice
 from rhi.errors.arguments import FieldChecker
+from rhi.errors.choices import Choice
 from rhi.errors.rules import STATE_VALUE
 from rhi.errors.shared_caches import make_shared_lock
 

@@ -201,6 +201,15 @@ def _as_render_target(core: Core, value: object) -> TextureTarget:
         level, layer = value.texture._check("device.render_pass", value.level, value.layer, core)
         return TextureTarget(value.texture, level, layer)
     if isinstance(value, Texture):
+        layers = value.requested.layers
+        if layers > 1:  # silently drawing to layer 0 would look like a lost draw in all others
+            core.refuse(
+                rules.PASS_TARGET,
+                "device.render_pass",
+                f"{describe_object(value)} with {layers} layers as target",
+                "a texture with one layer, or one layer of it",
+                "texture.at(layer=…) is one layer; draw to all of them in a loop",
+            )
         return TextureTarget(value)
     core.refuse(
         rules.PASS_TARGET,

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from rhi.errors import Rule, describe_value, refuse
 from rhi.errors.array_likes import is_masked, to_array
+from rhi.errors.choices import suggest_members
 from rhi.errors.rules import DEVICE_ARGUMENT
 
 E = TypeVar("E", bound=enum.Enum)
@@ -121,7 +122,8 @@ class ArgumentChecker:
     def choice(self, name: str, value: Any, kind: type[E]) -> E:
         """Return a member of an enum."""
         if not isinstance(value, kind):
-            self.fail(name, value, describe_choices(kind))
+            tip = suggest_members(value, kind) if isinstance(value, str) else ""
+            self.fail(name, value, describe_choices(kind), tip)
         return value
 
     def instance(self, name: str, value: Any, kind: type[T] | tuple[type[T], ...], allowed: str) -> T:

@@ -6,7 +6,6 @@ else that is bound a second time is needless, on every backend.
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,6 +13,7 @@ from rhi.commands.ops import WORK, Op
 from rhi.commands.stream import Command, Commands, CommandStream
 from rhi.contract.descriptors import BindingKind
 from rhi.device.device import Device
+from rhi.errors.choices import Choice
 from rhi.testing.arguments import checker, read_command, read_commands
 from rhi.testing.buffer_tracking import bindings_of
 
@@ -27,7 +27,7 @@ _BINDS: Final = frozenset({Op.BIND_PROGRAM, *_KINDS})
 _PASS_ENDS: Final = frozenset({Op.BEGIN_PASS, Op.END_PASS})
 
 
-class BindReason(enum.Enum):
+class BindReason(Choice):
     """The reason of a binding command; the value describes it."""
 
     FIRST = "nothing was bound here before"

@@ -447,6 +447,7 @@ CLUSTER = """
 import os, signal, sys, threading, time
 from pathlib import Path
 import numpy as np
+import dask.config
 from distributed import LocalCluster
 import rhi_screen
 import rhi_screen.executors
@@ -459,7 +460,9 @@ def deadly(frame):
     return render(frame) if frame != 7 else os._exit(1)
 
 if __name__ == "__main__":
-    rhi_screen.executors.NO_WORKER_SECONDS = 900.0  # a busy machine takes minutes to start a worker again
+    # A busy machine takes minutes to start a worker again. Dask gives it up after 15 seconds.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "900s"})
+    rhi_screen.executors.NO_WORKER_SECONDS = 900.0
     folder = Path(sys.argv[1])
     rhi_screen.film(render, range(60), output=folder / "serial" / "%d.png")
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from functools import partial
 from typing import Any, Final
 
@@ -24,10 +23,11 @@ from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
 from renderer.techniques.parts.geometry_buffer import NORMAL_BITS
 from rhi import Filter
+from rhi.errors.choices import Choice
 from rhi.shading import Precision
 
 
-class ErrorUnit(Enum):
+class ErrorUnit(Choice):
     """The unit of an error."""
 
     LEVELS = "levels of 255"
@@ -51,7 +51,7 @@ class ErrorUnit(Enum):
         return self in (ErrorUnit.LEVELS, ErrorUnit.DEPTH)
 
 
-class Requirement(Enum):
+class Requirement(Choice):
     """The part of a scene that a quality setting needs to matter."""
 
     SHADOWS = "a light that may cast shadows"
@@ -154,7 +154,7 @@ class QualitySetting:
 
 
 def _same(*values: Any) -> dict[str, Any]:
-    return {(str(value).lower() if not isinstance(value, Enum) else value.value): value for value in values}
+    return {(str(value).lower() if not isinstance(value, Choice) else value.value): value for value in values}
 
 
 FLOAT64: Final = Reference("float64", is_float64=True)

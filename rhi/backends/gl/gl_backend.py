@@ -300,6 +300,14 @@ class GlBackend:
                 self._host_framebuffer.note_idle(*binding)
             gl.DeleteSync(drawn)
 
+    # -- buffers of CUDA -----------------------------------------------------------------------------------
+
+    def name_buffer(self, buffer: Id) -> int:
+        """See `rhi.contract.backend.SupportsBufferNames`."""
+        if not self._is_current:
+            self._activate()
+        return self._buffers.share(buffer)
+
     # -- textures of other code ----------------------------------------------------------------------------
 
     def name_texture(self, texture: Id) -> int:

@@ -154,6 +154,18 @@ class Buffers:
         if watcher is not None:
             watcher(buffer)
 
+    def share(self, buffer: Id) -> int:
+        """Return GL's name of a buffer that other interfaces write from now on, so that its memory stays
+        where it is; 0 if the CPU has its memory mapped."""
+        if buffer in self._mappings or buffer in self._readable:
+            return 0
+        self.note_change(buffer)
+        self._stored.add(buffer)
+        self._hints.pop(buffer, None)
+        created = self.objects[buffer]
+        self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
+        return created.glo
+
     def destroy(self, buffer: Id) -> None:
         self.note_change(buffer)
         self._stored.discard(buffer)

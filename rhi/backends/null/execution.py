@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from rhi.commands.context import StreamContext
 from rhi.contract.descriptors import Id
-from rhi.contract.formats import Choice
+from rhi.errors.choices import Choice
 
 D = TypeVar("D")
 

@@ -28,6 +28,7 @@ from rhi.contract.layout import (
 )
 from rhi.contract.limits import buffer_copy_faults
 from rhi.device.core.core import Core, find_optional_part
+from rhi.device.resources.cuda import CudaMapping, CudaStream
 from rhi.device.resources.exchange import ArrayExchange
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
@@ -199,6 +200,23 @@ class Buffer(ArrayExchange, Resource):
             make=lambda: self._array(None, count),
             write=lambda array: self._upload(array, first),
         )
+
+    def cuda(self, stream: CudaStream | None = None) -> CudaMapping:
+        """Create a mapping for CUDA: in `with buffer.cuda() as array:` kernels of CuPy, PyTorch or Numba
+        read and write the buffer's own memory.
+
+        It needs a gl device on a GPU of NVIDIA and `pip install "rhi[cuda]"`. Recordings don't see CUDA's work.
+
+        Args:
+            stream: the CUDA stream in which the buffer is used. The GPU orders its work after earlier draws
+                and before later ones. None is CUDA's default stream.
+
+        Raises:
+            ValidationError: `device-capability` on other backends, `device-argument` for STREAM buffers,
+                 `pass-open` inside a render pass, `lock-open` for a locked or mapped buffer.
+            DeviceError: `device-driver` if CUDA or its package is missing, or can't share the buffer.
+        """
+        return CudaMapping(self, stream)
 
     def clear(self, value: int = 0) -> None:
         """Fill the buffer with a 32-bit pattern; the size must be a multiple of 4 bytes.
@@ -502,6 +520,10 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self._typed().lock(access, first, count)
+
+    def cuda(self, stream: CudaStream | None = None) -> CudaMapping:
+        """Create a mapping for CUDA, as `Buffer.cuda` does."""
+        return self._typed().cuda(stream)
 
     def clear(self, value: int = 0) -> None:
         """Fill the buffer with a 32-bit pattern."""

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
-from rhi.contract.formats import Choice
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
+from rhi.errors.choices import Choice
 from rhi.shading.ir import nodes
 
 

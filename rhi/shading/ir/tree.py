@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 from rhi.contract.descriptors import Stage
-from rhi.contract.formats import Choice
 from rhi.contract.layout import StructType
+from rhi.errors.choices import Choice
 from rhi.shading.ir import nodes
 from rhi.shading.language.builtins import Builtin, Overload, SideEffect
 from rhi.shading.language.function import Native

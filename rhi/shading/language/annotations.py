@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, TypeAlias, TypeVar, get_args, get_origin
 
-from rhi.contract.formats import Choice
 from rhi.contract.layout import BOOL, FLOAT, INT, ArrayType, HostType
+from rhi.errors.choices import Choice
 from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
 

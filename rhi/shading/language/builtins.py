@@ -29,9 +29,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NoReturn, TypeAlias
 
 from rhi.contract.descriptors import Stage
-from rhi.contract.formats import Choice
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT
 from rhi.errors import refuse
+from rhi.errors.choices import Choice
 from rhi.shading.language import rules
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS, VOID, Type, converts
 

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, ge
 
 from typing_extensions import dataclass_transform
 
-from rhi.contract.formats import ChannelKind, Choice
+from rhi.contract.formats import ChannelKind
 from rhi.contract.layout import INT, ArrayType, HostType, is_host_shareable
 from rhi.errors import ShaderError, ShaderErrors, refuse
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.choices import Choice
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform

@@ -243,12 +243,15 @@ CITY = """
 import os, signal, sys, threading, time
 from contextlib import suppress
 from pathlib import Path
+import dask.config
 from distributed import LocalCluster
 import renderer
 import rhi_screen.executors
 
 if __name__ == "__main__":
-    rhi_screen.executors.NO_WORKER_SECONDS = 900.0  # a busy machine takes minutes to start a worker again
+    # A busy machine takes minutes to start a worker again. Dask gives it up after 15 seconds.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "900s"})
+    rhi_screen.executors.NO_WORKER_SECONDS = 900.0
     folder, frames = Path(sys.argv[1]), range(int(sys.argv[2]))
     options = {"size": (96, 54), "backend": "gl"}
     start = time.perf_counter()

@@ -158,6 +158,8 @@ OBJECTS: Final = {
 INTERNAL: Final = {
     "CommandBuffer": {"note_retired"},
     "TransientMemory": {"mark", "note_retired", "upload_mesh"},
+    "Buffer": {"cuda"},  # on gl alone, in a file of its own
+    "StorageBuffer": {"cuda"},
     "Mesh": {"create_vertex_array", "offset_draws"},
     "TransientMesh": {"create_vertex_array", "offset_draws"},
     "Program": {

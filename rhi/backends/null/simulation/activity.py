@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import enum
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -16,20 +15,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from rhi.errors import DeviceError
+from rhi.errors.choices import Choice
 from rhi.errors.rules import PLOT_LIBRARY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Lane(enum.Enum):
+class Lane(Choice):
     """A row of the timeline: one of the two processors."""
 
     CPU = "CPU"
     GPU = "GPU"
 
 
-class Activity(enum.Enum):
+class Activity(Choice):
     """An activity of a processor. A value is its character in text and its color in a plot."""
 
     BUSY = ("█", "#3b76af")

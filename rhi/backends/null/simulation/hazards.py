@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -45,9 +44,10 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.states import ColorWrite, DepthTest, DepthWrite, StencilTest
 from rhi.errors.call_sites import CallSite
+from rhi.errors.choices import Choice
 
 
-class HazardKind(enum.Enum):
+class HazardKind(Choice):
     """The kind of a hazard; the value describes it in a sentence."""
 
     WRITE_IN_USE = "the CPU writes memory that the GPU may still use"

@@ -55,6 +55,38 @@ def test_a_texture_is_one_target_at_a_time(recording: rhi.Device) -> None:
         recording.render_pass([image.at(layer=0), image.at(layer=1)])
 
 
+@pytest.mark.parametrize("kind", [rhi.TextureKind.D2_ARRAY, rhi.TextureKind.CUBE, rhi.TextureKind.D3])
+def test_a_texture_with_several_layers_is_a_target_by_one_layer(
+    recording: rhi.Device, kind: rhi.TextureKind
+) -> None:
+    with recording.texture(SIZE, rhi.Format.RGBA8, kind=kind, layers=6) as layered:
+        for color in (layered, [layered]):
+            with refuses(rules.PASS_TARGET, recording):
+                recording.render_pass(color)
+        recording.render_pass(layered.at(layer=5))
+        with recording.render_pass(layered.at(), clear=(1, 0, 0, 1)):
+            pass
+    with recording.texture(SIZE, rhi.Format.D32F, kind=rhi.TextureKind.D2_ARRAY, layers=2) as layered:
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(depth=layered)
+        recording.render_pass(depth=layered.at(layer=1))
+    with recording.texture(SIZE, rhi.Format.R8, kind=rhi.TextureKind.D2_ARRAY, layers=1) as single:
+        recording.render_pass(single)
+
+
+def test_samples_are_resolved_to_a_texture_with_one_layer(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.RGBA8, samples=2) as image:
+        for layers, fits in ((1, True), (2, False)):
+            with recording.texture(
+                SIZE, rhi.Format.RGBA8, kind=rhi.TextureKind.D2_ARRAY, layers=layers
+            ) as end:
+                if fits:
+                    recording.render_pass(image, resolve=end)
+                    continue
+                with refuses(rules.PASS_TARGET, recording):
+                    recording.render_pass(image, resolve=end)
+
+
 @pytest.mark.parametrize("other", [(4, 5), (5, 4), (8, 8)], ids=str)
 def test_targets_have_one_size(recording: rhi.Device, other: tuple[int, int]) -> None:
     with (
