@@ -282,7 +282,7 @@ def make_element(program: str, device: str = "web") -> str:
     return f'<div class="rhi-live" data-program="{program}" data-device="{device}"></div>'
 
 
-def add_script(page: str, home: str = "../live/") -> str:
-    """Return a page with the script of live programs; `home` is their folder, as seen from the page."""
+def add_script(page: str, home: str = "live/") -> str:
+    """Return a page with the script of live programs; `home` is their folder, as seen from the page's file."""
     head = f'<link rel="stylesheet" href="{home}live.css">'
     return f'{page.rstrip()}\n\n{head}\n<script type="module" src="{home}live.mjs"></script>\n'

@@ -63,7 +63,7 @@ def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDesc
 
     Raises:
         ShaderError: the shader breaks rules of `rhi.shading.language.rules`; the error shows each line that
-        breaks one.
+            breaks one.
 
     Examples:
         >>> [binding.name for binding in sl.compile_shader(Flat).bindings]

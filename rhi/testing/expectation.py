@@ -308,7 +308,8 @@ class Expectation:
     ) -> Costs:
         """Assert that the costs of the matching commands are within a budget, and return the costs.
 
-        For a frame, `expect(frames(stream)[1]).costs(…)`; for a label,
+        They have the fields `draws`, `dispatches`, `hardware_state_changes`, `upload_bytes` and `creations`,
+        which are numbers. For a frame, `expect(frames(stream)[1]).costs(…)`; for a label,
         `expect(stream).within("sun").costs(…)`.
 
         Examples:

@@ -1,7 +1,7 @@
 """The built site as a stranger opens it: served from a folder, in headless Chromium.
 
 The gallery's programs draw in their page, the triangle's colour is edited, and a browser without WebGPU keeps the
-images. Ordinary pages fit three widths. `RHI_LIVE_SCREENSHOTS=FOLDER` keeps screenshots.
+images. `test_site_pages.py` opens all pages. `RHI_LIVE_SCREENSHOTS=FOLDER` keeps screenshots.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pytest
 from chromium_kit import SWIFTSHADER, Page, open_page, serve
@@ -19,21 +19,6 @@ from web_kit import ROOT, require_pyodide
 pytestmark = pytest.mark.nightly
 
 PROGRAMS: Final = [*(f"{name}.py" for name in live_site.LIVE), "orbit_viewer.py"]
-PAGES: Final = (
-    ".",
-    "installation",
-    "tutorials/first-triangle",
-    "questions",
-    "gallery",
-    "frame-commands",
-    "shading-builtins",
-    "performance",
-    "backends-web",
-    "reference/rhi",
-)
-"""Ten ordinary pages: text, images, wide tables and code, live programs, and the reference."""
-WIDTHS: Final = (360, 768, 1440)
-"""CSS pixels of a phone, a tablet and a desk."""
 
 
 @pytest.fixture(scope="module")
@@ -185,77 +170,3 @@ def test_without_webgpu_the_page_keeps_the_image_and_says_why(site: str, tmp_pat
         reason = page.evaluate(f"{program.element}.textContent")
     assert reason.startswith(("This browser has no WebGPU", "This browser has WebGPU, but no adapter"))
     assert reason.endswith("The image above is what the program draws.")
-
-
-# -- ordinary pages ----------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def reader(site: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    """A browser without a GPU that reads pages."""
-    with open_page(tmp_path_factory.mktemp("profile"), "--disable-gpu") as page:
-        yield page
-
-
-def open_at(reader: Page, address: str, width: int = WIDTHS[-1]) -> None:
-    reader.call(
-        "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
-    )
-    reader.open(address)
-
-
-_CUT_OFF: Final = """[...document.querySelectorAll("article *")].filter((element) => {
-    const { right, width } = element.getBoundingClientRect();
-    if (width === 0 || right <= innerWidth + 1) return false;
-    for (let parent = element; parent !== document.body; parent = parent.parentElement)
-        if (["auto", "scroll"].includes(getComputedStyle(parent).overflowX)) return false;
-    return true;
-}).map((element) => `${element.tagName} ${element.textContent.slice(0, 40)}`)"""
-"""JavaScript: the elements of a page that its right edge cuts off, and that don't lie in a box that scrolls."""
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_does_not_scroll_sideways(name: str, width: int, site: str, reader: Page) -> None:
-    open_at(reader, f"{site}{name}/", width)
-    save_screenshot(reader, f"page-{name.replace('/', '-')}-{width}")
-    assert reader.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
-    assert reader.evaluate(_CUT_OFF) == []
-
-
-def test_an_element_that_is_cut_off_is_listed(site: str, reader: Page) -> None:
-    open_at(reader, f"{site}installation/", WIDTHS[0])
-    reader.evaluate(
-        'document.querySelector("article").insertAdjacentHTML("beforeend", '
-        '\'<p style="width: 500px">wide</p><div style="overflow: auto"><p style="width: 500px">box</p></div>\')'
-    )
-    assert reader.evaluate(_CUT_OFF) == ["P wide"]
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_the_images_of_a_page_have_alternative_texts_and_load(name: str, site: str, reader: Page) -> None:
-    open_at(reader, f"{site}{name}/")
-    images: list[dict[str, Any]] = reader.evaluate(
-        'Promise.all([...document.querySelectorAll("article img")].map(async (image) => {'
-        '    image.loading = "eager"; await image.decode().catch(() => {});'
-        "    return {source: image.src, text: image.alt.trim(), width: image.naturalWidth};"
-        "}))"
-    )
-    assert [image["source"] for image in images if not image["text"] or not image["width"]] == []
-    assert images or name not in (".", "gallery")
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_the_links_of_a_page_lead_to_files_of_the_site(name: str, site: str, reader: Page) -> None:
-    open_at(reader, f"{site}{name}/")
-    links, broken = reader.evaluate(
-        """(async () => {
-            const local = [...document.querySelectorAll("article a[href]")].map((link) => new URL(link.href))
-                .filter((address) => address.origin === location.origin).map((address) => address.pathname);
-            const paths = [...new Set(local)];
-            const states = await Promise.all(paths.map(async (path) => (await fetch(path, {method: "HEAD"})).ok));
-            return [paths.length, paths.filter((path, index) => !states[index])];
-        })()"""
-    )
-    assert links > 0
-    assert broken == []

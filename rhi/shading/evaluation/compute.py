@@ -56,8 +56,9 @@ def evaluate(
     """Run a `@function` on whole arrays with NumPy.
 
     Args:
-        arguments, named: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)`
+        *arguments: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)`
             for a `mat3`, a structured array or `Struct` for a struct. The axes `…` broadcast.
+        **named: arguments by the names of their parameters.
         dtype: the type of floats, and of the result.
 
     Returns:

@@ -100,7 +100,8 @@ def run_vertex(
         attributes: an array for each attribute, or a structured one: `(…)` for a number, `(…, 3)` for a
             `vec3`. All broadcast. Those that a lean shader doesn't read may be left out.
         vertex_index: the index of each vertex; counts from 0 by default.
-        instance_index, draw_index: numbers, or one for each vertex.
+        instance_index: a number, or one for each vertex.
+        draw_index: a number, or one for each vertex.
         dtype: the type of floats in variables; buffers hold float32.
         bindings: as for `run_compute`.
 
@@ -150,7 +151,8 @@ def run_fragment(
         covered: which fragments are covered, (…, rows, columns). The others in their quads are helpers.
         fragment_coordinate: (…, rows, columns, 4); by default pixel centres counted from 0, depth 0 and 1 / w
             = 1.
-        front_facing, primitive_index: one for the primitive, or one for each fragment.
+        front_facing: one for the primitive, or one for each fragment.
+        primitive_index: one for the primitive, or one for each fragment.
         point_coordinate: (…, rows, columns, 2), or one for all fragments.
         dtype: the type of floats in variables; buffers hold float32.
         bindings: as for `run_compute`.

@@ -67,7 +67,8 @@ class HostTexture:
             levels: one mip level or all of them, largest first. A single layer may be given as (height,
                 width, channels), and with one channel as (height, width); layers of one channel as (layers,
                 height, width). They are copied: later changes of the arrays don't change the texture.
-            format, kind: the format and the dimensions.
+            format: of the texels.
+            kind: the dimensions.
             sampler: defaults to the sampler that a device's textures have by default.
 
         Raises:
