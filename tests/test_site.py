@@ -300,7 +300,7 @@ def test_a_phrase_is_a_title_of_its_page_and_results_of_the_reference_come_last(
 
 
 QUERIES = {
-    "draw a triangle": ("tutorial", "gallery"),
+    "draw a triangle": ("tutorials/first-triangle", "gallery"),
     "uniform buffer": ("memory-and-time",),
     "read pixels back": ("how-to/save-an-image", "how-to/read-without-waiting"),
     "test without gpu": ("testing",),
