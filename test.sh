@@ -22,18 +22,18 @@ export PIP_COMPILE=0  # not the bytecode of 90 packages: that of what the tests 
 . scripts/setup.sh
 setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd libfribidi0 mesa-vulkan-drivers xvfb xdotool
 unset PYTHONDONTWRITEBYTECODE  # the tests start hundreds of processes, which share the bytecode
+cores=$(nproc)
+workers=$((cores > 2 ? cores : 2))
 options=()
 if [ "${1:-}" = --nightly ]; then
     shift
     case "${1:-}" in
-    --shard* | --minutes*) exec .venv/bin/python tests/kits/nights.py run "$@" ;;
+    --shard* | --minutes*) exec .venv/bin/python tests/kits/nights.py run --processes "$workers" "$@" ;;
     esac
     options=(-m "" --hypothesis-profile nightly)
 else
     export RHI_KERNELS="${RHI_KERNELS:-quick}"  # optimised kernels, which compute the same bits, in the tests about them
 fi
-cores=$(nproc)
-workers=$((cores > 2 ? cores : 2))
 changed=()
 if [ "${1:-}" = --changed ]; then
     mapfile -t changed < <(.venv/bin/python tests/meta/responsible_tests.py)

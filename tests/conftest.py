@@ -45,7 +45,8 @@ there."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register three plugins: the kit's, whose marker `requires` the tests of all packages use, the one that
+    """Register four plugins: the kit's, whose marker `requires` the tests of all packages use, the one that
+    shares the rewriting of assertions between workers, the one that
     prints what a worker wrote to standard error before it crashed, and the one that returns freed memory.
 
     The kit's is imported above, so `import_plugin` would warn, where the tree isn't the installed one, that
@@ -53,6 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if not config.pluginmanager.has_plugin(plugin.__name__):
         config.pluginmanager.register(plugin, plugin.__name__)
+    config.pluginmanager.import_plugin("shared_rewriting")
     config.pluginmanager.import_plugin("worker_errors")
     config.pluginmanager.import_plugin("worker_memory")
 

@@ -141,11 +141,18 @@ def search(words: Sequence[str]) -> list[Section]:
     """
     asked = [word for text in words for word in re.findall(r"[\w.]+", text.lower())]
     asked = [word for word in asked if word not in _COMMON_WORDS] or asked
-    patterns = [re.compile(rf"\b{re.escape(_stem(word))}", re.IGNORECASE) for word in asked]
+    stems = [_stem(word) for word in asked]
+    patterns = [re.compile(rf"\b{re.escape(stem)}", re.IGNORECASE) for stem in stems]
     titles = list_topics()
     scores: dict[Section, tuple[int, int]] = {}
     for section in _list_sections():
-        counts = [min(len(pattern.findall(section.text)), _MAX_COUNT) for pattern in patterns]
+        text = section.text.lower()
+        counts = [
+            min(len(pattern.findall(section.text)), _MAX_COUNT)
+            if stem in text
+            else 0  # several times as fast
+            for stem, pattern in zip(stems, patterns, strict=True)
+        ]
         if any(counts):
             title = f"{titles[section.topic]} {section.heading}"
             in_title = sum(bool(pattern.search(title)) for pattern in patterns)

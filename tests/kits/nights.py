@@ -1,6 +1,6 @@
 """Nightly tests in shards with a budget, and the record of when each last passed.
 
-    python tests/kits/nights.py run [--shard K/N] [--minutes M] [PYTEST ARGUMENTS]
+    python tests/kits/nights.py run [--shard K/N] [--minutes M] [--processes P] [PYTEST ARGUMENTS]
     python tests/kits/nights.py overdue [PYTEST ARGUMENTS]
     python tests/kits/nights.py merge RECORD…
 
@@ -14,6 +14,9 @@ cl, wgpu and null. `./test.sh --nightly --shard K/N --minutes M` calls it. Tests
 
 No test begins that would probably end after the budget, but for the first. Shards follow the durations in the
 record as the commit has it: on one commit they are the same, whatever a shard has recorded meanwhile.
+
+With `--processes P`, parts of the shard run side by side in P processes, each within the budget. Reports of deaths are
+then in folders of their own, `process-1` and so on.
 
 The tests run in a process of their own. If it dies, or a test takes far longer than it ever has, another process
 goes on with the next test (`supervised_nights.py`).
@@ -35,6 +38,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -478,6 +482,12 @@ def _parse_shard(text: str) -> tuple[int, int]:
     return int(number), int(count)
 
 
+def _parse_processes(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of processes, 1 or more")
+    return int(text)
+
+
 def _parse_minutes(text: str) -> float:
     try:
         minutes = float(text)
@@ -497,6 +507,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         run = commands.add_parser(command, help=explained)
         run.add_argument("--shard", type=_parse_shard, default=(1, 1), metavar="K/N")
         run.add_argument("--minutes", type=_parse_minutes, metavar="M")
+        run.add_argument("--processes", type=_parse_processes, default=1, metavar="P")
         run.add_argument("--folder", type=Path, default=ROOT / "out" / "nights", help="of reports of deaths")
     commands.add_parser("overdue", help="print what hasn't passed on the last ten commits of main")
     merge = commands.add_parser("merge", help="add records of other machines")
@@ -527,6 +538,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n".join([*overdue, counts]))
         return 1 if overdue else 0
     budget = None if options.minutes is None else 60.0 * options.minutes
+    if options.command == "run" and options.processes > 1:
+        return _run_side_by_side(options, rest)
     if options.command == "run":
         return _supervise(options, budget, rest)
     committed = _git("show", f"HEAD:{RECORD.relative_to(ROOT).as_posix()}") or ""
@@ -541,6 +554,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         attempt=attempt,
     )
     return int(pytest.main([*every, *attempt.options], plugins=[night]))
+
+
+def _run_side_by_side(options: argparse.Namespace, rest: Sequence[str]) -> int:
+    """Run the parts of a shard in processes of their own; return the worst exit status."""
+    shutil.rmtree(options.folder, ignore_errors=True)
+    number, count = options.shard
+    first, parts = (number - 1) * options.processes + 1, count * options.processes
+    minutes = [] if options.minutes is None else ["--minutes", str(options.minutes)]
+    running = []
+    for index in range(options.processes):
+        command = [sys.executable, str(Path(__file__)), "--record", str(options.record), "run", *minutes]
+        command += ["--shard", f"{first + index}/{parts}"]
+        command += ["--folder", str(options.folder / f"process-{index + 1}"), *rest]
+        running.append(subprocess.Popen(command))
+    try:
+        statuses = {process.wait() for process in running}
+    except KeyboardInterrupt:  # which the terminal sends to all of them
+        for process in running:
+            process.wait()
+        raise
+    statuses -= {int(pytest.ExitCode.NO_TESTS_COLLECTED)} if len(statuses) > 1 else set()
+    return max(map(abs, statuses))
 
 
 def _supervise(options: argparse.Namespace, budget: float | None, rest: Sequence[str]) -> int:

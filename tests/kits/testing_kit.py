@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 import rhi
@@ -14,6 +16,7 @@ def gl_works() -> bool:
     return backend_works("gl")
 
 
+@cache
 def backend_works(name: str) -> bool:
     """Return whether a device of a backend can be created on this machine."""
     try:

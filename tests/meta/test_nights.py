@@ -412,6 +412,8 @@ def test_an_interrupted_run_records_the_tests_that_passed(pytester: pytest.Pytes
         (["--minutes", "0"], "no number of minutes"),
         (["--minutes", "nan"], "no number of minutes"),
         (["--minutes", "soon"], "no number of minutes"),
+        (["--processes", "0"], "no number of processes"),
+        (["--processes", "many"], "no number of processes"),
     ],
 )
 def test_bad_options_are_refused(

@@ -121,6 +121,23 @@ def test_a_failure_is_no_death(tmp_path: Path) -> None:
     assert done.stdout.count("test session starts") + done.stdout.count("1 failed") >= 1
 
 
+def test_processes_side_by_side_run_each_test_once_and_report_their_deaths(tmp_path: Path) -> None:
+    done = run(tmp_path, "os.abort()", "--processes", "2")
+    assert done.returncode != 0
+    assert outcomes(tmp_path) == {"test_first": "passed", "test_ends": "started", "test_last": "passed"}
+    begun = [path.read_text() for path in tmp_path.glob("reports/process-*/begun.tsv")]
+    assert sum(text.count("::") for text in begun) == 3
+    assert all("::" in text for text in begun), "both have tests"
+    (report,) = tmp_path.glob("reports/process-*/deaths.txt")
+    assert "SIGABRT" in report.read_text()
+
+
+@pytest.mark.nightly
+def test_processes_side_by_side_pass_though_some_have_no_tests(tmp_path: Path) -> None:
+    assert run(tmp_path, "pass", "--processes", "4").returncode == 0
+    assert set(outcomes(tmp_path).values()) == {"passed"}
+
+
 def test_a_night_in_which_nothing_can_begin_ends(tmp_path: Path) -> None:
     done = run(tmp_path, "pass", "--no-such-option")
     assert done.returncode != 0

@@ -5,6 +5,9 @@
   bound textures.
 - Functions aren't inlined, so that a kernel contains each of them once however often it samples; except loads
   of texels of one float, such as depth, which take less time than a call.
+- PoCL copies a kernel's functions once for each chain of calls that leads to them, and a chain may leave out
+  functions between its ends. So each link more doubles their number, and functions with one or two callers are
+  inlined in quick kernels too (`RHI_FUSED`).
 - Two adjacent texels are one load, and so is a row of single floats; those of a whole block of pixels are a
   few (`blocks.cl`). Lanes that need different mip levels are served level by level.
 """
@@ -29,6 +32,7 @@ typedef ulong rhi_wide __attribute__((aligned(4)));
 #define rhi_either(a, b) ((a) | (b))
 #define RHI_CALLED __attribute__((overloadable, noinline))
 #define RHI_INLINE __attribute__((overloadable, always_inline))
+#define RHI_FUSED __attribute__((overloadable, __always_inline__))  // in quick kernels too, for short call chains
 #if __has_builtin(__builtin_elementwise_floor) && __has_builtin(__builtin_elementwise_roundeven)
 #define rhi_floor __builtin_elementwise_floor  // one instruction, where PoCL's own are fifteen
 #define rhi_round __builtin_elementwise_roundeven

@@ -29,7 +29,7 @@ static RHI_INLINE FLOAT rhi_from_srgb(FLOAT c) {
 }
 
 // Converts an unsigned float, given by the bits of a half float without its sign.
-static RHI_INLINE UINT rhi_unsigned_float(UINT bits) { return as_UINT(rhi_from_half(bits)); }
+static RHI_FUSED UINT rhi_unsigned_float(UINT bits) { return as_UINT(rhi_from_half(bits)); }
 
 // Decodes stored words to one word per channel.
 static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
@@ -93,7 +93,7 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
 }
 
 // Reads texel number `i` of each lane.
-static RHI_INLINE void rhi_texel(rhi_texture p, rhi_description w, INT i, UINT *r) {
+static RHI_FUSED void rhi_texel(rhi_texture p, rhi_description w, INT i, UINT *r) {
     r[1] = r[2] = r[3] = (UINT)0u;
     switch (w[RHI_TEXEL_BYTES]) {
     case 1: r[0] = rhi_gather8(p, i); break;
@@ -169,7 +169,7 @@ static RHI_INLINE void rhi_edge(int wrap, int size, INT *i0, INT *i1) {
 static RHI_INLINE int rhi_inside(int size, INT i) { return !ANY(as_UINT(i) >= (uint)(size - 1)); }
 
 // Finds the two texels around a coordinate; returns the weight of the second.
-static RHI_INLINE FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1) {
+static RHI_FUSED FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1) {
     FLOAT at = rhi_before(wrap, size, u, i0);
     rhi_edge(wrap, size, i0, i1);
     return at;
@@ -177,7 +177,7 @@ static RHI_INLINE FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1
 
 // Projects a direction on a cube's face: (s, t), and m along the face's axis. OpenGL 4.3, table 8.19, with t
 // down.
-static RHI_INLINE void rhi_project(
+static RHI_FUSED void rhi_project(
     INT is_y, INT is_z, INT negative, FLOAT x, FLOAT y, FLOAT z, FLOAT *s, FLOAT *t, FLOAT *m
 ) {
     FLOAT along = SELECT(SELECT(x, y, is_y), z, is_z);
@@ -187,7 +187,7 @@ static RHI_INLINE void rhi_project(
 }
 
 // Finds the major axis (x if neither y nor z), and whether the direction is negative along it.
-static RHI_INLINE void rhi_axis(FLOAT x, FLOAT y, FLOAT z, INT *is_y, INT *is_z, INT *negative) {
+static RHI_FUSED void rhi_axis(FLOAT x, FLOAT y, FLOAT z, INT *is_y, INT *is_z, INT *negative) {
     FLOAT ax = fabs(x), ay = fabs(y), az = fabs(z);
     *is_z = BOTH(az >= ax, az >= ay);
     *is_y = BOTH(ay >= ax, NOT(*is_z));
@@ -336,7 +336,7 @@ static RHI_CALLED void rhi_taps(
 static RHI_INLINE FLOAT rhi_mix(FLOAT a, FLOAT b, FLOAT at) { return fma(at, b - a, a); }
 
 // Bilinear filter for four channels of 8 bits without a border: two adjacent texels are one load.
-static RHI_INLINE void rhi_bilinear8(
+static RHI_FUSED void rhi_bilinear8(
     rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, UINT *r
 ) {
     INT x, y, right, below;
@@ -383,7 +383,7 @@ static RHI_INLINE void rhi_bilinear8(
 }
 
 // The same for four half floats; a block of pixels that lies inside reads whole rows.
-static RHI_INLINE void rhi_bilinear_half(
+static RHI_FUSED void rhi_bilinear_half(
     rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, UINT *r
 ) {
     INT x, y;
@@ -511,7 +511,7 @@ static RHI_CALLED void rhi_walk(
     }
 }
 
-static RHI_INLINE void rhi_sampled(
+static RHI_FUSED void rhi_sampled(
     rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod,
     UINT *r
 ) {
@@ -636,7 +636,7 @@ static RHI_CALLED void rhi_average(
 
 // Samples what a pixel covers, by the steps to the next pixels: as the sampler says, an ellipse or a square
 // around it.
-static RHI_INLINE void rhi_covered(
+static RHI_FUSED void rhi_covered(
     rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT ux,
     FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
 ) {

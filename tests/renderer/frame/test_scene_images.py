@@ -10,6 +10,7 @@ import pytest
 from frames import EYE, draw, make_boxes, max_difference, open_renderer
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import ONLY_KERNELS
 
 import rhi
 from renderer.frame import TextureSettings
@@ -209,6 +210,7 @@ def draw_texels(
     return draw(device, scene, TECHNIQUES[technique](), camera, size=(TEXELS, TEXELS), textures=textures)
 
 
+@pytest.mark.nightly_cases("cl-forward-1", "cl-deferred_plus-0", reason=ONLY_KERNELS)
 @pytest.mark.parametrize(("technique", "more"), [("forward", 0), ("forward", 1), ("deferred_plus", 0)])
 def test_a_bias_of_a_level_shows_half_as_many_texels(
     drawing_device: rhi.Device, technique: str, more: int

@@ -9,6 +9,7 @@ import os
 import random
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ def list_formats() -> list[str]:
     return sorted(set(Image.OPEN) | {"EPS"})
 
 
-def list_writable() -> list[str]:
+@cache  # encoders of some formats take half a second
+def list_writable() -> tuple[str, ...]:
     """The formats that Pillow both writes and reads here."""
     writable = []
     for name in list_formats():
@@ -42,7 +44,7 @@ def list_writable() -> list[str]:
         except Exception:
             continue
         writable.append(name)
-    return writable
+    return tuple(writable)
 
 
 def refusal(source: Any, **options: Any) -> ValidationError:

@@ -7,6 +7,8 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -16,7 +18,16 @@ import rhi
 from rhi.__main__ import main
 from rhi.errors import ValidationError
 from rhi.testing.projects import KINDS, write_project
+from rhi.testing.projects import names as project_names
 from rhi.testing.projects.names import describe_fault
+
+
+@pytest.fixture(scope="module", autouse=True)
+def distributions_are_listed_once() -> Iterator[None]:
+    """Metadata of all installed distributions is read once for these tests, not for each name."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(project_names, "_list_distributions", cache(project_names._list_distributions))
+        yield
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -53,7 +64,7 @@ def test_a_name_that_is_no_modules_or_anothers_is_refused_and_nothing_is_written
     assert list(tmp_path.iterdir()) == []
 
 
-def test_names_of_all_that_is_installed_are_refused(tmp_path: Path) -> None:
+def test_names_of_all_that_is_installed_are_refused() -> None:
     names = {package for package in packages_distributions() if package.isidentifier() and package.islower()}
     assert [name for name in sorted(names) if not describe_fault(name)] == []
     assert [name for name in sorted(sys.stdlib_module_names) if not describe_fault(name)] == []

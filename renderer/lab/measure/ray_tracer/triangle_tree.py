@@ -8,7 +8,7 @@ the box are left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -47,8 +47,11 @@ class TriangleTree:
 
     def __init__(self, corners: Floats) -> None:
         self._order = _sort(corners.mean(axis=1))
-        self._origin = corners[self._order, 0]
-        self._copy_sides = corners[self._order, 1:] - corners[self._order, :1]
+        origin = corners[self._order, 0]
+        # Coordinates lie apart: a gather of one is several times as fast as one of three.
+        self._origin = origin.T.copy()
+        self._side_a = (corners[self._order, 1] - origin).T.copy()
+        self._side_b = (corners[self._order, 2] - origin).T.copy()
         lower, upper = corners[self._order].min(axis=1), corners[self._order].max(axis=1)
         self._levels = [_group(lower.T, upper.T, _LEAF)]
         while self._levels[-1][0].shape[1] > _WIDTH:
@@ -69,10 +72,12 @@ class TriangleTree:
     def _traverse(
         self, rays: Indices, origins: Floats, directions: Floats, first: Floats, last: Floats
     ) -> Hits:
-        starts = origins.T.copy()
-        inverse = 1.0 / np.where(directions == 0.0, 1e-290, directions).T.copy()
+        begin, end = int(rays[0]) if len(rays) else 0, int(rays[-1]) + 1 if len(rays) else 0
+        starts, slopes = origins[begin:end].T.copy(), directions[begin:end].T.copy()
+        first, last = first[begin:end], last[begin:end]
+        inverse = 1.0 / np.where(slopes == 0.0, 1e-290, slopes)
         top = self._levels[-1][0].shape[1]
-        ray, node = np.repeat(rays, top), np.tile(np.arange(top), len(rays))
+        ray, node = np.repeat(rays - begin, top), np.tile(np.arange(top), len(rays))
         for level, (lower, upper) in enumerate(reversed(self._levels), 1):
             enters, leaves = first[ray], last[ray]
             for axis in range(3):
@@ -82,32 +87,48 @@ class TriangleTree:
                 np.minimum(leaves, np.maximum(to_lower, to_upper), out=leaves)
             entered = np.flatnonzero(enters <= leaves + _EDGE * np.abs(leaves))
             width = _LEAF if level == len(self._levels) else _WIDTH
-            count = len(self._origin) if level == len(self._levels) else self._levels[-level - 1][0].shape[1]
+            count = (
+                self._origin.shape[1] if level == len(self._levels) else self._levels[-level - 1][0].shape[1]
+            )
             ray = np.repeat(ray[entered], width)
             node = (node[entered][:, None] * width + np.arange(width)).reshape(-1)
             if len(node) and node.max() >= count:
                 ray, node = ray[node < count], node[node < count]
-        return self._intersect(ray, node, origins, directions, first, last)
+        hits = self._intersect(ray, node, starts, slopes, first, last)
+        return Hits(hits.ray + begin, hits.triangle, hits.distance, hits.second, hits.third)
 
     def _intersect(
         self,
         ray: Indices,
         triangle: Indices,
-        origins: Floats,
-        directions: Floats,
+        starts: Floats,
+        slopes: Floats,
         first: Floats,
         last: Floats,
     ) -> Hits:
-        """The pairs of a ray and a triangle that meet (Möller and Trumbore 1997)."""
-        side_a, side_b = self._copy_sides[triangle, 0], self._copy_sides[triangle, 1]
-        across = np.cross(directions[ray], side_b)
+        """The pairs of a ray and a triangle that meet (Möller and Trumbore 1997).
+
+        Args:
+            starts, slopes: the rays' origins and directions, (3, n).
+        """
+        direction = [slopes[axis][ray] for axis in range(3)]
+        side_a = [self._side_a[axis][triangle] for axis in range(3)]
+        side_b = [self._side_b[axis][triangle] for axis in range(3)]
+        across = _cross(direction, side_b)
         volume = _dot(side_a, across)
-        away = origins[ray] - self._origin[triangle]
-        turned = np.cross(away, side_a)
+        away = [starts[axis][ray] - self._origin[axis][triangle] for axis in range(3)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            second, third = _dot(away, across) / volume, _dot(directions[ray], turned) / volume
-            distance = _dot(side_b, turned) / volume
-            met = (second >= -_EDGE) & (third >= -_EDGE) & (second + third <= 1.0 + _EDGE)
+            second = _dot(away, across) / volume
+        # Most pairs end here, before the other half of the work.
+        near = np.flatnonzero((second >= -_EDGE) & (second <= 1.0 + 2.0 * _EDGE))
+        ray, triangle, volume, second = ray[near], triangle[near], volume[near], second[near]
+        direction, side_a, side_b, away = (
+            [array[near] for array in vector] for vector in (direction, side_a, side_b, away)
+        )
+        turned = _cross(away, side_a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            third, distance = _dot(direction, turned) / volume, _dot(side_b, turned) / volume
+            met = (third >= -_EDGE) & (second + third <= 1.0 + _EDGE)
             met &= (distance >= first[ray]) & (distance <= last[ray])
         return Hits(ray[met], self._order[triangle[met]], distance[met], second[met], third[met])
 
@@ -141,5 +162,11 @@ def _sort(median_of: Floats) -> Indices:
     return order
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("ij,ij->i", a, b))
+def _dot(a: Sequence[Floats], b: Sequence[Floats]) -> Floats:
+    """The dot products (k,) of vectors whose coordinates lie apart."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _cross(a: Sequence[Floats], b: Sequence[Floats]) -> list[Floats]:
+    """The cross products of vectors whose coordinates lie apart."""
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

@@ -13,6 +13,8 @@ What the OpenCL backend avoids, found with PoCL 3.1:
 - `clGetProgramInfo` with `CL_PROGRAM_BINARIES` compiles every kernel once more.
 - PoCL never frees what LLVM notes of a program: 4.9 KiB for a cached draw program, some 60 KiB for each
   compiled program (`heaptrack`, 200 programs).
+- For each kernel PoCL copies a function once for every chain of calls that leads to it, so each further link
+  doubles the work. Functions in the middle of long chains are inlined in quick kernels too.
 - The compiler's output on standard error can't be turned off.
 - The wheel of PoCL (3.0, LLVM 14) can't compile for newer CPUs (`unknown target CPU 'generic'`).
 """

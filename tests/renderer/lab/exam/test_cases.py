@@ -40,6 +40,7 @@ def examined(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     "cl-5[12356-9]",
     "cl-6[3-9]",
     "cl-7[0-5]",
+    "cl-80",
     reason=COVERED_ON_GL,
 )
 @pytest.mark.nightly_cases(

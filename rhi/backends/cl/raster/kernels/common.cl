@@ -13,7 +13,9 @@
 //   top.
 
 #define INLINE static inline __attribute__((always_inline))
-#define NOINLINE static __attribute__((noinline))  // for what is rare: smaller kernels are built sooner
+#define FUSED \
+    static inline __attribute__((__always_inline__))  // in quick kernels too: chains of calls are dear
+#define NOINLINE static __attribute__((noinline))     // for what is rare: smaller kernels are built sooner
 #define UNLIKELY(condition) \
     __builtin_expect((condition) != 0, 0)  // keeps what is rare out of the way of registers
 #define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void

@@ -44,7 +44,7 @@ INLINE uint select_blocks(
 }
 
 // Draw a record's fragments in the block at texel x, y.
-INLINE void draw_block(
+FUSED void draw_block(
     const Targets *targets, const Record *record, const Edges *edges, const Rare *rare,
     const BlockStarts *starts, int block, int x, int y, float16 *staged, CurrentDraw *draw
 ) {
@@ -65,7 +65,7 @@ INLINE void draw_block(
 }
 
 // Draw a record's fragments in a set of parts of a tile.
-INLINE void draw_parts(
+FUSED void draw_parts(
     const Targets *targets, const Tile *tile, const Record *record, const Edges *edges, const Rare *rare,
     uint parts, float16 *blocks, DepthBounds *bounds, CurrentDraw *draw
 ) {
@@ -88,7 +88,7 @@ INLINE void draw_parts(
 }
 
 // Draw the fragments of a record, the one at `index`, in a tile.
-INLINE void draw_record(
+FUSED void draw_record(
     const Targets *targets, const Tile *tile, long index, float16 *blocks, DepthBounds *bounds,
     CurrentDraw *draw
 ) {

@@ -90,7 +90,7 @@ INLINE void weigh_corners(
 
 // Shade the block at texel x, y and merge its samples. `inside`: the texels whose centres are covered;
 // `covered`: those that have a covered sample; `masks`: the covered lanes of each sample.
-INLINE void shade_block(
+FUSED void shade_block(
     const Targets *targets, const Record *record, const Rare *rare, int x, int y, int16 inside, int16 covered,
     const int16 *masks, BlockDepth *depth, CurrentDraw *draw
 ) {

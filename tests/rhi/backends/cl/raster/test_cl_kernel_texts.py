@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from importlib.resources import files
+from typing import Final
 
 import numpy as np
 import pyopencl as cl
@@ -14,6 +16,9 @@ from rhi.backends.cl.pocl.kernel_cache import strip_comments
 from rhi.backends.cl.raster.kernel_structs import BATCH_STRUCT, DRAW_STRUCT, VIEW_STRUCT
 from rhi.backends.cl.raster.kernel_text import declare_struct
 from rhi.backends.cl.raster.merger import MERGER_STRUCT
+from rhi.contract.descriptors import TextureKind
+from rhi.shading.language.builtins import Precision
+from rhi.shading.opencl.opencl_textures import textures_text
 
 _STRUCTS = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT, "Merger": MERGER_STRUCT}
 
@@ -73,3 +78,44 @@ def test_declared_structs_lie_in_memory_as_their_dtypes(name: str) -> None:
     assert struct.fields is not None
     expected = [struct.fields[field][1] for field in struct.names or ()]
     assert answer.tolist() == [*expected, struct.itemsize]
+
+
+# -- chains of calls -----------------------------------------------------------------------------------------
+
+_FUNCTION: Final = re.compile(r"^static (RHI_\w+) \w+ (\w+)\((?:[^\n]*\}$|.*?^\})", re.M | re.S)
+"""A function of a line, or of several whose last is a brace."""
+
+
+def count_chains(text: str, root: str) -> int:
+    """Return for how many chains of calls PoCL copies functions into a quick kernel that calls one of them.
+
+    A chain leads from the kernel to any function below it, and may leave out links. What is inlined in quick
+    kernels too is part of its callers.
+    """
+    bodies = {match[2]: (match[1], match[0]) for match in _FUNCTION.finditer(text)}
+    names = {
+        caller: {name for name in re.findall(r"\b(\w+)\(", body) if name in bodies and name != caller}
+        for caller, (_, body) in bodies.items()
+    }
+
+    @cache
+    def list_called(caller: str) -> frozenset[str]:
+        called: set[str] = set()
+        for name in names[caller]:
+            called |= list_called(name) | (set() if bodies[name][0] == "RHI_FUSED" else {name})
+        return frozenset(called)
+
+    @cache
+    def count(name: str) -> int:
+        return 1 + sum(count(called) for called in list_called(name))
+
+    return count(root)
+
+
+def test_quick_kernels_that_sample_have_few_chains_of_calls() -> None:
+    """Each link more doubles them, and what PoCL copies."""
+    text = textures_text(16, [TextureKind.D2], Precision.EXACT)
+    chains = count_chains(text, "rhi_sample_grad")
+    called = count_chains(text.replace("RHI_FUSED", "RHI_INLINE"), "rhi_sample_grad")
+    assert 100 < chains < 6_000
+    assert called > 5 * chains, "the control: more links are counted"
