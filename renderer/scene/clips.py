@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.finite import check_finite
+from renderer.scene.unique_names import UniqueNames
 
 _CLIP: Final = np.dtype(
     [
@@ -51,6 +52,7 @@ class Clips:
     def __init__(self) -> None:
         self.version = 0
         self.names: dict[str, int] = {}
+        self._unique_names = UniqueNames()
         self.nodes: list[list[int]] = []
         self._rows = np.zeros(0, _CLIP)
         self._cache_key: tuple[float, int, int] | None = (
@@ -63,9 +65,8 @@ class Clips:
 
     def add(self, name: str, duration: float, *, is_played: bool) -> int:
         """Add a clip that loops from the scene's time 0 on, or isn't played yet; return its row. A name that
-        is taken gets an apostrophe."""
-        while name in self.names:
-            name += "'"
+        is taken gets an apostrophe, and a number from the third on."""
+        name = self._unique_names.choose(name, self.names)
         self.names[name] = len(self)
         self.nodes.append([])
         self._rows = np.append(self._rows, np.zeros(1, _CLIP))

@@ -114,6 +114,7 @@ def add_stretch(geometry: MeshGeometry, uv: str = "uv") -> MeshGeometry:
     lengths = np.repeat(np.linalg.norm([u, v], axis=2), 3, axis=1)
     along, across = (np.bincount(corners, length, len(vertices)) for length in lengths)
     ratio = np.divide(across, along, out=np.ones_like(along), where=(along > 0.0) & (across > 0.0))
+    ratio = np.clip(ratio, 1e-30, 1e30)  # finite in float32
     vertices["tangent"][:, 3] = np.where(vertices["tangent"][:, 3] < 0.0, -ratio, ratio)
     return MeshGeometry(vertices, geometry.indices)
 

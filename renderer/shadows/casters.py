@@ -36,6 +36,7 @@ class Casters:
             part.
         beyond: the rows of those that are wholly above the range.
         huge: the rows of those that have to be cut to the map.
+        uncut: the rows of those that would have to be, and can't.
     """
 
     static: Indices
@@ -43,6 +44,7 @@ class Casters:
     upper: tuple[tuple[Camera, Indices], ...] = ()
     beyond: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
     huge: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+    uncut: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.static) + len(self.dynamic)
@@ -167,7 +169,8 @@ class LightBoxes:
         its depth range or are huge."""
         tops, huge = upper[:, 2], is_huge(lower, upper, cascade)
         rows = np.concatenate([selected.static, selected.dynamic])
-        huge &= can_be_cut(self.casters.scene, rows) & ~self.casters.is_masked[rows]
+        cuttable = can_be_cut(self.casters.scene, rows) & ~self.casters.is_masked[rows]
+        uncut, huge = rows[huge & ~cuttable], huge & cuttable
         beyond = ~huge & (lower[:, 2] > cascade.top)
         # Cameras are near what they draw: float32 rounds a distance from them as it does a depth.
         above = ~huge & (tops > cascade.top)
@@ -177,7 +180,7 @@ class LightBoxes:
             (cascade.upper_camera(float(tops[bands == band].max())), rows[bands == band])
             for band in np.unique(bands[above])
         ]
-        return replace(selected, upper=tuple(cameras), beyond=rows[beyond], huge=rows[huge])
+        return replace(selected, upper=tuple(cameras), beyond=rows[beyond], huge=rows[huge], uncut=uncut)
 
 
 def _top_and_extent(boxes: tuple[Floats, Floats]) -> tuple[float, float]:

@@ -40,10 +40,11 @@ from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
 from renderer.frame.resources import DRAW_GROUPS, SceneResources
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Indices
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.lights import Lights
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
+from renderer.shadows.cascades import Cascade
 from renderer.shadows.casters import SceneCasters, appearance_key, coverage_key
 from renderer.shadows.huge_casters import MAX_RECEIVER_ROUNDING, CutCaster, cut_to_map, widest_receiver
 from renderer.shadows.local_light_maps import quaternion_from_axes
@@ -193,8 +194,8 @@ class ShadowMaps:
         casters_drawn: the number of objects that were drawn to maps in the last frame.
         unshadowed_lights: the number of local lights that light nothing in the last frame, because there is
             no room for their maps.
-        coarse_objects: the indices of objects that were seen and are so wide that float32 rounds their points
-            by more than the shadows of the sun are fine.
+        coarse_objects: the indices of objects that were seen, or cast shadows and can't be cut, and are so wide
+            that float32 rounds their points by more than the shadows of the sun are fine.
     """
 
     def __init__(self, device: Device) -> None:
@@ -291,6 +292,9 @@ class ShadowMaps:
         self._reported = [(key, "skipped", reason, None) for key, reason in self._needed.skipped]
         self._warn_without_room(len(self._needed.without_room))
         self._warn_of_rounding(scene, visible)
+        for required_map in required:
+            if required_map.cascade is not None and len(required_map.casters.uncut):
+                self._warn_of_uncut_casters(scene, required_map.casters.uncut, required_map.cascade)
         self._allocate_tiles(
             {required_map.key: required_map.size for required_map in required},
             shrinks=self._forget_lights(resources.lights),
@@ -316,20 +320,35 @@ class ShadowMaps:
         texels = [cascade.texel for _, cascade, key in self._needed.cascades if key is not None]
         if not texels or self._widest <= (limit := widest_receiver(min(texels))):
             return
-        objects = scene.objects
-        extent = (objects.upper[visible] - objects.lower[visible]).max(1)
+        extent = _extents(scene, visible)
         for row, width in zip(visible[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
-            if row not in self.coarse_objects:
-                self.coarse_objects.add(row)
-                LOGGER.warning(
-                    "shadows of the sun on object %d (mesh %r) are off by up to %.2g m, because float32 rounds "
-                    "its points: it is %.3g m wide; divide it into objects of at most %.3g m",
-                    row,
-                    scene.meshes.names[objects.mesh[row]],
-                    width / limit * MAX_RECEIVER_ROUNDING * min(texels),
-                    width,
-                    limit,
-                )
+            self._warn_of_object(scene, row, width, min(texels), "on")
+
+    def _warn_of_uncut_casters(self, scene: Scene, rows: Indices, cascade: Cascade) -> None:
+        """Warn, once for each object, of casters so wide that float32 rounds their corners by more than a map is
+        fine, and that can't be cut to it."""
+        extent, limit = _extents(scene, rows), widest_receiver(cascade.texel)
+        for row, width in zip(rows[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
+            self._warn_of_object(scene, row, width, cascade.texel, "of")
+
+    def _warn_of_object(self, scene: Scene, row: int, width: float, texel: float, relation: str) -> None:
+        if row in self.coarse_objects:
+            return
+        self.coarse_objects.add(row)
+        limit = widest_receiver(texel)
+        LOGGER.warning(
+            "shadows of the sun on object %d (mesh %r) are off by up to %.2g m, because float32 rounds "
+            "its points: it is %.3g m wide; divide it into objects of at most %.3g m"
+            if relation == "on"
+            else "the sun's shadow of object %d (mesh %r) is off by up to %.2g m, because float32 rounds its "
+            "corners, and a mask, a simulated mesh, a height field or a mesh of many triangles isn't cut to the "
+            "map: it is %.3g m wide; divide it into objects of at most %.3g m",
+            row,
+            scene.meshes.names[scene.objects.mesh[row]],
+            width / limit * MAX_RECEIVER_ROUNDING * texel,
+            width,
+            limit,
+        )
 
     def aim(self, camera: Camera, eye: int = 0) -> None:
         """Write the table of the cascades, whose positions are relative to the eye of `camera`, one of the
@@ -707,6 +726,12 @@ def _first_slots(first: dict[str, int]) -> dict[str, int]:
     """Return the fields of a `LocalShadowTable` that say with which slot each kind of lights but the first
     begins."""
     return {f"{kind.name}_slots": first[kind.name] for kind in LOCAL_LIGHT_KINDS[1:]}
+
+
+def _extents(scene: Scene, rows: Indices) -> Floats:
+    """Return the extents (k,) of objects in metres."""
+    objects = scene.objects
+    return np.asarray((objects.upper[rows] - objects.lower[rows]).max(1, initial=0.0))
 
 
 def _make_table(maps: list[CascadeMap], bias: float) -> CascadeTable:

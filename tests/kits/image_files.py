@@ -26,14 +26,22 @@ WAYS_TO_RUN_A_PROGRAM = {"postscript": POSTSCRIPT, "postscript in DOS": POSTSCRI
 
 
 def make_png(
-    width: int, height: int, rows: bytes, *, depth: int = 8, color_type: int = 6, transparent: bytes = b""
+    width: int,
+    height: int,
+    rows: bytes,
+    *,
+    depth: int = 8,
+    color_type: int = 6,
+    transparent: bytes = b"",
+    interlace: int = 0,
 ) -> bytes:
-    """Return a PNG of rows that aren't filtered; no rows are a file without pixels."""
+    """Return a PNG of rows that aren't filtered; no rows are a file without pixels. With `interlace` 1 they are
+    the rows of its seven passes."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color_type, 0, 0, 0))
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color_type, 0, 0, interlace))
     more = chunk(b"tRNS", transparent) if transparent else b""
     return b"\x89PNG\r\n\x1a\n" + head + more + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 

@@ -133,21 +133,22 @@ class GltfFile:
         file = self.locate(uri)
         if file is None:
             fields.refuse("uri", uri, "the name of a file here, file:///…, or data:…;base64,…")
-        file = self.budget.find(file)
-        self.files.append(file)  # also if it is missing: it may be saved later
-        if not self.budget.allows(file):
+        try:
+            file = self.budget.find(file)
+            is_allowed = self.budget.allows(file)
+            self.files.append(file)  # also if it is missing: it may be saved later
+            content = self.budget.read(file) if is_allowed else b""
+        except RhiError:
+            raise
+        except (OSError, ValueError) as error:  # also a name that no system has, such as one with a zero
+            reason = getattr(error, "strerror", None) or str(error)
+            fields.refuse("uri", f"{uri}: {reason}", f"a file in {self._folder.resolve()}")
+        if not is_allowed:
             allowed = (
                 f"a file in {self._folder.resolve()}, unless ModelLimits(outside=True) or {self.path}:outside"
             )
             fields.refuse("uri", uri, allowed)
-        try:
-            content = np.frombuffer(self.budget.read(file), np.uint8)
-        except RhiError:
-            raise
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            fields.refuse("uri", f"{uri}: {reason}", f"a file in {self._folder.resolve()}")
-        return content
+        return np.frombuffer(content, np.uint8)
 
     def locate(self, uri: str) -> Path | None:
         """Return the file that `uri` names, relative to this one or by `file:`, or None if it isn't a local

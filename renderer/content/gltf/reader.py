@@ -38,6 +38,7 @@ from renderer.content.limits import Budget
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
+from renderer.scene.unique_names import UniqueNames
 from rhi.errors import ValidationError, refuse
 
 
@@ -88,6 +89,7 @@ class _GltfReader:
         self._primitives = Primitives(self._accessors, builder.omissions)
         self._meshes: list[list[_GltfPart]] = []  # of each mesh of the file
         self._has_nodes = False
+        self._view_names = UniqueNames()
 
     def add_all(self) -> None:
         used = list(list_unread_extensions(self._root))
@@ -290,9 +292,7 @@ class _GltfReader:
             if moves:
                 self._omissions.add("motion of a camera", node.fields.where)
             name = node.fields.text("name", "") or cameras[number].text("name", "") or f"camera {number}"
-            while name in self._builder.views:
-                name += "'"
-            self._builder.views[name] = camera
+            self._builder.views[self._view_names.choose(name, self._builder.views)] = camera
 
     def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
         extension = self._root.extension("KHR_lights_punctual")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+
+import numpy as np
 import pytest
 
 import rhi
+from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.contract.states import DEFAULTS, PlatformState
@@ -69,6 +73,55 @@ def test_an_exception_restores_too(recording: rhi.Device) -> None:
         raise ZeroDivisionError
     (states,) = states_of_draws(recording, lambda draw: draw())
     assert (states[rhi.CullMode], states[rhi.DepthWrite]) == (rhi.CullMode.BACK, rhi.DepthWrite.ON)
+
+
+class InterruptionError(Exception):
+    """Raised inside the scopes of a frame."""
+
+
+@pytest.mark.parametrize("depth", range(1, 6))
+def test_the_frame_after_an_exception_in_scopes_is_right(device: rhi.Device, depth: int) -> None:
+    """An event, states, a pass, states and an event, left by an exception inside the scope of this number."""
+    with device.texture((8, 8), rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
+        program, scopes = device.program(Colored), contextlib.ExitStack()
+        openings = (
+            lambda: device.event("frame"),
+            lambda: device.states(rhi.Scissor(0, 0, 3, 3), rhi.DepthTest.OFF),
+            lambda: device.render_pass(image, clear=(0, 0, 0, 0)),
+            lambda: device.states(rhi.ColorWrite.OFF, rhi.CullMode.FRONT),
+            lambda: device.event("draws"),
+        )
+        with pytest.raises(InterruptionError), scopes:
+            for number, opening in enumerate(openings[:depth], 1):
+                scopes.enter_context(opening())
+                if number >= 3:
+                    device.draw(program, mesh)
+            raise InterruptionError
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(program, mesh)
+        if device.capabilities.renders:
+            assert_same(image.read(), 255)
+        device.present()
+
+
+@pytest.mark.parametrize("kind", ["pass", "states", "event"])
+def test_a_refused_call_leaves_the_scopes_around_it(device: rhi.Device, kind: str) -> None:
+    """A call that is refused in a pass, states or an event ends none of them, and draws go on there."""
+    with device.texture((8, 8), rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(Colored)
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.Scissor(0, 0, 4, 8)):
+            with device.event("draws"), pytest.raises(rhi.ValidationError):
+                if kind == "pass":
+                    device.render_pass(image).__enter__()
+                elif kind == "states":
+                    device.states(rhi.CullMode.NONE, rhi.CullMode.BACK).__enter__()
+                else:
+                    device.event("\ud800").__enter__()
+            device.draw(program, mesh)
+        expected = np.zeros((8, 8), np.uint8)
+        expected[:, :4] = 255
+        if device.capabilities.renders:
+            assert_same(image.read(), expected)
 
 
 def test_a_scope_may_be_kept_and_entered_inside_itself(recording: rhi.Device) -> None:

@@ -297,6 +297,129 @@ def test_each_form_of_dead_code_changes_nothing_in_a_fragment_stage(device: Devi
     assert_same(draw(device, text, count), expected)
 
 
+_EXITS: Final = """
+    def f0(self, x: int) -> int:
+        total = 0
+        for i in range(4):
+            for j in range(5):
+                if j == x % 5:
+                    break
+                if (i + j) % 2 == 0:
+                    continue
+                total += 10 * i + j
+            if i == x % 4:
+                continue
+            total += 100
+        return total
+
+    def f1(self, x: int) -> int:
+        for i in range(6):
+            k = i
+            while k < 9:
+                k += 2
+                if k * i == x:
+                    return 100 * i + k
+                if k > x:
+                    break
+        return x
+
+    def f2(self, x: int) -> int:
+        i = 0
+        total = 0
+        while self.f1(i) < 300 and i < 7:
+            i += 1
+            if self.f3(i + x) > 2:
+                continue
+            total += i
+        return total
+
+    def f3(self, x: int) -> int:
+        if x % 3 == 0:
+            return 1
+        elif x % 3 == 1:
+            if x > 12:
+                return 2
+        else:
+            for i in range(x):
+                if i * i > x:
+                    return i
+        return x % 7
+
+    def f4(self, x: int) -> int:
+        total = 0
+        for i in range(3):
+            total += self.f3(x + i) if i != x % 3 else self.f1(x)
+            if total > 20:
+                return total
+        return -total - 2
+
+    def f5(self, x: int) -> int:
+        i = 0
+        while True:
+            i += 1
+            if i > 8:
+                break
+            if i % 2 == 0:
+                continue
+            if self.f3(i) == x % 4:
+                return i
+        return 50 + i
+
+    def f6(self, x: int) -> int:
+        for i in range(5):
+            if x % 6 == i:
+                {exit}
+            if i == 3 and x > 9:
+                return self.f6_inner(x, i)
+        return 7
+
+    def f6_inner(self, x: int, i: int) -> int:
+        for j in range(i):
+            if j == x % 5:
+                {exit}
+            if j > 1:
+                break
+        return 1000 + i
+
+    def f7(self, x: int) -> int:
+        total = self.f6(x) + self.f6(x + 1)
+        for i in range(2):
+            for j in range(3):
+                if total % (i + j + 2) == 0:
+                    return total + 10 * i + j
+        return total
+"""
+"""Methods that end early in loops within loops, in conditions and in each other; `{exit}` is `discard()` where a
+stage has it."""
+
+
+def _write_exits(head: str, exit: str) -> str:
+    chooses = "".join(
+        f"        if number == {number}:\n            return self.f{number}(x)\n" for number in range(METHODS)
+    )
+    select = f"    def select(self, number: int, x: int) -> int:\n{chooses}        return 0\n"
+    return f"{head}\n{select}{_EXITS.format(exit=exit)}"
+
+
+@pytest.mark.requires("compute")
+def test_early_exits_of_nested_loops_and_methods_in_a_compute_stage(device: Device) -> None:
+    text = _write_exits(_COMPUTE.format(arguments=ARGUMENTS), "return 3 + x")
+    expected = expected_values(text)
+    assert len(np.unique(expected)) > 40
+    assert_same(run_compute(device, text), expected)
+
+
+@pytest.mark.parametrize("lean", [False, True])
+@pytest.mark.parametrize("exit", ["discard()", "return 3 + x"])
+def test_early_exits_of_nested_loops_and_methods_in_a_fragment_stage(
+    device: Device, lean: bool, exit: str
+) -> None:
+    text = _write_exits(_FRAGMENT.format(lean=lean), exit)
+    expected = expected_values(text)
+    assert (expected[6:] == -1).any() == (exit == "discard()")
+    assert_same(draw(device, text), expected)
+
+
 class Always(sl.FullScreen):
     """Discards all fragments, and would return a color."""
 

@@ -20,7 +20,9 @@ from rhi.contract.texels import decode, to_srgb
 from rhi.device.resources.image_decoding import (
     MAX_PIXELS,
     ImageSource,
+    check_pixels,
     decode_colors,
+    encoded_png,
     import_pillow,
     open_image,
     read_integers,
@@ -92,10 +94,12 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
     image = open_image(source, max_pixels=max_pixels, call=call)
     try:
         dtype = _DATA.get(image.mode)
-        if image.mode == "I":
-            texels: NDArray[Any] = read_integers(image)
+        if image.mode != "I" and dtype is None:
+            texels: NDArray[Any] = decode_colors(image, call=call)
         else:
-            texels = decode_colors(image, call=call) if dtype is None else np.array(image, dtype)
+            content = encoded_png(image)
+            texels = read_integers(image) if dtype is None else np.array(image, dtype)
+            check_pixels(image, content)
         turn = _TURNS.get(image.getexif().get(_ORIENTATION, 1))
     except RhiError:
         raise

@@ -356,3 +356,124 @@ def test_a_time_that_no_step_reaches_is_refused(seconds: float) -> None:
         with pytest.raises(ValidationError, match="scene-not-finite"):
             renderer.render(camera, np.nan)
         renderer.render(camera, 1.7e9)  # the time of day of a clock
+
+
+# -- hostile values ----------------------------------------------------------------------------------------
+
+HOSTILE: dict[str, Any] = {
+    "negative": -1,
+    "fraction": 0.5,
+    "31 bits": 2**31,
+    "63 bits": 2**63,
+    "400 digits": 10**400,
+    "infinite": float("inf"),
+    "negative infinity": -float("inf"),
+    "nan": float("nan"),
+    "text": "1",
+    "object": {},
+}
+NEVER_A_NUMBER = ("infinite", "negative infinity", "nan", "text", "object", "400 digits")
+
+
+def step_text(path: tuple[Step, ...]) -> str:
+    """A path as refusals write it."""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
+    return text.removeprefix(".")
+
+
+def check_hostile_value(folder: Path, document: GltfDocument, path: tuple[Step, ...], kind: str) -> bool:
+    """Return whether a value is refused, by a message that names its path or where that leads."""
+    file = write_changed(folder, document, path, HOSTILE[kind])
+    text, allowed = explain(file)
+    if allowed == "read":
+        assert kind not in NEVER_A_NUMBER or text, (path, kind)
+        return False
+    assert (step_text(path[:-1]) or step_text(path)) in text, (path, text)
+    return True
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_hostile_numbers_of_files_are_refused_with_their_path(tmp_path: Path, kind: str) -> None:
+    sample = NUMBERS[len(kind) % 5 :: 5]
+    refused = [check_hostile_value(tmp_path, DOCUMENTS[name], path, kind) for name, path in sample]
+    assert sum(refused) > len(refused) // 3
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", HOSTILE)
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_all_hostile_numbers_of_files_are_refused_with_their_path(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    paths = [path for document, path in NUMBERS if document == name]
+    refused = [check_hostile_value(tmp_path, DOCUMENTS[name], path, kind) for path in paths]
+    assert sum(refused) > len(refused) // 3
+
+
+UNREADABLE_ADDRESSES = {
+    "a zero": "a\0b",
+    "an escaped zero": "%00",
+    "a zero in a file address": "file:///%00",
+    "half a pair": "\ud800",
+    "too long": "x" * 5000,
+    "nothing": "",
+    "this folder": ".",
+    "a device": "/dev/zero",
+    "another computer": "http://host/a.bin",
+    "half a host": "http://[",
+    "cut base64": "data:application/octet-stream;base64,AAA",
+    "no base64": "data:,",
+}
+
+
+@pytest.mark.parametrize("uri", UNREADABLE_ADDRESSES.values(), ids=UNREADABLE_ADDRESSES)
+@pytest.mark.parametrize("field", ["buffers", "images"])
+def test_addresses_that_name_no_file_are_refused_with_their_path(
+    tmp_path: Path, field: str, uri: str
+) -> None:
+    document = make_full_document()
+    values = {**document.values, "buffers": [{"byteLength": len(document.data), "uri": "data.bin"}]}
+    (tmp_path / "data.bin").write_bytes(document.data)
+    file = tmp_path / "a.gltf"
+    file.write_text(json.dumps(values), encoding="utf-8")
+    assert load_model(file).omissions == ()
+    changed = deepcopy(values)
+    changed[field][0] = {"byteLength": len(document.data), "uri": uri}
+    file.write_text(json.dumps(changed), encoding="utf-8")
+    text, allowed = explain(file)
+    assert f"{field}[0].uri: " in text, (text, allowed)  # an image is left out, by name
+    assert (allowed == "read") is (field == "images")
+
+
+def test_a_file_cut_at_any_byte_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.glb"
+    for document in DOCUMENTS.values():
+        content = Path(document.write(file)).read_bytes()
+        for length in range(0, len(content), 97):
+            file.write_bytes(content[:length])
+            text, allowed = explain(file)
+            assert allowed != "read", (length, text)
+
+
+def test_thousands_of_cameras_with_the_same_name_have_short_names(tmp_path: Path) -> None:
+    camera = {"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}
+    nodes: list[dict[str, Any]] = [{"mesh": 0}, *([{"camera": 0, "name": "door"}] * 2000)]
+    document = GltfDocument(nodes=nodes, cameras=[camera])
+    document.mesh()
+    views = list(load_model(document.write(tmp_path / "a.glb")).views)
+    assert views[:4] == ["door", "door'", "door'3", "door'4"]
+    assert len(set(views)) == 2000
+    assert max(map(len, views)) < 12
+
+
+def test_a_map_that_is_stretched_without_bounds_has_finite_tangents(tmp_path: Path) -> None:
+    document = make_full_document()
+    transform = document.values["materials"][0]["normalTexture"]["extensions"]["KHR_texture_transform"]
+    transform |= {"scale": [1e-29, 1e29], "rotation": 0.0}
+    uv = np.float32([[0, 0], [1e30, 0], [0, 1e-30]])
+    mesh = document.values["meshes"][0]["primitives"][0]["attributes"]
+    mesh["TEXCOORD_0"] = document.accessor(uv)
+    with np.errstate(over="raise"):
+        scene = load_model(document.write(tmp_path / "a.glb"))
+    assert scene.meshes.with_tangents
+    assert np.isfinite(scene.meshes.vertices["tangent"]).all()

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import ctrl_c_frames
 import pytest
 
 import rhi
@@ -216,3 +217,40 @@ def test_frames_go_on_after_thousands_of_timeouts(backend: str) -> None:
     if not has(backend):
         pytest.skip(f"no device on {backend}")
     assert interrupt_frames(backend, os.getpid(), 2000) > 100
+
+
+# -- Ctrl-C ------------------------------------------------------------------------------------------------
+
+
+def press_in_frames(backend: str, seed: int, times: int, cache: str) -> tuple[int, int, int]:
+    """Press Ctrl-C once in or soon after each frame of a program; all others are right.
+
+    Returns:
+        How many interrupts were raised in a frame, how many after it, and how many came in a destructor, where
+        Python prints them.
+    """
+    command = [sys.executable, "-W", "ignore", ctrl_c_frames.__file__, backend, str(seed), str(times), cache]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=7200, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    raised, late, lost = map(int, done.stdout.split()[-3:])
+    return raised, late, lost
+
+
+@pytest.mark.parametrize("backend", ["gl", "cl", "wgpu", "null"])
+def test_frames_go_on_after_ctrl_c(backend: str) -> None:
+    if not has(backend):
+        pytest.skip(f"no device on {backend}")
+    raised, late, lost = press_in_frames(backend, os.getpid(), 15, "warm")
+    assert raised + late + lost == 15
+    assert raised + late > 0
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("backend", ["gl", "cl", "wgpu", "null"])
+@pytest.mark.parametrize(("cache", "times"), [("warm", 1700), ("cold", 100)])
+def test_frames_go_on_after_thousands_of_ctrl_c(backend: str, cache: str, times: int) -> None:
+    if not has(backend):
+        pytest.skip(f"no device on {backend}")
+    raised, _, lost = press_in_frames(backend, os.getpid(), times, cache)
+    assert raised > times // 10
+    assert lost < times // 10

@@ -7,6 +7,7 @@ import io
 import math
 import os
 import random
+import tracemalloc
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -202,6 +203,84 @@ def test_a_damaged_file_is_read_or_refused_by_one_rule(name: str) -> None:
 @pytest.mark.parametrize("name", list_writable())
 def test_thousands_of_damaged_files_are_read_or_refused_by_one_rule(name: str) -> None:
     check_mutations(name, 2000)
+
+
+PNG_KINDS = [
+    (1, 0, 1),
+    (8, 0, 8),
+    (16, 0, 16),
+    (8, 2, 24),
+    (16, 2, 48),
+    (8, 4, 16),
+    (16, 4, 32),
+    (8, 6, 32),
+    (16, 6, 64),
+]
+"""Depth, color type and bits of a pixel."""
+PASSES = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)]
+"""Of interlaced files: first column and row, steps to the right and down."""
+
+
+@pytest.mark.parametrize(("depth", "color_type", "bits"), PNG_KINDS)
+@pytest.mark.parametrize("level", [0x50, 0])
+def test_a_png_whose_pixels_end_early_is_refused(depth: int, color_type: int, bits: int, level: int) -> None:
+    row = 1 + 16 * bits // 8
+    rows = (b"\0" + bytes([level]) * (row - 1)) * 16
+    whole = make_png(16, 16, rows, depth=depth, color_type=color_type)
+    assert rhi.load_image(whole).shape[:2] == (16, 16)  # one that ends black, too
+    for length in (0, 1, row, row * 15, row * 15 + 1, row * 16 - 1):
+        cut = make_png(16, 16, rows[:length], depth=depth, color_type=color_type)
+        refusal(cut)
+        with pytest.raises(ValidationError, match="image-file"):
+            rhi.decode_colors(rhi.open_image(cut))
+
+
+@pytest.mark.parametrize("size", [(16, 16), (1, 1), (2, 1), (3, 2), (1, 7), (5, 9)])
+def test_an_interlaced_png_whose_pixels_end_early_is_refused(size: tuple[int, int]) -> None:
+    width, height = size
+    rows = b""
+    for column, row, right, down in PASSES:
+        columns = len(range(column, width, right))
+        rows += (b"\0" + bytes([90]) * columns * 3) * len(range(row, height, down)) if columns else b""
+    read = rhi.load_image(make_png(width, height, rows, color_type=2, interlace=1))
+    assert (read == (90, 90, 90, 255)).all()
+    for length in {0, 1, len(rows) // 2, len(rows) - 1}:
+        refusal(make_png(width, height, rows[:length], color_type=2, interlace=1))
+
+
+def test_few_compressed_bytes_are_refused_before_memory_is_taken() -> None:
+    tracemalloc.start()
+    try:
+        assert "of 335,544,320 bytes of pixels" in refusal(make_png(1, 1 << 26, b"\0" * 99)).given
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+    refusal(make_png(8192, 8192, b"\0" * 8192, depth=16, color_type=0))
+    solid = make_png(600, 600, (b"\0" + b"\7" * 600) * 600, color_type=0)  # compressed 1000 times
+    assert (rhi.load_image(solid)[..., 0] == 7).all()
+
+
+def test_a_png_begins_with_its_head() -> None:
+    content = save("PNG", TEXELS)
+    text = b"\0\0\0\3tEXta\0b" + (0x3A4E3D45).to_bytes(4, "big")
+    refusal(content[:8] + text + content[8:])
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4])
+def test_rounding_sixteen_bits_takes_little_memory(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rhi.device.resources import image_decoding
+
+    monkeypatch.setattr(image_decoding, "_BAND_PIXELS", 1 << 12)
+    content = make_deep_png(RNG.integers(0, 65536, (256, 256, size), np.uint16))
+    image = rhi.open_image(content)
+    tracemalloc.start()
+    try:
+        rhi.decode_colors(image)
+        assert tracemalloc.get_traced_memory()[1] < 256 * 256 * 16 + 3 * len(
+            content
+        )  # 4 bytes are the result's
+    finally:
+        tracemalloc.stop()
 
 
 class Failing(io.BytesIO):
