@@ -239,6 +239,21 @@ def count_warm_up() -> Cells:
     return rows
 
 
+def measure_by_rays() -> Cells:
+    """Measure errors of quality settings on gl and cl: to ray-traced images, and to the best value's."""
+    cells: dict[str, list[str]] = {}
+    names = [f"--quality-setting={name}" for name in RAY_TRACED_SETTINGS]
+    for backend in ("gl", "cl"):
+        options = f"city:blocks=4 --backend {backend} --size 96x54 --views 1 --rounds 1"
+        report = _read_report("-m", "renderer", "accuracy", *options.split(), *names)
+        for setting in report["quality_settings"]:
+            for row in setting["rows"]:
+                value = f"**{row['value']}**" if row["is_default"] else row["value"]
+                errors = (f"{row[name]:.2f}" for name in ("mean_error", "difference"))
+                cells.setdefault(f"`{row['setting']}`: {value}", []).extend(errors)
+    return {title: errors for title, errors in cells.items() if len(errors) == 4}  # of both
+
+
 def count_useless() -> Cells:
     """Count the cases of the exam that devices of no use pass, on gl."""
     report = _read_report("tests/meta/useless_devices.py")
@@ -248,7 +263,23 @@ def count_useless() -> Cells:
     }
 
 
+RAY_TRACED_SETTINGS: Final = (
+    "samples",
+    "fxaa",
+    "texture_filter",
+    "shadow_size",
+    "shadow_cascades",
+    "shadow_filter",
+    "shadow_bias",
+)
+"""The quality settings of the table whose errors are distances from ray-traced images."""
 TABLES: Final = {
+    "by rays": MeasuredTable(
+        "docs/measurements/accuracy.md",
+        ("gl: error", "gl: to best", "cl: error", "cl: to best"),
+        measure_by_rays,
+        tolerance=0.1,
+    ),
     "orders": MeasuredTable(
         "docs/measurements/material-costs.md",
         ("programs", "materials", "meshes", "draws"),

@@ -16,7 +16,9 @@ the quality settings of shadows.
 
 With --output, DIR gets a page with charts and images, the same as JSON, and each result as soon as it is
 there: an interrupted sweep continues where it stopped. With --budget-ms or --max-error, the quality settings
-that change images of this scene are combined greedily, drawn and timed. The choice is checked with ten more
+that change images of this scene are combined greedily, drawn and timed. Their error is the mean error plus
+the flicker, the change of a pixel's error from frame to frame, times the weight of --flicker: --flicker 0
+looks at stills alone, and takes textures without mip levels. The choice is checked with ten more
 views, where the mean of their errors plus four standard deviations must be within the bound, and tried in
 twenty others. It is written to DIR/settings.json, which `render`, `compare techniques`, `compare visibility`
 and `accuracy` read with --settings. An older one is removed before anything is measured, so none is left if
@@ -41,6 +43,7 @@ from renderer.cli.options import option
 from renderer.cli.output import OutputError, note, prepare_chart, report_omissions, show_progress
 from renderer.cli.subcommand import Subcommand
 from renderer.lab.accuracy import (
+    FLICKER_WEIGHT,
     QUALITY_SETTINGS,
     CheckedChoice,
     ParetoPoint,
@@ -83,9 +86,16 @@ _OPTIONS: Final = (
     ),
     option(
         "--max-error",
-        "choose the fastest settings with a mean error within this, in levels of 255",
+        "choose the fastest settings with an error within this, in levels of 255: mean plus weighted flicker",
         type=options.parse_bound,
         metavar="E",
+    ),
+    option(
+        "--flicker",
+        "how many levels of error a level of flicker counts for in a choice; 0 looks at stills alone",
+        FLICKER_WEIGHT,
+        type=options.parse_weight,
+        metavar="WEIGHT",
     ),
     options.executor("shards of quality settings run", KINDS),
     options.output_file("--plot", "write charts of errors and times"),
@@ -169,6 +179,7 @@ def _make_setup(arguments: argparse.Namespace) -> SweepSetup:
         views=arguments.views,
         rounds=arguments.rounds,
         settings=load_settings(arguments),
+        flicker_weight=arguments.flicker,
     )
 
 

@@ -50,12 +50,12 @@ def chart_group(setting: QualitySetting) -> str:
     return "culling" if setting.path.startswith("visibility.") else "images"
 
 
-ERRORS: Final = ("mean error", "p99", "max error", "flicker", "FLIP")
+ERRORS: Final = ("mean error", "to best", "p99", "max error", "flicker", "FLIP")
 
 
 def format_errors(row: ValueRow) -> list[str]:
     """Format the errors of a value, in the order of `ERRORS`."""
-    numbers = (row.mean_error, row.p99, row.max_error, row.flicker, row.flip)
+    numbers = (row.mean_error, row.difference, row.p99, row.max_error, row.flicker, row.flip)
     return ["" if number is None else f"{number:.4g}" for number in numbers]
 
 
@@ -64,9 +64,9 @@ def format_choice(choice: CheckedChoice) -> str:
     point = choice.point
     values = ", ".join(f"{name} {value}" for name, value in point.values.items())
     return (
-        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean "
-        "error "
-        f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others, "
+        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, "
+        f"flicker {point.flicker:.2f} levels, error with weighted flicker "
+        f"{point.error:.2f} in the worst view, {choice.error:.2f} in {choice.views} others, "
         f"{choice.held_out_error:.2f} in {choice.held_out_views} that had no part in the choice"
         + (
             ""
@@ -176,7 +176,7 @@ def draw_pareto_front(axes: Any, points: Sequence[ParetoPoint], choice: CheckedC
     if choice is not None:
         position = choice.point.milliseconds, choice.point.error
         axes.scatter(*position, s=110, facecolors="none", edgecolors="red", label="chosen")
-    axes.set(xlabel="milliseconds a frame", ylabel="mean error in the worst view, levels")
+    axes.set(xlabel="milliseconds a frame", ylabel="error in the worst view, with weighted flicker, levels")
     axes.legend(fontsize="x-small")
 
 

@@ -65,6 +65,11 @@ def parse_bound(text: str) -> float:
     return parse_number(text, lambda number: 0.0 < number < float("inf"), "a number above 0")
 
 
+def parse_weight(text: str) -> float:
+    """Parse a finite number of 0 or more."""
+    return parse_number(text, lambda number: 0.0 <= number < float("inf"), "a number of 0 or more")
+
+
 def parse_count(text: str, minimum: int = 1) -> int:
     """Parse a whole number of `minimum` or more."""
     if not (text.isascii() and text.isdigit() and int(text) >= minimum):

@@ -34,9 +34,9 @@ from rhi.math import multiply, transform_bounds
 TARGET_ATTRIBUTES: Final = frozenset(("POSITION", "NORMAL", "TANGENT"))
 """The attributes that morph targets move."""
 
+_UP: Final = (0.0, 1.0, 0.0)
 _FIRST: Final = np.zeros(1, np.int64)
 _SHORTEST: Final = 1e-20  # length of a normal or tangent that has a direction
-_EVEN: Final = 1e-5  # difference of what a joint makes of its axes, up to which it only turns and scales
 _ROUNDING: Final = 2.0**-18  # of the largest coordinate: vertices are computed in float32
 
 
@@ -208,9 +208,9 @@ class DeformedMesh:
         if len(self.position_offsets):
             weights = self.weights.evaluate(_FIRST, seconds)[0]
             deformed["position"] += np.tensordot(weights, self.position_offsets, 1)
-            deformed["normal"] += np.tensordot(weights, self.normal_offsets, 1)
+            moved = source["normal"] + np.tensordot(weights, self.normal_offsets, 1)
+            deformed["normal"] = _unit_normals(moved, source["normal"])
             if self.tangent_groups is not None:
-                deformed["normal"] = _unit_normals(deformed["normal"])
                 signed = self.tangent_groups.compute(deformed["position"], deformed["normal"])
                 deformed["tangent"][self.tangent_groups.corners, :3] = signed[:, :3]
             elif self.has_tangents:
@@ -221,14 +221,17 @@ class DeformedMesh:
             deformed["position"] = (
                 np.einsum("vij,vj->vi", blend[:, :, :3], deformed["position"]) + blend[:, :, 3]
             )
-            across = _turn_normals(blend[:, :, :3], matrices[:, :, :3])
-            deformed["normal"] = np.einsum("vij,vj->vi", across, deformed["normal"])
+            turned = _turn_normals(blend[:, :, :3], deformed["normal"])
+            deformed["normal"] = _unit_normals(turned, deformed["normal"])
             if self.has_tangents:
                 tangent = deformed["tangent"]
-                tangent[:, :3] = np.einsum("vij,vj->vi", blend[:, :, :3], tangent[:, :3])
+                along = np.einsum("vij,vj->vi", blend[:, :, :3], tangent[:, :3])
+                largest = np.abs(along).max(axis=1, keepdims=True)
+                tangent[:, :3] = np.where(
+                    largest > 0.0, along / np.where(largest > 0.0, largest, 1.0), source["tangent"][:, :3]
+                )
                 if (np.linalg.det(matrices[:, :, :3]) < 0.0).any():
                     tangent[:, 3] *= np.where(np.linalg.det(blend[:, :, :3]) < 0.0, -1.0, 1.0)
-        deformed["normal"] = _unit_normals(deformed["normal"])
         if self.has_tangents:
             tangent = deformed["tangent"]
             length = np.linalg.norm(tangent[:, :3], axis=1, keepdims=True)
@@ -262,28 +265,29 @@ class DeformedMesh:
         return lower - slack, upper + slack
 
 
-def _unit_normals(normals: NDArray[Any]) -> NDArray[Any]:
-    """Return normals (v, 3) of length 1; upwards where they have none."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit: NDArray[Any] = np.where(
-        length > _SHORTEST, normals / np.maximum(length, _SHORTEST), (0.0, 1.0, 0.0)
-    )
-    return unit
+def _unit_normals(normals: NDArray[Any], rest: NDArray[Any]) -> NDArray[Any]:
+    """Return normals (v, 3) of length 1. Where they have no direction they are those at `rest`, or upwards."""
+    length, rest_length = (np.linalg.norm(array, axis=1, keepdims=True) for array in (normals, rest))
+    unit: NDArray[Any] = np.where(rest_length > _SHORTEST, rest / np.maximum(rest_length, _SHORTEST), _UP)
+    return np.where(length > _SHORTEST, normals / np.maximum(length, _SHORTEST), unit)
 
 
-def _turn_normals(blend: Floats, joints: Floats) -> Floats:
-    """Return the matrices (v, 3, 3) that turn normals as `blend` (v, 3, 3) moves points, up to their length.
+def _turn_normals(blend: Floats, normals: NDArray[Any]) -> Floats:
+    """Return normals (v, 3) turned as `blend` (v, 3, 3) moves points: by its cofactors, up to their length."""
+    a, b, c = blend.transpose(2, 1, 0).copy()  # columns, (3, v)
+    x, y, z = _cross(b, c), _cross(c, a), _cross(a, b)
+    turned = x * normals[:, 0] + y * normals[:, 1] + z * normals[:, 2]
+    largest = np.abs(turned).max(axis=0)  # with its sign where the matrix mirrors
+    terms = a * x  # their sum is the determinant, whose rounding is no mirror
+    largest[terms.sum(axis=0) < -_ROUNDING * np.abs(terms).sum(axis=0)] *= -1.0
+    directions: Floats = turned / np.where(largest == 0.0, 1.0, largest)
+    return directions.T
 
-    They are the same unless one of the `joints` (j, 3, 3) stretches its axes unlike, or mirrors.
-    """
-    squares = joints.transpose(0, 2, 1) @ joints
-    sizes = np.trace(squares, axis1=1, axis2=2)[:, None, None] / 3.0
-    is_even = (np.abs(squares - sizes * np.eye(3)) <= _EVEN * sizes).all()
-    if is_even and (np.linalg.det(joints) > 0.0).all():
-        return blend
-    a, b, c = blend.transpose(2, 0, 1)
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return cofactors * np.where(np.linalg.det(blend) < 0.0, -1.0, 1.0)[:, None, None]
+
+def _cross(first: Floats, second: Floats) -> Floats:
+    """Return the cross products (3, v) of vectors; `numpy.cross` takes several times as long."""
+    (a, b, c), (x, y, z) = first, second
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
 class Deformations:
@@ -378,11 +382,12 @@ def read_deformed(
             index = target.index(name, len(accessors))
             if index >= 0:
                 differences = accessors.floats(index, "VEC3")
-                if (
-                    len(differences) <= int(mesh.vertex_indices.max())
-                    or not (np.abs(differences) <= 1e30).all()
-                ):
-                    target.refuse(name, f"{len(differences)} offsets", "a finite one for each vertex")
+                last = int(mesh.vertex_indices.max())
+                if len(differences) <= last:
+                    target.refuse(name, f"{len(differences)} offsets", f"one for each of {last + 1} vertices")
+                if not (np.abs(differences) <= 1e30).all():
+                    largest = np.abs(differences).max()
+                    target.refuse(name, f"an offset of {largest:g}", "numbers from -1e30 to 1e30")
                 changed[number] = differences[mesh.vertex_indices]
     moved = PropertyTracks(tracks, np.zeros(len(tracks), np.int64), weights[None], clips)
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)

@@ -18,6 +18,7 @@ from renderer.lab.accuracy.quality_settings import QualitySetting as QualitySett
 from renderer.lab.accuracy.quality_settings import Reference as Reference
 from renderer.lab.accuracy.quality_settings import Requirement as Requirement
 from renderer.lab.accuracy.quality_settings import lookup_quality_setting as lookup_quality_setting
+from renderer.lab.accuracy.sweep import FLICKER_WEIGHT as FLICKER_WEIGHT
 from renderer.lab.accuracy.sweep import SettingReport as SettingReport
 from renderer.lab.accuracy.sweep import SweepSetup as SweepSetup
 from renderer.lab.accuracy.sweep import ValueRow as ValueRow

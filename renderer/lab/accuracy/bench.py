@@ -22,6 +22,9 @@ from renderer.settings import RenderSettings
 from renderer.stereo import eye_image_size
 from rhi import Device
 
+TRACED_PIXELS: Final = 6000
+"""About how many pixels of an image are traced for the errors of a single quality setting."""
+
 
 class Bench:
     """Opens renderers of a scene and destroys them at its end; one of them may render the reference, at any
@@ -36,14 +39,16 @@ class Bench:
         scale: int = 1,
         rig: StereoRig | None = None,
         rays: int = 0,
+        traced_pixels: int = TRACED_PIXELS,
     ) -> None:
         """Open a bench. `reference` are the reference's settings, `scale` is how many times as wide and high
-        it is. With `rays` along each side of a pixel, the reference ray tracer renders it instead."""
+        it is. With `rays` along each side of a pixel, the reference ray tracer renders about `traced_pixels`
+        of it instead."""
         self.device, self.scene, self._size, self._rig = device, scene, size, rig
         self._reference_settings, self._scale = limit_anisotropy(reference, device), scale
         self._opened = ExitStack()
         self._reference_renderer: Renderer | None = None
-        self._rays = rays
+        self._rays, self._traced_pixels = rays, traced_pixels
 
     def __enter__(self) -> Self:
         return self
@@ -83,15 +88,13 @@ class Bench:
             size = eye_image_size("side_by_side", size)
         if self.scene.simulated:
             self.scene.update(path_frame.seconds)
-        key = _describe_view(self.scene, camera, size, self._rays)
+        every = max(1, round(np.sqrt(size[0] * size[1] / self._traced_pixels)))
+        key = f"{_describe_view(self.scene, camera, size, self._rays)} {every}"
         if key not in _TRACED:
-            every = max(1, round(np.sqrt(size[0] * size[1] / _TRACED_PIXELS)))
             _TRACED[key] = RayTracer(self.scene).draw(camera, size, self._rays, every)
         return _TRACED[key]
 
 
-_TRACED_PIXELS: Final = 6000
-"""About how many pixels of an image are traced."""
 _TRACED: Final[dict[str, Floats]] = {}
 """Ray-traced images of this process, by a hash of all that they depend on."""
 

@@ -9,6 +9,10 @@ to its next values, until nothing better is near. The rest, the Pareto front, is
 in one process. If the ray tracer doesn't support the scene, the reference is the renderer's own image:
 super-sampled, with fine shadow maps and exact functions.
 
+An error here is what a frame shows standing still and in motion: the mean difference to the reference, plus
+the flicker (`compute_flicker`) times a weight. Without flicker, textures without mip levels would win: a
+single image of them is nearer to the reference.
+
 A choice from the front is checked with views that weren't used to compute the front, and must be within the
 bound there with a margin: the mean of their errors plus four standard deviations. Otherwise the next more
 accurate one is taken. Without the margin, every second choice would exceed the bound in as many further
@@ -27,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from statistics import fmean
 from time import perf_counter, process_time
 from typing import Final
 
@@ -36,6 +41,7 @@ import rhi
 from renderer import rules
 from renderer.content import load_scene
 from renderer.lab.accuracy.bench import Bench, can_ray_trace, read_image_levels
+from renderer.lab.accuracy.image_errors import compute_flicker
 from renderer.lab.accuracy.quality_settings import (
     QUALITY_SETTINGS,
     RAY_TRACED,
@@ -43,7 +49,7 @@ from renderer.lab.accuracy.quality_settings import (
     QualitySetting,
     Requirement,
 )
-from renderer.lab.accuracy.sweep import SettingReport, SweepSetup, list_views
+from renderer.lab.accuracy.sweep import FLICKER_WEIGHT, SettingReport, SweepSetup, find_next_frame, list_views
 from renderer.lab.measure.measurement import alternate
 from renderer.renderer import Renderer
 from renderer.scene import PathFrame, Scene
@@ -58,11 +64,30 @@ MAX_TRIED: Final = 120
 """The most combinations that a search tries."""
 _PATH_ROUNDS: Final = 3
 """Rounds of a walk that the processor time of a tried combination ranges over."""
+_FRONT_PIXELS: Final = 1500
+"""About how many pixels of a view of the front are traced: all combinations are compared in the same ones."""
+_CHECK_PIXELS: Final = 1000
+"""About how many pixels of a view of a check are traced."""
 _MARGIN: Final = 4.0
 """Standard deviations between the mean error of a check's views and the error expected elsewhere."""
 _PLAIN: Final = {"technique.name": "forward", "algorithm": "frustum"}
 """Values for the settings that the original settings leave to trials, while combinations are measured."""
 _ATLAS_SETTING: Final = "shadows.max_atlas_size"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameError:
+    """The error of a frame in levels.
+
+    Attributes:
+        still: the mean difference to the reference.
+        flicker: the mean change of that difference to the next frame; 0 if there is none.
+        total: `still` plus the weighted `flicker`.
+    """
+
+    still: float
+    flicker: float
+    total: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +97,13 @@ class ParetoPoint:
     Attributes:
         values: the value of each quality setting.
         settings: the settings with these values.
-        error: the mean difference to the reference in levels of 255, in the view where it is the greatest.
-        mean_error: the mean over all views.
+        error: the mean difference to the reference in levels of 255, plus the weighted flicker, in the view
+            where the sum is the greatest.
+        mean_error: the mean difference over all views.
         milliseconds: the median time of a frame.
         ratio, low, high: to the most accurate settings, with the ends of the 95 % confidence interval.
         is_best: whether no other settings are as accurate and faster.
+        flicker: the mean over all views, in levels.
     """
 
     values: dict[str, str]
@@ -88,6 +115,7 @@ class ParetoPoint:
     low: float
     high: float
     is_best: bool = False
+    flicker: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +124,12 @@ class CheckedChoice:
 
     Attributes:
         point: the settings.
-        error: the greatest mean error of a view of the check.
+        error: the greatest error of a view of the check; errors are those of `ParetoPoint.error`.
         expected: the error that other views aren't expected to exceed (`expect_error`).
         views: the number of views of the check.
         rejected: how many were tried before, and expected to exceed the bound.
-        held_out_error: the greatest mean error in the views that had no part in the choice.
+        held_out_error: the greatest error in the views that had no part in the choice, with the mean flicker
+            of the check.
         held_out_views: how many there were.
         over_budget: the fraction of the walk's frames that took more than the budget; None without one.
     """
@@ -151,10 +180,14 @@ def make_plain(settings: RenderSettings) -> RenderSettings:
     return settings.change_all(auto)
 
 
-def list_steps(reports: Mapping[str, SettingReport]) -> list[dict[str, str]]:
+def list_steps(
+    reports: Mapping[str, SettingReport], flicker_weight: float = FLICKER_WEIGHT
+) -> list[dict[str, str]]:
     """Combinations of values, the most accurate first; each has one more quality setting at a less accurate
     value."""
-    values_by_setting = {name: _list_efficient_values(report) for name, report in reports.items()}
+    values_by_setting = {
+        name: _list_efficient_values(report, flicker_weight) for name, report in reports.items()
+    }
     positions = dict.fromkeys(values_by_setting, 0)
     steps = [{name: efficient_values[0][0] for name, efficient_values in values_by_setting.items()}]
     while True:
@@ -216,12 +249,13 @@ def _list_neighbours(
                 yield (*key[:number], other, *key[number + 1 :])
 
 
-def _list_efficient_values(report: SettingReport) -> list[tuple[str, float, float]]:
+def _list_efficient_values(report: SettingReport, flicker_weight: float) -> list[tuple[str, float, float]]:
     """Name, error and time of the values that no other value beats in both, the most accurate first."""
     efficient_values: list[tuple[str, float, float]] = []
-    for row in sorted(report.rows, key=lambda row: (row.mean_error, row.processor_ratio)):
+    errors = {row.value: row.weigh(flicker_weight) for row in report.rows}
+    for row in sorted(report.rows, key=lambda row: (errors[row.value], row.processor_ratio)):
         if not efficient_values or row.processor_ratio < efficient_values[-1][2]:
-            efficient_values.append((row.value, row.mean_error, row.processor_ratio))
+            efficient_values.append((row.value, errors[row.value], row.processor_ratio))
     return efficient_values
 
 
@@ -244,16 +278,34 @@ def combine_references(settings: RenderSettings, names: Iterable[str]) -> tuple[
 
 
 class CombinationBench(Bench):
-    """Draws combinations of settings, and the reference that they are compared with."""
+    """Draws combinations of settings, and the reference that they are compared with.
 
-    def __init__(self, device: Device, scene: Scene, setup: SweepSetup, names: Sequence[str]) -> None:
+    Attributes:
+        references: the references drawn so far, by the numbers of their frames.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        setup: SweepSetup,
+        names: Sequence[str],
+        traced_pixels: int = _FRONT_PIXELS,
+    ) -> None:
         reference, scale = combine_references(make_plain(setup.settings), names)
         super().__init__(
-            device, scene, setup.size, reference, scale, rays=RAY_TRACED.rays if can_ray_trace(scene) else 0
+            device,
+            scene,
+            setup.size,
+            reference,
+            scale,
+            rays=RAY_TRACED.rays if can_ray_trace(scene) else 0,
+            traced_pixels=traced_pixels,
         )
+        self._setup, self._weight = setup, setup.flicker_weight
         self._rounds = range(setup.rounds)
         self._renderers: dict[object, Renderer] = {}
-        self._references: dict[int, Floats] = {}
+        self.references: dict[int, Floats] = {}
 
     def exchange(self, settings: RenderSettings) -> Renderer:
         """A renderer with these settings. There is one for each kind of texture access, which can't
@@ -264,15 +316,29 @@ class CombinationBench(Bench):
         settings.apply_to(renderer)
         return renderer
 
-    def compare(self, settings: RenderSettings, frames: Sequence[PathFrame]) -> list[float]:
-        """The mean error of each frame."""
+    def compare(
+        self, settings: RenderSettings, frames: Sequence[PathFrame], *, has_flicker: bool = True
+    ) -> list[FrameError]:
+        """The errors of each frame, with `has_flicker` also of its change to the next frame of the path."""
         renderer, errors = self.exchange(settings), []
         for frame in frames:
-            levels = read_image_levels(settings.render(renderer, frame))
-            if frame.number not in self._references:
-                self._references[frame.number] = self.render_reference(frame)
-            errors.append(float(np.nanmean(np.abs(levels - self._references[frame.number]).max(axis=2))))
+            following = None
+            if has_flicker and self._weight > 0.0:
+                following = find_next_frame(self.scene, self._setup, frame)
+            lost = self._subtract_reference(renderer, settings, frame)
+            flicker = 0.0
+            if following is not None:
+                flicker = compute_flicker(lost, self._subtract_reference(renderer, settings, following))
+            still = float(np.nanmean(np.abs(lost).max(axis=2)))
+            errors.append(FrameError(still, flicker, still + self._weight * flicker))
         return errors
+
+    def _subtract_reference(self, renderer: Renderer, settings: RenderSettings, frame: PathFrame) -> Floats:
+        """The image of a frame minus its reference (h, w, 3), in levels."""
+        levels = read_image_levels(settings.render(renderer, frame))
+        if frame.number not in self.references:
+            self.references[frame.number] = self.render_reference(frame)
+        return levels - self.references[frame.number]
 
     def walk(
         self,
@@ -339,16 +405,16 @@ def compute_pareto_front(
         CombinationBench(device, scene, setup, list(effective)) as bench,
     ):
         tried = iter(progress(range(MAX_TRIED)))
-        lost: dict[tuple[str, ...], list[float]] = {}
+        lost: dict[tuple[str, ...], list[FrameError]] = {}
 
         def measure(values: dict[str, str]) -> tuple[float, float, float]:
             next(tried, None)
             settings = combine(base, values)
             errors = lost[tuple(values.values())] = bench.compare(settings, frames)
             times = bench.walk(settings, frames, _PATH_ROUNDS, process_time).mean(axis=1)
-            return max(errors), float(times.min()), float(times.max())
+            return max(error.total for error in errors), float(times.min()), float(times.max())
 
-        best = search(values_by_setting, list_steps(effective), measure)
+        best = search(values_by_setting, list_steps(effective, setup.flicker_weight), measure)
         positions = np.unique(
             np.linspace(0, len(best) - 1, min(len(best), MAX_POINTS)).round().astype(int)
         ).tolist()
@@ -359,9 +425,10 @@ def compute_pareto_front(
         ParetoPoint(
             best[int(name)],
             point_settings,
-            round(max(errors[name]), 4),
-            round(float(np.mean(errors[name])), 4),
+            round(max(error.total for error in errors[name]), 4),
+            round(fmean(error.still for error in errors[name]), 4),
             *times[name],
+            flicker=round(fmean(error.flicker for error in errors[name]), 4),
         )
         for name, point_settings in settings.items()
     ]
@@ -420,7 +487,7 @@ def choose(
     names = list(points[0].values)
     with (
         rhi.create_device(setup.backend) as device,
-        CombinationBench(device, scene, setup, names) as bench,
+        CombinationBench(device, scene, setup, names, _CHECK_PIXELS) as bench,
     ):
         for rejected, point in enumerate(good):
             over_budget = None
@@ -430,11 +497,14 @@ def choose(
                     found_out = f"{np.median(times):.4g} ms, the median of {len(times)} frames of a walk"
                     continue
                 over_budget = float((times > budget_ms).mean())
-            errors = bench.compare(point.settings, checks)
+            frame_errors = bench.compare(point.settings, checks)
+            errors = [error.total for error in frame_errors]
             expected = expect_error(errors)
             found_out = f"{expected:.4g} levels or more, expected from the views of the check"
             if max_error is None or expected <= max_error:
-                last = max(bench.compare(point.settings, others))
+                motion = setup.flicker_weight * fmean(error.flicker for error in frame_errors)
+                stills = bench.compare(point.settings, others, has_flicker=False)
+                last = max(error.still for error in stills) + motion
                 return CheckedChoice(
                     point, max(errors), expected, len(checks), rejected, last, len(others), over_budget
                 )

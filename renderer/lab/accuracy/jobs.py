@@ -14,7 +14,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -27,7 +27,7 @@ from renderer.lab.accuracy.quality_settings import QUALITY_SETTINGS, ErrorUnit, 
 from renderer.settings import to_json
 from rhi_screen.executors import as_completed
 
-_VERSION: Final = 4
+_VERSION: Final = 5
 """Part of each job's hash. Raise it with any change of what is measured or stored."""
 
 
@@ -64,7 +64,8 @@ class SweepJob:
             setting.option,
         )
         shard = self.shard.number, self.shard.count
-        parts = [_VERSION, rhi.__version__, to_json(self.setup), content, self.setting, shard, repr(measured)]
+        setup = replace(self.setup, flicker_weight=0.0)  # it weighs results, and measures nothing
+        parts = [_VERSION, rhi.__version__, to_json(setup), content, self.setting, shard, repr(measured)]
         return _hash(parts)
 
     @property
@@ -189,7 +190,7 @@ def load_sample(path: Path) -> sweep.SettingSample | None:
 
 
 def _read_sample(stored: dict[str, Any]) -> sweep.ValueSample:
-    lists = {name: tuple(stored[name]) for name in ("seconds", "processor_seconds", "flips")}
+    lists = {name: tuple(stored[name]) for name in ("seconds", "processor_seconds", "flips", "differences")}
     worst = None if stored["worst"] is None else tuple(stored["worst"])
     return sweep.ValueSample(
         **stored | lists | {"worst": worst, "sums": tuple((a, b) for a, b in stored["sums"])}

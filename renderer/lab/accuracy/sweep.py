@@ -34,6 +34,7 @@ from renderer.inspection.frame_cost import settle
 from renderer.lab.accuracy.bench import Bench, can_ray_trace, read_image_levels
 from renderer.lab.accuracy.float64 import Float64Image, shade_in_float64
 from renderer.lab.accuracy.image_errors import (
+    compute_flicker,
     compute_flip_error,
     count_reached,
     crop_worst_region,
@@ -69,6 +70,8 @@ NO_EFFECT: Final = "no value changes what these views show"
 """Why a quality setting is left out: all its values have the same errors, so that their times are noise."""
 DRAWS_NOTHING: Final = "it draws nothing"
 """Why a device that only records is left out."""
+FLICKER_WEIGHT: Final = 4.0
+"""The levels of a still error that weigh as much as a level of flicker, by default."""
 _MAX_SHARDS: Final = 2
 """The most shards of a sweep. Each opens a device and renderers of all values, so more shards take longer
 altogether."""
@@ -86,6 +89,7 @@ class SweepSetup:
         rounds: the number that are timed.
         settings: the settings that quality settings change.
         first, last: the frames of a path among which views are spread; `last` may be None for its end.
+        flicker_weight: how many levels of error a level of flicker counts for when settings are chosen.
     """
 
     scene: str
@@ -97,6 +101,7 @@ class SweepSetup:
     settings: RenderSettings = field(default_factory=RenderSettings)
     first: int = 0
     last: int | None = None
+    flicker_weight: float = FLICKER_WEIGHT
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +143,7 @@ class ValueSample:
         seconds, processor_seconds: of each round.
         p99, flicker: as in `ValueRow`.
         flips: the FLIP error of each view that is compared by images.
+        differences: as in `ValueRow`, of each view that is compared by images.
     """
 
     sums: tuple[tuple[float, int], ...]
@@ -149,6 +155,7 @@ class ValueSample:
     p99: float = 0.0
     flicker: float | None = None
     flips: tuple[float, ...] = ()
+    differences: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +194,8 @@ class ValueRow:
         flicker: the mean change of a pixel's difference to the reference from one frame of a path to the
             next, in levels; None if images aren't compared, and where the camera stands.
         flip: the mean FLIP error (`compute_flip_error`); None if images aren't compared.
+        difference: the mean difference to the image of the most accurate value, in levels: what this setting
+            loses, apart from the errors of all others; None if images aren't compared.
     """
 
     setting: str
@@ -207,6 +216,11 @@ class ValueRow:
     p99: float = 0.0
     flicker: float | None = None
     flip: float | None = None
+    difference: float | None = None
+
+    def weigh(self, flicker_weight: float) -> float:
+        """The mean error plus the weighted flicker."""
+        return self.mean_error + flicker_weight * (self.flicker or 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +315,7 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
         max(sample.p99 for sample in samples),
         next((sample.flicker for sample in samples if sample.flicker is not None), None),
         tuple(flip for sample in samples for flip in sample.flips),
+        tuple(difference for sample in samples for difference in sample.differences),
     )
 
 
@@ -383,6 +398,7 @@ class ValueErrors:
         self._greatest = -1.0
         self._p99 = 0.0
         self._flips: list[float] = []
+        self.differences: list[float] = []
         self.flicker: float | None = None
         self.worst: tuple[int, int, int] | None = None
         self.image = ""
@@ -423,6 +439,7 @@ class ValueErrors:
             self._p99,
             self.flicker,
             tuple(self._flips),
+            tuple(self.differences),
         )
 
 
@@ -461,6 +478,7 @@ def _make_row(
         float(f"{sample.p99:.5g}"),
         None if sample.flicker is None else float(f"{sample.flicker:.5g}"),
         float(f"{fmean(sample.flips):.4g}") if sample.flips else None,
+        float(f"{fmean(sample.differences):.4g}") if sample.differences else None,
     )
 
 
@@ -556,15 +574,21 @@ class SettingBench(Bench):
         errors = {value: ValueErrors(self._setting.unit) for value in self._renderers}
         before: dict[str, Floats] = {}
         for view in views:
+            drawn: dict[str, Floats] = {}
             for value, (lost, images) in self.compare(view):
                 errors[value].add(view, lost, images)
-                if images is not None and view is views[0]:
-                    before[value] = images[1] - images[0]
+                if images is not None:
+                    drawn[value] = images[1]
+                    if view is views[0]:
+                        before[value] = images[1] - images[0]
+            best = drawn.get(list(self._renderers)[-1])
+            if best is not None:
+                for value, levels in drawn.items():
+                    errors[value].differences.append(float(np.abs(levels - best).max(axis=2).mean()))
         if before and self._next is not None:
             for value, (_, images) in self.compare(self._next):
                 if images is not None:
-                    change = np.abs(images[1] - images[0] - before[value]).max(axis=2)
-                    errors[value].flicker = float(change.mean())
+                    errors[value].flicker = compute_flicker(before[value], images[1] - images[0])
         return errors
 
     def compare(self, view: PathFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:

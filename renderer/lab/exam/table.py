@@ -10,6 +10,7 @@ from typing import Any, Final
 from renderer import rules
 from renderer.lab.exam import (
     crack_cases,
+    deformation_cases,
     encoding_cases,
     far_position_cases,
     input_cases,
@@ -38,6 +39,7 @@ _CASE_MODULES: Final = (
     ray_traced_cases,
     crack_cases,
     occlusion_cases,
+    deformation_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

@@ -20,6 +20,7 @@ from renderer.lab.accuracy import (
     sweep_setting,
 )
 from renderer.lab.accuracy.bench import downsample_image
+from renderer.lab.accuracy.image_errors import compute_flicker
 from renderer.lab.measure.measurement import Interval, Measurement
 from renderer.scene import Camera
 from tests.renderer.conftest import open_device
@@ -331,3 +332,35 @@ def test_an_interval_holds_the_median_and_narrows_with_more_samples() -> None:
     a, b = Measurement("a", (2.0, 4.0), (1.0, 1.0)), Measurement("b", (1.0, 1.0), (1.0, 2.0))
     assert a.compare_to(b) == Interval(3.0, 2.0, 4.0)
     assert a.compare_to(b, processor=True) == Interval(0.75, 0.5, 1.0)
+
+
+def test_flicker_is_the_change_of_an_error() -> None:
+    rng = np.random.default_rng(3)
+    error = rng.uniform(-9.0, 9.0, (5, 7, 3))
+    assert compute_flicker(error, error) == 0.0  # an error that stands still doesn't flicker
+    assert compute_flicker(error, -error) == pytest.approx(2.0 * np.abs(error).max(axis=2).mean())
+    later = error.copy()
+    later[2, 3] += (1.0, -4.0, 2.0)
+    assert compute_flicker(error, later) == pytest.approx(4.0 / 35)
+    later[2, 4:] = np.nan  # these pixels don't count
+    assert compute_flicker(error, later) == pytest.approx(4.0 / 32)
+    assert compute_flicker(error, np.full_like(error, np.nan)) == 0.0
+
+
+def test_differences_to_the_most_accurate_value_are_apart_from_errors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    images = iter((5.0, 7.0) * 2)  # both values, of the view and of the frame after it
+    monkeypatch.setattr(sweep, "read_image_levels", lambda _: np.full((28, 48, 3), next(images)))
+    monkeypatch.setattr(sweep.SettingBench, "render_reference", lambda *_: np.full((28, 48, 3), 4.0))
+    setup, fxaa = replace(TINY, views=1), QUALITY_SETTINGS["fxaa"]
+    with (
+        open_device("gl") as device,
+        sweep.SettingBench(device, load_scene("city:blocks=2"), setup, fxaa, ["off", "on"]) as bench,
+    ):
+        errors = bench.measure_errors(bench.list_views())
+    assert {value: value_errors.differences for value, value_errors in errors.items()} == {
+        "off": [2.0],
+        "on": [0.0],
+    }
+    assert [value_errors.summarize()[1] for value_errors in errors.values()] == [1.0, 3.0]
