@@ -15,17 +15,24 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import numpy as np
 
-from rhi.device.core.core import describe_object, find_optional_part
+from rhi.device.core.core import Owner, describe_object, find_optional_part
 from rhi.errors import DeviceError, rules
 from rhi.errors.device_objects import DeviceObject
 
 if TYPE_CHECKING:
     from rhi.contract.backend import SupportsBufferNames
-    from rhi.device.resources.buffers import Buffer
 
 _CALL: Final = "Buffer.cuda"
 _LEGACY_STREAM: Final = 1
 """The number of CUDA's legacy default stream in `__cuda_array_interface__`, where 0 isn't allowed."""
+
+
+class TypedBuffer(Owner, Protocol):
+    """A buffer of the device: `count` elements of `dtype`."""
+
+    id: int
+    dtype: np.dtype[Any]
+    count: int
 
 
 class CudaStream(Protocol):
@@ -76,7 +83,7 @@ class CudaMapping(DeviceObject):
 
     __slots__ = ("__weakref__", "_buffer", "_mapped", "_resource", "_stream", "_stream_owner")
 
-    def __init__(self, buffer: Buffer, stream: CudaStream | None) -> None:
+    def __init__(self, buffer: TypedBuffer, stream: CudaStream | None) -> None:
         core = buffer.core
         core.check_ready()
         core.check_usable(buffer, _CALL)
