@@ -80,7 +80,16 @@ from rhi import (
 from rhi.shading import Shader, TextureBinding, vec4, vertex_index
 
 LOGGER: Final = logging.getLogger("rhi.shadows")
-"""Warns when local lights are dark because there is no room for their shadow maps."""
+"""Warns of local lights without room for their shadow maps, and of objects that are too wide for float32."""
+_COARSE_RECEIVER: Final = (
+    "shadows of the sun on object %d (mesh %r) are off by up to %.2g m, because float32 rounds its points: it "
+    "is %.3g m wide; divide it into objects of at most %.3g m"
+)
+_COARSE_CASTER: Final = (
+    "the sun's shadow of object %d (mesh %r) is off by up to %.2g m, because float32 rounds its corners, and a "
+    "mask, a simulated mesh, a height field or a mesh of many triangles isn't cut to the map: it is %.3g m wide; "
+    "divide it into objects of at most %.3g m"
+)
 
 _COMPARING: Final = SamplerDescriptor(
     mip=None,
@@ -322,33 +331,22 @@ class ShadowMaps:
             return
         extent = _extents(scene, visible)
         for row, width in zip(visible[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
-            self._warn_of_object(scene, row, width, min(texels), "on")
+            self._warn_of_object(_COARSE_RECEIVER, scene, row, width, min(texels))
 
     def _warn_of_uncut_casters(self, scene: Scene, rows: Indices, cascade: Cascade) -> None:
         """Warn, once for each object, of casters so wide that float32 rounds their corners by more than a map is
         fine, and that can't be cut to it."""
         extent, limit = _extents(scene, rows), widest_receiver(cascade.texel)
         for row, width in zip(rows[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
-            self._warn_of_object(scene, row, width, cascade.texel, "of")
+            self._warn_of_object(_COARSE_CASTER, scene, row, width, cascade.texel)
 
-    def _warn_of_object(self, scene: Scene, row: int, width: float, texel: float, relation: str) -> None:
+    def _warn_of_object(self, message: str, scene: Scene, row: int, width: float, texel: float) -> None:
         if row in self.coarse_objects:
             return
         self.coarse_objects.add(row)
         limit = widest_receiver(texel)
-        LOGGER.warning(
-            "shadows of the sun on object %d (mesh %r) are off by up to %.2g m, because float32 rounds "
-            "its points: it is %.3g m wide; divide it into objects of at most %.3g m"
-            if relation == "on"
-            else "the sun's shadow of object %d (mesh %r) is off by up to %.2g m, because float32 rounds its "
-            "corners, and a mask, a simulated mesh, a height field or a mesh of many triangles isn't cut to the "
-            "map: it is %.3g m wide; divide it into objects of at most %.3g m",
-            row,
-            scene.meshes.names[scene.objects.mesh[row]],
-            width / limit * MAX_RECEIVER_ROUNDING * texel,
-            width,
-            limit,
-        )
+        error = width / limit * MAX_RECEIVER_ROUNDING * texel
+        LOGGER.warning(message, row, scene.meshes.names[scene.objects.mesh[row]], error, width, limit)
 
     def aim(self, camera: Camera, eye: int = 0) -> None:
         """Write the table of the cascades, whose positions are relative to the eye of `camera`, one of the
