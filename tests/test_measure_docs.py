@@ -147,11 +147,10 @@ def test_all_pages_together_have_a_limit() -> None:
     assert list_excesses(many) == []
     (line,) = list_excesses([*many, page])
     assert line == f"all tutorials, guide, how-to: words: {MAX_TOTAL_WORDS + 500}, at most {MAX_TOTAL_WORDS}"
-    unread = [
-        measure_text("docs/measurements/a.md", "A word."),
-        measure_text("docs/shading-builtins.md", "A b."),
-    ]
-    assert list_excesses([*many, *unread]) == []
+    assert list_excesses([*many, measure_text("docs/measurements/a.md", "A word.")]) == []
+    assert list_excesses([*many, measure_text("docs/shading-builtins.md", "A b.")]) != [], (
+        "generated pages count"
+    )
 
 
 def test_totals_are_of_all_sentences() -> None:
@@ -191,5 +190,5 @@ def test_the_list_of_pages_has_each_page_once_and_how_to_pages_by_their_index() 
 
 
 def test_at_most_twenty_pages_explain() -> None:
-    section = CONTENTS.partition("## Understand\n")[2].partition("\n## ")[0]
+    section = CONTENTS.partition("## Explanation\n")[2].partition("\n## ")[0]
     assert 10 < len(LINK.findall(section)) <= 20

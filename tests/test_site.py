@@ -50,6 +50,27 @@ def test_each_page_is_in_the_navigation_once(tmp_path: Path) -> None:
     assert {*EXTRA_PAGES.values(), *(f"reference/{module}.md" for module in MODULES)} <= set(pages)
 
 
+KINDS = ["Tutorials", "How-to", "Explanation", "Reference", "Measurements", "Decisions"]
+
+
+def list_linked(kind: str) -> set[str]:
+    """The pages below the heading of a kind in the list of all pages."""
+    text = (ROOT / "docs" / "contents.md").read_text(encoding="utf-8").partition(f"\n## {kind}\n")[2]
+    return set(re.findall(r"\]\(([\w./-]+\.md)\)", text.partition("\n## ")[0]))
+
+
+def test_the_navigation_and_the_list_of_all_pages_have_the_same_four_kinds_of_page() -> None:
+    navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
+    parts = dict(zip(KINDS, re.split(r"^  - [\w-]+:\n", navigation, flags=re.MULTILINE)[1:], strict=True))
+    assert re.findall(r"^  - ([\w-]+):\n", navigation, re.MULTILINE) == KINDS
+    listed = re.findall(r"^## (.*)$", (ROOT / "docs/contents.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert listed == KINDS
+    left_out = r"(?:how-to|reference)/.*|(?:numpy-backend|contents|contributing|changelog)\.md"
+    for kind, part in parts.items():
+        pages = {page for page in re.findall(r"\S+\.md", part) if not re.fullmatch(left_out, page)}
+        assert pages == {page for page in list_linked(kind) if not page.startswith("../")}, kind
+
+
 def test_links_to_files_outside_of_the_pages_lead_to_copies(tmp_path: Path) -> None:
     collect_pages(tmp_path / "docs")
     assert "](files/examples/programs/triangle.py.txt)" in (tmp_path / "docs/gallery.md").read_text()
@@ -285,7 +306,7 @@ def test_a_phrase_is_a_title_of_its_page_and_results_of_the_reference_come_last(
     items = [
         {"location": "reference/rhi/", "title": "rhi", "text": "", "path": ["Reference"]},
         {"location": "reference/rhi/#rhi.Kind.__annotations__", "title": "__annotations__", "text": ""},
-        {"location": "states/", "title": "Render &lt;states&gt;", "text": "", "path": ["Concepts"]},
+        {"location": "states/", "title": "Render &lt;states&gt;", "text": "", "path": ["Reference"]},
     ]
     index = add_phrases(items, {"states": ["Depth buffer"]})
     assert [(item["location"], item["title"]) for item in index] == [
@@ -293,7 +314,7 @@ def test_a_phrase_is_a_title_of_its_page_and_results_of_the_reference_come_last(
         ("states/", "Render &lt;states&gt;"),
         ("reference/rhi/", "rhi"),
     ]
-    assert index[0]["path"] == ["Concepts"]
+    assert index[0]["path"] == ["Reference"]
     assert "Render &lt;states&gt;" in index[0]["text"]
     with pytest.raises(KeyError, match="absent"):
         add_phrases(items, {"absent": ["Depth buffer"]})

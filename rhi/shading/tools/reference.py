@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -32,6 +32,16 @@ _SECTIONS: Final = {
     "atomic_add": "Memory",
     "vertex_index": "Stage inputs",
 }
+_MIN_EXACT_ROWS: Final = 4
+"""Exact built-ins of a section that make a table of their own, without error bounds."""
+_FAMILIES: Final[tuple[tuple[Mapping[str, str], ...], ...]] = (
+    ({"B": "T"}, {"I": "T"}, {"U": "T"}, {"F": "T"}),
+    ({"I": "N", "int": "n"}, {"U": "N", "uint": "n"}, {"F": "N", "float": "n"}),
+    ({"I": "W", "int": "w"}, {"U": "W", "uint": "w"}),
+    ({"V": "TV"}, {"IV": "TV"}, {"UV": "TV"}, {"BV": "TV"}),
+    ({"V": "NV"}, {"IV": "NV"}, {"UV": "NV"}),
+)
+"""Kinds of numbers that signatures have in common, and the letters that stand for all kinds of a family."""
 _DEFAULT: Final = ErrorBound().domain
 
 
@@ -46,20 +56,34 @@ def _lines() -> Iterator[str]:
     for first, end in pairwise(firsts):
         rows = [BUILTINS[name] for name in names[first:end]]
         errors = [_errors(row) for row in rows]
-        has_errors = any(error not in ("", "0") for numbers in errors for error in numbers)
-        is_exact = any("0" in numbers for numbers in errors) and not has_errors
-        yield f"\n**{_SECTIONS[names[first]]}**{', all exact' if is_exact else ''}\n"
-        yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |" if has_errors else "| | |"
-        yield "|---|---|---|---|---|---|" if has_errors else "|---|---|"
-        for row, numbers in zip(rows, errors, strict=True):
-            cells = [f"`{_form(row)}`", f"{row.doc}{_domain(row.error)}", *(numbers if has_errors else [])]
-            yield f"| {' | '.join(cells)} |"
+        is_exact = [not set(numbers) - {"", "0"} for numbers in errors]
+        all_exact = all(is_exact) and any("0" in numbers for numbers in errors)
+        if not all_exact and sum(is_exact) < _MIN_EXACT_ROWS:
+            is_exact = [False] * len(rows) if any("0" in numbers for numbers in errors) else is_exact
+        yield f"\n**{_SECTIONS[names[first]]}**{', all exact' if all_exact else ''}\n"
+        if not all(is_exact):
+            yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |"
+            yield "|---|---|---|---|---|---|"
+            for row, numbers, exact in zip(rows, errors, is_exact, strict=True):
+                if not exact:
+                    yield f"| {' | '.join([*_describe(row), *numbers])} |"
+        if any(is_exact):
+            yield from () if all(is_exact) else ("\nExact:\n",)
+            yield "| | |"
+            yield "|---|---|"
+            for row, exact in zip(rows, is_exact, strict=True):
+                if exact:
+                    yield f"| {' | '.join(_describe(row))} |"
     yield "\n**Operators**\n"
     yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |"
     yield "|---|---|---|---|---|---|"
     for name, error in OPERATORS.items():
         if error.exact:
             yield f"| `{name}` | of floats{_domain(error)} | {' | '.join(_numbers(error))} |"
+
+
+def _describe(builtin: Builtin) -> list[str]:
+    return [f"`{_form(builtin)}`", f"{builtin.doc}{_domain(builtin.error)}"]
 
 
 def _form(builtin: Builtin) -> str:
@@ -69,7 +93,28 @@ def _form(builtin: Builtin) -> str:
         result, _, rest = signature.strip().partition("(")
         parameters = ", ".join(part.strip().rstrip("&") for part in rest.rstrip(")").split(","))
         forms.append(f"{builtin.name}({parameters})" + (f" -> {result}" if result != "None" else ""))
-    return "`<br>`".join(forms)
+    return "`<br>`".join(merge_forms(forms))
+
+
+def merge_forms(forms: list[str]) -> list[str]:
+    """Replace signatures that differ only in their kind of numbers by a single signature in a letter for all."""
+    for family in _FAMILIES:
+        for form in tuple(forms):
+            merged = _replace_words(form, family[0])
+            variants = [
+                _replace_words(merged, {letter: kind for kind, letter in kinds.items()}) for kinds in family
+            ]
+            if merged != form and form == variants[0] and set(variants) <= set(forms):
+                forms = [
+                    merged if signature == form else signature
+                    for signature in forms
+                    if signature not in variants[1:]
+                ]
+    return forms
+
+
+def _replace_words(text: str, words: Mapping[str, str]) -> str:
+    return re.sub(r"\w+", lambda word: words.get(word[0], word[0]), text)
 
 
 def _errors(builtin: Builtin) -> list[str]:

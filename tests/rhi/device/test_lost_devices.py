@@ -1,4 +1,4 @@
-"""A device that is lost in the middle of a frame, and the recipe of docs/errors.md that goes on with a new one."""
+"""A device that is lost in the middle of a frame, and a new one as in docs/how-to/lost-device.md."""
 
 from __future__ import annotations
 
