@@ -110,6 +110,10 @@ class Interrupt:
             name = dis.opname[code[frame.f_lasti]]
             if name in _CALLS or name in _BACK:
                 self._last[key] = name
+        elif event == "exception":
+            # A call that raises has no step at its end. An interrupt there would be raised before the handler
+            # has taken the exception, which CPython then keeps as the thread's current one for ever.
+            self._last[id(frame)] = ""
         elif event == "return":
             self._last.pop(id(frame), None)
         return self._going

@@ -27,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
@@ -219,7 +219,7 @@ def _keep_backtraces(folder: Path, temporary: Path) -> str:
     none."""
     cores = [path for path in (*Path.cwd().glob("core*"), *temporary.rglob("core*")) if is_core(path)]
     backtraces = []
-    for path in cores:
+    for path in _claim_files(cores, temporary / "cores"):
         count = len(list(folder.glob("backtrace-*.txt")))
         if count < _MOST_BACKTRACES:
             begun = [test for when, test in _read_begun(folder) if when <= path.stat().st_mtime]
@@ -229,6 +229,16 @@ def _keep_backtraces(folder: Path, temporary: Path) -> str:
             (folder / f"backtrace-{count + 1}.txt").write_text(title + text, encoding="utf-8")
         path.unlink()
     return "\n".join(backtraces) or _explain_no_core()
+
+
+def _claim_files(paths: Iterable[Path], folder: Path) -> list[Path]:
+    """Move files to a folder, but for those that a process of the same night beside this one has taken."""
+    folder.mkdir(exist_ok=True)
+    claimed = []
+    for number, path in enumerate(paths, len(list(folder.iterdir()))):
+        with suppress(FileNotFoundError):
+            claimed.append(Path(shutil.move(path, folder / f"{number}-{path.name}")))
+    return claimed
 
 
 def is_core(path: Path) -> bool:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import numpy as np
 
-from rhi.device.core.core import Owner, describe_object, find_optional_part
+from rhi.device.core.core import Core, Owner, describe_object, find_optional_part
 from rhi.errors import DeviceError, rules
 from rhi.errors.device_objects import DeviceObject
 
@@ -111,7 +111,7 @@ class CudaMapping(DeviceObject):
         if not name:
             tip = "keep a STATIC buffer for CUDA, and copy_to between both"
             core.refuse(rules.DEVICE_ARGUMENT, _CALL, "a STREAM buffer", "a STATIC buffer", tip)
-        cuda = _import_cuda()
+        cuda = _import_cuda(core)
         try:
             if self._resource is None:
                 device = cuda.Device()
@@ -122,7 +122,7 @@ class CudaMapping(DeviceObject):
             mapped = self._resource.map(stream=self._stream)
         except (RuntimeError, OSError) as error:  # all errors of cuda.core
             tip = "CUDA needs NVIDIA's driver, and the device of OpenGL on the same GPU"
-            raise DeviceError(rules.DEVICE_DRIVER, _CALL, str(error), tip=tip) from error
+            core.refusals.fail(DeviceError(rules.DEVICE_DRIVER, _CALL, str(error), tip=tip))
         self._mapped = mapped
         core.program = None  # from now on every draw checks whether it uses a locked resource
         try:
@@ -161,10 +161,10 @@ class CudaMapping(DeviceObject):
         return CudaArray(address, (buffer.count, *shape), base, stream)
 
 
-def _import_cuda() -> ModuleType:
+def _import_cuda(core: Core) -> ModuleType:
     try:
         import cuda.core
     except ImportError as error:
         tip = 'pip install "rhi[cuda]"'
-        raise DeviceError(rules.DEVICE_DRIVER, _CALL, str(error), tip=tip) from error
+        core.refusals.fail(DeviceError(rules.DEVICE_DRIVER, _CALL, str(error), tip=tip))
     return cast("ModuleType", cuda.core)

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import json
 import os
-import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from image_files import make_png
 from PIL import Image
 
 from renderer.content import ModelLimits, load_model, load_scene
@@ -96,24 +95,10 @@ def test_bytes_vertices_and_seconds_are_counted(tmp_path: Path) -> None:
     assert len(load_scene(f"{path}:unlimited").objects) == 1
 
 
-def make_png(width: int, height: int) -> bytes:
-    """Return the head of a PNG of any size, with few bytes of pixels."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", head)
-        + chunk(b"IDAT", zlib.compress(bytes(99)))
-        + chunk(b"IEND", b"")
-    )
-
-
 def test_the_pixels_of_an_image_are_counted_before_it_is_decoded(tmp_path: Path) -> None:
     path = write(tmp_path, image="a.png")
-    (tmp_path / "a.png").write_bytes(make_png(8193, 8192))
+    rows = bytes((1 + 8200 // 8) * 8192)  # of a bit for each pixel
+    (tmp_path / "a.png").write_bytes(make_png(8193, 8192, rows, depth=1, color_type=0))
     error = refused(lambda: load_model(path))
     assert error.rule.id == "scene-model-limit"
     assert "67,117,056 pixels" in error.given
