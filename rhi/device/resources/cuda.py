@@ -120,7 +120,7 @@ class CudaMapping(DeviceObject):
                 self._stream = device.default_stream if owner is None else device.create_stream(owner)
                 self._resource = cuda.GraphicsResource.from_gl_buffer(name)
             mapped = self._resource.map(stream=self._stream)
-        except (RuntimeError, OSError) as error:  # all errors of cuda.core
+        except Exception as error:  # CUDA's, and those of the loader of its driver: they have no base
             tip = "CUDA needs NVIDIA's driver, and the device of OpenGL on the same GPU"
             core.refusals.fail(DeviceError(rules.DEVICE_DRIVER, _CALL, str(error), tip=tip))
         self._mapped = mapped

@@ -41,6 +41,10 @@ class Stream:
         return 0, 4242
 
 
+class CUDAError(Exception):
+    """An error of CUDA, as `cuda.core` raises it."""
+
+
 class Driver:
     """CUDA as `cuda.core` shows it: `calls` are those that were made, `fault` the next one's error."""
 
@@ -266,7 +270,7 @@ def test_a_fault_of_the_driver_is_named_and_leaves_nothing_locked(
     if step == "map":
         with mapping:
             pass
-    driver.fault = RuntimeError("CUDA_ERROR_INVALID_GRAPHICS_CONTEXT")
+    driver.fault = CUDAError("CUDA_ERROR_INVALID_GRAPHICS_CONTEXT")
     with pytest.raises(DeviceError, match="INVALID_GRAPHICS_CONTEXT") as failure:
         mapping.__enter__()
     assert failure.value.rule is rules.DEVICE_DRIVER
