@@ -17,6 +17,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
+from unittest.mock import patch
 
 import griffe
 from zensical.main import cli
@@ -139,8 +140,8 @@ def main() -> None:
     """Run Zensical."""
     from mkdocstrings_handlers.python._internal import handler
 
-    handler.GriffeLoader = ReferenceLoader  # type: ignore[attr-defined]
-    cli()
+    with patch.object(handler, "GriffeLoader", ReferenceLoader):
+        cli()
 
 
 if __name__ == "__main__":

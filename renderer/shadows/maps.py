@@ -40,11 +40,10 @@ from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
 from renderer.frame.resources import DRAW_GROUPS, SceneResources
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Floats, Indices
+from renderer.scene.arrays import Indices
 from renderer.scene.lights import Lights
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
-from renderer.shadows.cascades import Cascade
 from renderer.shadows.casters import SceneCasters, appearance_key, coverage_key
 from renderer.shadows.huge_casters import MAX_RECEIVER_ROUNDING, CutCaster, cut_to_map, widest_receiver
 from renderer.shadows.local_light_maps import quaternion_from_axes
@@ -303,7 +302,8 @@ class ShadowMaps:
         self._warn_of_rounding(scene, visible)
         for required_map in required:
             if required_map.cascade is not None and len(required_map.casters.uncut):
-                self._warn_of_uncut_casters(scene, required_map.casters.uncut, required_map.cascade)
+                uncut, texel = required_map.casters.uncut, required_map.cascade.texel
+                self._warn_of_objects(_COARSE_CASTER, scene, uncut, texel)
         self._allocate_tiles(
             {required_map.key: required_map.size for required_map in required},
             shrinks=self._forget_lights(resources.lights),
@@ -327,26 +327,20 @@ class ShadowMaps:
         the shadows of the sun are fine."""
         assert self._needed is not None
         texels = [cascade.texel for _, cascade, key in self._needed.cascades if key is not None]
-        if not texels or self._widest <= (limit := widest_receiver(min(texels))):
-            return
-        extent = _extents(scene, visible)
-        for row, width in zip(visible[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
-            self._warn_of_object(_COARSE_RECEIVER, scene, row, width, min(texels))
+        if texels and self._widest > widest_receiver(min(texels)):
+            self._warn_of_objects(_COARSE_RECEIVER, scene, visible, min(texels))
 
-    def _warn_of_uncut_casters(self, scene: Scene, rows: Indices, cascade: Cascade) -> None:
-        """Warn, once for each object, of casters so wide that float32 rounds their corners by more than a map is
-        fine, and that can't be cut to it."""
-        extent, limit = _extents(scene, rows), widest_receiver(cascade.texel)
-        for row, width in zip(rows[extent > limit].tolist(), extent[extent > limit].tolist(), strict=True):
-            self._warn_of_object(_COARSE_CASTER, scene, row, width, cascade.texel)
-
-    def _warn_of_object(self, message: str, scene: Scene, row: int, width: float, texel: float) -> None:
-        if row in self.coarse_objects:
-            return
-        self.coarse_objects.add(row)
-        limit = widest_receiver(texel)
-        error = width / limit * MAX_RECEIVER_ROUNDING * texel
-        LOGGER.warning(message, row, scene.meshes.names[scene.objects.mesh[row]], error, width, limit)
+    def _warn_of_objects(self, message: str, scene: Scene, rows: Indices, texel: float) -> None:
+        """Warn, once for each object, of those so wide that float32 rounds their points by more than a map with
+        this texel is fine."""
+        objects, limit = scene.objects, widest_receiver(texel)
+        extent = (objects.upper[rows] - objects.lower[rows]).max(1, initial=0.0)
+        is_wide = extent > limit
+        for row, width in zip(rows[is_wide].tolist(), extent[is_wide].tolist(), strict=True):
+            if row not in self.coarse_objects:
+                self.coarse_objects.add(row)
+                error = width / limit * MAX_RECEIVER_ROUNDING * texel
+                LOGGER.warning(message, row, scene.meshes.names[objects.mesh[row]], error, width, limit)
 
     def aim(self, camera: Camera, eye: int = 0) -> None:
         """Write the table of the cascades, whose positions are relative to the eye of `camera`, one of the
@@ -724,12 +718,6 @@ def _first_slots(first: dict[str, int]) -> dict[str, int]:
     """Return the fields of a `LocalShadowTable` that say with which slot each kind of lights but the first
     begins."""
     return {f"{kind.name}_slots": first[kind.name] for kind in LOCAL_LIGHT_KINDS[1:]}
-
-
-def _extents(scene: Scene, rows: Indices) -> Floats:
-    """Return the extents (k,) of objects in metres."""
-    objects = scene.objects
-    return np.asarray((objects.upper[rows] - objects.lower[rows]).max(1, initial=0.0))
 
 
 def _make_table(maps: list[CascadeMap], bias: float) -> CascadeTable:

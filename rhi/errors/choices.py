@@ -41,7 +41,8 @@ def suggest_members(text: str, kind: type[enum.Enum]) -> str:
         names[name] = name
         if isinstance(member.value, str):
             names.setdefault(member.value.upper(), name)
-    close = get_close_matches(text.rpartition(".")[2].upper(), list(names), 3, 0.6)
-    members = list(dict.fromkeys(f"{kind.__name__}.{names[spelling]}" for spelling in close))
-    exact = [member for member in members if member.endswith(f".{text.rpartition('.')[2].upper()}")]
+    spelling = text.rpartition(".")[2].upper()
+    close = get_close_matches(spelling, list(names), 3, 0.6)
+    members = list(dict.fromkeys(f"{kind.__name__}.{names[match]}" for match in close))
+    exact = [member for member in members if member.endswith(f".{spelling}")]
     return f"did you mean {' or '.join(exact or members)}?" if members else ""

@@ -213,7 +213,7 @@ class Buffer(ArrayExchange, Resource):
 
         Raises:
             ValidationError: `device-capability` on other backends, `device-argument` for STREAM buffers,
-                 `pass-open` inside a render pass, `lock-open` for a locked or mapped buffer.
+                `pass-open` inside a render pass, `lock-open` for a locked or mapped buffer.
             DeviceError: `device-driver` if CUDA or its package is missing, or can't share the buffer.
         """
         return CudaMapping(self, stream)

@@ -81,7 +81,7 @@ class CudaMapping(DeviceObject):
     """A `with buffer.cuda() as array:` block. Keep it and enter it for each frame: the buffer is registered
     with CUDA at the first entry, which takes longer than a mapping."""
 
-    __slots__ = ("__weakref__", "_buffer", "_mapped", "_resource", "_stream", "_stream_owner")
+    __slots__ = ("__weakref__", "_backend", "_buffer", "_mapped", "_resource", "_stream", "_stream_owner")
 
     def __init__(self, buffer: TypedBuffer, stream: CudaStream | None) -> None:
         core = buffer.core
@@ -90,11 +90,13 @@ class CudaMapping(DeviceObject):
         if stream is not None and not hasattr(stream, "__cuda_stream__"):
             allowed = "a stream with __cuda_stream__, or None for CUDA's default stream"
             core.refuse(rules.DEVICE_ARGUMENT, _CALL, f"stream={stream!r}", allowed)
-        if find_optional_part(core.backend, "name_buffer") is None:
+        backend = find_optional_part(core.backend, "name_buffer")
+        if backend is None:
             given = f"a {core.capabilities.backend} device"
             tip = 'create the device on OpenGL, rhi.create_device("gl"), or copy: buffer.read()'
             core.refuse(rules.DEVICE_CAPABILITY, _CALL, given, "a gl device on a GPU of NVIDIA", tip)
         self._buffer = buffer
+        self._backend = cast("SupportsBufferNames", backend)
         self._stream_owner = stream
         self._resource: Any = None
         self._stream: Any = None
@@ -106,8 +108,7 @@ class CudaMapping(DeviceObject):
         core.check_usable(buffer, _CALL)  # also where it is mapped already
         if core.has_open_pass():
             core.refuse(rules.PASS_OPEN, _CALL, describe_object(buffer))
-        backend = cast("SupportsBufferNames", find_optional_part(core.backend, "name_buffer"))
-        name = backend.name_buffer(buffer.id)
+        name = self._backend.name_buffer(buffer.id)  # each time, as CUDA changes what the buffer has
         if not name:
             tip = "keep a STATIC buffer for CUDA, and copy_to between both"
             core.refuse(rules.DEVICE_ARGUMENT, _CALL, "a STREAM buffer", "a STATIC buffer", tip)

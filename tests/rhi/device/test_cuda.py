@@ -95,17 +95,16 @@ class Driver:
                 driver.call("unregister")
 
         module = ModuleType("cuda.core")
-        module.Device = CudaDevice  # type: ignore[attr-defined]
-        module.GraphicsResource = GraphicsResource  # type: ignore[attr-defined]
+        vars(module).update(Device=CudaDevice, GraphicsResource=GraphicsResource)
         return module
 
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
     driver, package = Driver(), ModuleType("cuda")
-    package.core = driver.module()  # type: ignore[attr-defined]
+    core = vars(package)["core"] = driver.module()
     monkeypatch.setitem(sys.modules, "cuda", package)
-    monkeypatch.setitem(sys.modules, "cuda.core", package.core)
+    monkeypatch.setitem(sys.modules, "cuda.core", core)
     return driver
 
 
@@ -212,13 +211,20 @@ def test_an_exception_in_the_block_ends_the_mapping(gl: Device, driver: Driver) 
     assert buffer.read().tolist() == [0.0] * COUNT
 
 
-def test_the_memory_of_a_shared_buffer_stays_where_it_is(gl: Device, driver: Driver) -> None:
+def test_the_memory_of_a_shared_buffer_stays_where_it_is(
+    gl: Device, driver: Driver, monkeypatch: pytest.MonkeyPatch
+) -> None:
     storage, program = gl.storage(float, np.ones(COUNT)), gl.program(Doubling)
     gl.dispatch(program, 1, numbers=storage)
     buffers = gl.backend_as(rhi.backends.gl.gl_backend.GlBackend)._buffers
     renewed = buffers._renew
     renewals: list[Any] = []
-    buffers._renew = lambda *arguments: (renewals.append(arguments), renewed(*arguments))  # type: ignore
+
+    def renew(*arguments: Any) -> None:
+        renewals.append(arguments)
+        renewed(*arguments)
+
+    monkeypatch.setattr(buffers, "_renew", renew)
     storage.write(np.full(COUNT, 2.0, np.float32))
     before = len(renewals)
     with storage.cuda():
