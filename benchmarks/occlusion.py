@@ -15,12 +15,13 @@ scenes take turns.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, nullcontext
 from time import perf_counter
 from typing import Any, Final
 
 import numpy as np
+from typing_extensions import override
 
 import rhi
 from renderer.cli import options
@@ -30,6 +31,7 @@ from renderer.lab.comparison import Column, Frames, Record, Subject, average, co
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.visibility import CallbackDrawer, ChcPlusPlus
+from renderer.visibility.queries.box_queries import BoxQueries
 from rhi.math import multiply
 
 FRAMES = 60
@@ -55,31 +57,42 @@ class OracleSet:
         self.shows = shows
 
 
-class OracleQueries:
-    """A stand-in for `BoxQueries`, with a list `nodes` (m,) of bool: whether each node is visible."""
+class OracleQueries(BoxQueries):
+    """Queries that no device runs, with a list `nodes` (m,) of bool: whether each node is visible.
 
-    boxes = draws = 0
-    stalled = 0.0
+    Its methods override those of `BoxQueries`, so a type checker notices if those get other names.
+    """
 
-    def __init__(self) -> None:
-        self.issued = 0
+    def __init__(self, boxes: int) -> None:
+        self.boxes = self.draws = self.issued = 0
+        self.stalled = 0.0
+        self.queried = bytearray(boxes)
         self.nodes: list[bool] = []
 
-    def begin_frame(self, *_: object) -> None:
+    @override
+    def begin_frame(self, camera: Camera, boxes: object) -> None:
         self.issued = 0
 
+    @override
     def states(self) -> Any:
         return nullcontext()
 
-    def ask(self, nodes: list[int], rows: list[int]) -> OracleSet:
-        shows = [False] * (rows[-1] + 1)
-        for node, row in zip(nodes, rows, strict=True):
+    @override
+    def issue_set(self, nodes: Sequence[int], query_indices: Sequence[int]) -> Any:
+        shows = [False] * (query_indices[-1] + 1)
+        for node, row in zip(nodes, query_indices, strict=True):
             shows[row] |= self.nodes[node]
         self.issued += len(shows)
         return OracleSet(shows)
 
-    def read(self, queries: OracleSet) -> list[bool]:
-        return queries.shows
+    @override
+    def read(self, queries: Any) -> list[bool]:
+        shows: list[bool] = queries.shows
+        return shows
+
+    @override
+    def release_set(self, queries: Any) -> None:
+        pass
 
 
 def measure_walk(text: str) -> Record:
@@ -87,8 +100,8 @@ def measure_walk(text: str) -> Record:
     scene = load_scene(text)
     with rhi.create_device("null") as device:
         algorithm = ChcPlusPlus(scene, device)
-    forest, oracle = algorithm._forest, OracleQueries()
-    algorithm._queries = oracle  # type: ignore[assignment]
+    forest = algorithm._forest
+    algorithm._queries = oracle = OracleQueries(len(forest))
     begin, spent = algorithm._begin, [0.0, 0.0]
 
     def timed_begin(camera: Camera) -> None:

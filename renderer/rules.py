@@ -116,6 +116,8 @@ UNBOUNDED_MESH: Final = Rule(
     "pass add_mesh(bounds=...): hidden objects aren't stepped, so their bounds must be known in advance",
 )
 SHARED_NODE: Final = Rule("scene-shared-node", "a node has at most one animation")
+SHARED_LIGHT: Final = Rule("scene-shared-light", "a light is at one node, or at none")
+UNKNOWN_LIGHT_KIND: Final = Rule("scene-unknown-light-kind", "no lights have an array of this name")
 BAD_SIMULATION: Final = Rule(
     "scene-bad-simulation",
     "a simulation needs a catch-up policy, the methods that the policy calls, and a method for its result",

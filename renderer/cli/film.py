@@ -115,7 +115,7 @@ def _run(arguments: argparse.Namespace) -> None:
         arguments.size,
         settings=settings,
         backend=choose_backend(arguments.backend),
-        stereo=make_stereo(arguments, scene, first_camera(path, arguments.size)),
+        stereo=make_stereo(arguments, scene, first_camera(scene, path, arguments.size)),
         layers=layers,
     )
     began = perf_counter()

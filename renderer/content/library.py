@@ -23,7 +23,7 @@ from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
 from renderer.content.terrain import TERRAIN
 from renderer.content.yard import YARD
-from renderer.scene.paths import CameraPath, PathFrame
+from renderer.scene.paths import FRAMES_PER_SECOND, CameraPath, PathFrame
 from renderer.scene.scene import Scene
 from rhi.errors import refuse
 from rhi.math import Camera
@@ -80,14 +80,14 @@ def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
     """Return the camera that `text` names in `scene`.
 
     `text` is the name of a path or the file of a walk-through, whose frame `frame` is used; the name of a
-    view; a position `x,y,z`, from which the camera looks at the scene's centre; or a position and a target
-    `x,y,z,x,y,z`.
+    view, which is that of the frame if it follows a node; a position `x,y,z`, from which the camera looks at the
+    scene's centre; or a position and a target `x,y,z,x,y,z`.
     """
     call = f"parse_camera({text!r})"
     if text in scene.paths or Path(text).suffix.lower() == ".json":
         return parse_camera_path(text, scene).camera(frame)
     if text in scene.views:
-        return scene.views[text]
+        return scene.view_at(text, frame / FRAMES_PER_SECOND)
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -12,7 +12,7 @@ No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadow
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -38,12 +38,15 @@ class Lights(AllLightArrays):
         snapshot: the bytes of the lights of each kind, as of the last `refresh`; the same object while they
             are equal.
         has_faint: whether any light is so faint that it may make no difference, as of the last `refresh`.
+        hidden: by the name of a kind which of its lights (k,) are at hidden nodes, and shine nowhere; kinds
+            without any are left out. The scene writes it.
     """
 
     sky: tuple[float, float, float] = (0.10, 0.12, 0.16)
     ground: tuple[float, float, float] = (0.05, 0.045, 0.04)
     snapshot: tuple[bytes, ...] = (b"",) * len(LIGHT_KINDS)
     has_faint: bool = False
+    hidden: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def of_kind(self, kind: LightKind) -> NDArray[Any]:
         """The lights (k,) of a kind."""
@@ -63,6 +66,13 @@ class Lights(AllLightArrays):
     def refresh(self) -> None:
         """Update `snapshot` if lights have changed."""
         snapshot = tuple([getattr(self, name).tobytes() for name in KIND_NAMES])
+        if self.hidden:
+            snapshot = tuple(
+                [
+                    values + self.hidden[name].tobytes() if name in self.hidden else values
+                    for name, values in zip(KIND_NAMES, snapshot, strict=True)
+                ]
+            )
         if snapshot != self.snapshot:
             self.snapshot = snapshot
             self.has_faint = self._has_faint_lights()
@@ -88,19 +98,22 @@ class Lights(AllLightArrays):
         )
 
     def without_dark(self, response: float = np.inf) -> Lights:
-        """The lights that shine: these, or a copy without those of no intensity or color, and without local
-        lights of no range or angle. Their indices are those among what is left.
+        """The lights that shine: these, or a copy without those of no intensity or color, without local
+        lights of no range or angle, and without those at hidden nodes. Their indices are those among what is left.
 
         Args:
             response: the most light that a surface sends to the eye for each unit of irradiance. Lights
                 that together make less of it than `LEAST_LIGHT` are left out as well.
         """
         shining = {kind.name: _shine(self.of_kind(kind)) for kind in LIGHT_KINDS}
+        for name, hidden in self.hidden.items():
+            shining[name] &= ~hidden
         if self._has_faint_lights():
             self._leave_out_faint(shining, LEAST_LIGHT / response)
         if all(shines.all() for shines in shining.values()):
             return self
         left = copy(self)
+        left.hidden = {}
         for name, shines in shining.items():
             setattr(left, name, getattr(self, name)[shines])
         left.refresh()

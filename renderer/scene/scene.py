@@ -18,8 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.light_kinds.arrays import check_lights
+from renderer.light_kinds.kind import LightKind
+from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.arrays import Floats, Indices, read_ids
+from renderer.scene.attachments import AttachedLights, AttachedView, Attachments
 from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
@@ -101,7 +104,8 @@ class Scene:
             copies.
         seconds: the time of the last update or frame.
         clips: the animations of models by name, which can be played, sought and blended.
-        views: named cameras, the first of which is the default.
+        views: named cameras, the first of which is the default. Those at nodes are as of the last update.
+        attachments: the lights and views that follow nodes.
         paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
         files: those that `load_model` has read it from or looked for, and would again; none of other scenes.
@@ -127,18 +131,19 @@ class Scene:
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
         height_fields: Mapping[int, HeightField] | None = None,
-        fog: Fog | None = None,
-        bloom: Bloom | None = None,
         reserved: Indices | None = None,
         table: MaterialTable | None = None,
         parameters: tuple[NDArray[Any], ...] = (),
+        attachments: Attachments | None = None,
     ) -> None:
         self.name = name
+        self.attachments = attachments or Attachments()
         self.simulated = simulated
         self.clips = clips
         self.background = background
         self.haze = haze
-        self.fog, self.bloom = fog, bloom
+        self.fog: Fog | None = None
+        self.bloom: Bloom | None = None
         self.ambient_occlusion: AmbientOcclusion | None = None
         self.nodes = nodes
         self.objects = objects
@@ -211,7 +216,6 @@ class Scene:
             count, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
             refuse(rules.BAD_INDEX, "Scene.refresh", count, allowed)
         self._features.refresh(self.materials)
-        self.lights.refresh()
         values_now = [values.tobytes() for values in self.parameters]
         if values_now != self._last_parameters:
             self._last_parameters = values_now
@@ -221,6 +225,8 @@ class Scene:
         if self._flag_unseen(moved if has_moved else None) | self.nodes.update_hidden():
             self.objects.is_shown[:] = ~self.nodes.hidden[self.objects.node] & ~self._unseen
             self._edits += 1
+        self.attachments.follow(self.nodes, self.lights, self.views)
+        self.lights.refresh()
         if not has_moved:
             return np.zeros(0, np.int64)
         boxes = self.objects.boxes.node
@@ -465,7 +471,20 @@ class Scene:
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
-        return Simulator(self.simulated, self.nodes, self.objects, self.meshes)
+        return Simulator(self.simulated, self.nodes, self.objects, self.meshes, self.attachments.nodes)
+
+    def view_at(self, name: str, seconds: float) -> Camera:
+        """Return the view `name` at the time `seconds`, also if its node moves. The scene is then updated to that
+        time; that of a view without a node stays as it is.
+
+        Raises:
+            ValidationError: `camera-unknown-name` for a name that isn't in `views`.
+        """
+        if name not in self.views:
+            rules.refuse_name(rules.UNKNOWN_CAMERA, "view_at", name, self.views)
+        if name in self.attachments.views:
+            self.update(seconds)
+        return self.views[name]
 
     def check_bounds(self, times: ArrayLike) -> None:
         """Run all simulations through the `times` (t,) in seconds, ascending, and refuse one that leaves its
@@ -580,6 +599,8 @@ class SceneBuilder:
         self.clips = Clips()
         self._simulated: list[SceneSimulation] = []
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
+        self._attached_lights: list[tuple[LightKind, Indices, Indices]] = []
+        self._attached_views: dict[str, int] = {}
 
     def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
         """Add a mesh and return its id: the same as before for a mesh without `bounds` that was added before.
@@ -731,6 +752,47 @@ class SceneBuilder:
         """Hide what is at the nodes (k,), given by their ids, and below them, until `Nodes.show` shows it."""
         self._hidden.append(read_ids("hide(nodes=...)", nodes, len(self._node_names)))
 
+    def attach_lights(self, kind: str, indices: ArrayLike, nodes: ArrayLike) -> None:
+        """Attach lights to `nodes` (k,), or to one node, which they follow: headlights of a car, the light of a torch.
+
+        Their positions and directions are from now on in the space of the node. Their ranges aren't scaled. Lights
+        at hidden nodes are off.
+
+        Args:
+            kind: the name of their array in `Lights`, such as `point`.
+            indices: what `lights.add_…` returned, (k,) or one.
+
+        Raises:
+            ValidationError: `scene-unknown-light-kind`, `scene-bad-index`; `scene-shared-light` for a light that is
+                at a node already.
+        """
+        kinds = {light_kind.name: light_kind for light_kind in LIGHT_KINDS}
+        if kind not in kinds:
+            rules.refuse_name(rules.UNKNOWN_LIGHT_KIND, "attach_lights(kind=...)", kind, kinds)
+        light_kind = kinds[kind]
+        lights = read_ids("attach_lights(indices=...)", indices, len(self.lights.of_kind(light_kind)))
+        rows = read_ids("attach_lights(nodes=...)", nodes, len(self._node_names))
+        if len(rows) not in (1, len(lights)):
+            refuse(
+                rules.BAD_INDEX, "attach_lights(nodes=...)", f"shape {rows.shape}", f"one, or {len(lights)}"
+            )
+        earlier = [other for attached_kind, other, _ in self._attached_lights if attached_kind is light_kind]
+        numbers = np.concatenate([*earlier, lights])
+        if len(np.unique(numbers)) < len(numbers):
+            refuse(rules.SHARED_LIGHT, "attach_lights(indices=...)", "a light twice", "each light once")
+        self._attached_lights.append((light_kind, lights, np.broadcast_to(rows, lights.shape).copy()))
+
+    def attach_view(self, name: str, node: int) -> None:
+        """Attach the view `name` to a node, which it follows: its camera is from now on in the space of the node.
+
+        Raises:
+            ValidationError: `camera-unknown-name`, `scene-bad-index`.
+        """
+        if name not in self.views:
+            rules.refuse_name(rules.UNKNOWN_CAMERA, "attach_view", name, self.views)
+        rows = read_ids("attach_view(node=...)", [node], len(self._node_names))
+        self._attached_views[name] = int(rows[0])
+
     def animate(
         self,
         nodes: ArrayLike,
@@ -851,14 +913,30 @@ class SceneBuilder:
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
             height_fields=self._match_height_fields(table[:, 1]),
-            fog=self.fog,
-            bloom=self.bloom,
             reserved=np.concatenate([np.zeros(0, np.int64), *self._reserved]),
             table=self._table,
             parameters=parameters,
+            attachments=self._make_attachments(nodes),
         )
-        scene.ambient_occlusion = self.ambient_occlusion
+        scene.fog, scene.bloom, scene.ambient_occlusion = self.fog, self.bloom, self.ambient_occlusion
         return scene
+
+    def _make_attachments(self, nodes: Nodes) -> Attachments:
+        """Return the lights and views that follow nodes, in whose space they are now."""
+        lights = []
+        for kind in LIGHT_KINDS:
+            parts = [
+                (rows, ids) for attached_kind, rows, ids in self._attached_lights if attached_kind is kind
+            ]
+            if parts:
+                rows, ids = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+                lights.append(AttachedLights.read(kind, self.lights, rows, nodes.index_of_id[ids]))
+        views = {
+            name: AttachedView(int(nodes.index_of_id[node]), self.views[name])
+            for name, node in self._attached_views.items()
+            if name in self.views
+        }
+        return Attachments(tuple(lights), views)
 
     def _complete_vertices(
         self, table: NDArray[np.int64], materials: NDArray[Any], textures: NDArray[Any]

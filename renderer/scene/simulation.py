@@ -226,8 +226,19 @@ class Simulator:
     """
 
     def __init__(
-        self, simulated: Sequence[SceneSimulation], nodes: Nodes, objects: Objects, meshes: Meshes
+        self,
+        simulated: Sequence[SceneSimulation],
+        nodes: Nodes,
+        objects: Objects,
+        meshes: Meshes,
+        followed: Indices = _NONE,
     ) -> None:
+        """Begin with the initial state.
+
+        Args:
+            followed: the rows of nodes that lights or views follow: these and the nodes above them are animated
+                in every frame, whatever is drawn.
+        """
         self._begin = tuple(simulated)
         self._nodes = nodes
         self._objects = objects
@@ -257,6 +268,11 @@ class Simulator:
             always[self._first[simulation_index] : self._first[simulation_index + 1]] = not member.is_bounded
         follows = objects.boxes.node == objects.node  # the bounds follow the node, which must be where it is
         always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
+        while len(followed):  # one level upwards
+            slots = by_node[followed]
+            always[slots[slots >= 0]] = True
+            followed = nodes.parents[followed].astype(np.int64)
+            followed = followed[followed >= 0]
         self._always: Indices = np.flatnonzero(always)
         self._owner = owner
         turns = [

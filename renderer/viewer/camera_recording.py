@@ -1,4 +1,4 @@
-"""Records the cameras of frames, and replays them in real time, however long frames take.
+"""Records the cameras of frames, and replays them in real time, however long frames take. Shows views that move.
 
 A recording is a walk-through (`CameraPath`) at 60 cameras a second, as `render --camera` and `capture
 --camera` take.
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Scene
 from renderer.scene.arrays import Floats
 
 MAX_SECONDS: Final = 600.0
@@ -72,6 +72,10 @@ class CameraReplay:
         self.seconds = 0.0
         self._path = path
 
+    def advance(self, step: float, scene_seconds: float) -> None:
+        """Go on by `step` seconds of real time."""
+        self.seconds += step
+
     @property
     def is_over(self) -> bool:
         """True if the last camera is reached."""
@@ -81,3 +85,28 @@ class CameraReplay:
     def camera(self) -> Camera:
         """The camera of the latest frame that has begun."""
         return self._path.camera(min(int(self.seconds * FRAMES_PER_SECOND + 1e-6), len(self._path) - 1))
+
+
+class ViewFollower:
+    """Shows a view that follows its node (`SceneBuilder.attach_view`).
+
+    Attributes:
+        name: the view's name.
+        seconds: the scene's time.
+    """
+
+    is_over: Final = False
+
+    def __init__(self, scene: Scene, name: str, seconds: float) -> None:
+        self.name = name
+        self.seconds = seconds
+        self._scene = scene
+
+    def advance(self, step: float, scene_seconds: float) -> None:
+        """Go on to the scene's time, which stands still while it is paused."""
+        self.seconds = scene_seconds
+
+    @property
+    def camera(self) -> Camera:
+        """The view as of the scene's time."""
+        return self._scene.view_at(self.name, self.seconds)

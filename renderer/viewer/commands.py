@@ -137,13 +137,21 @@ def _cameras(session: ViewerSession) -> Iterable[ViewerCommand]:
     yield ViewerCommand("speed", "set the speed of movement, or change it", speed, (speeds,))
 
     def play(name: str | None = None) -> str:
-        session.play(
-            None if name is None else parse_camera_path(name, session.scene), name or "latest recording"
-        )
+        scene = session.scene
+        if name is not None and name not in scene.paths and name in scene.attachments.views:
+            session.follow(name)
+        else:
+            path = None if name is None else parse_camera_path(name, scene)
+            session.play(path, name or "latest recording")
         return ""
 
-    paths = Parameter("PATH", words=lambda: session.scene.paths, is_optional=True)
-    yield ViewerCommand("play", "show a path, a recording (.json), or the latest recording", play, (paths,))
+    def list_playable() -> Sequence[str]:
+        return [*session.scene.paths, *session.scene.attachments.views]
+
+    paths = Parameter("PATH", words=list_playable, is_optional=True)
+    yield ViewerCommand(
+        "play", "show a path, a view that moves, a recording (.json), or the latest recording", play, (paths,)
+    )
 
     def time(seconds: float | None = None) -> str:
         if seconds is not None:

@@ -31,6 +31,7 @@ from renderer.frame import Layer
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.scene import Camera, CameraPath, PathFrame, Scene, Simulator
+from renderer.scene.attachments import MovingView
 from renderer.scene.paths import FRAMES_PER_SECOND
 from renderer.settings import RenderSettings, to_json
 from renderer.stereo import Stereo, compute_rig
@@ -38,6 +39,9 @@ from renderer.techniques import AutoTechnique, Forward
 from rhi import refuse
 from rhi_screen import FilmResult
 from rhi_screen import film as draw_film
+
+FilmCamera = CameraPath | MovingView | Camera
+"""What a film is seen from: a path, a view that follows its node, or a camera that stays."""
 
 MakeLayers = Callable[[rhi.Device], Sequence[Layer]]
 """Creates the layers of a device's frames. They must draw the same whatever they drew before."""
@@ -77,7 +81,7 @@ class SceneFilm:
     def __init__(
         self,
         scene: Scene,
-        camera: CameraPath | Camera,
+        camera: FilmCamera,
         size: tuple[int, int] = (960, 540),
         *,
         settings: RenderSettings | None = None,
@@ -99,6 +103,8 @@ class SceneFilm:
         """Return the number and the camera of a frame."""
         if isinstance(self.camera, CameraPath):
             return self.camera.path_frame(number)
+        if isinstance(self.camera, MovingView):
+            return PathFrame(number, self.scene.view_at(self.camera.name, number / FRAMES_PER_SECOND))
         return PathFrame(number, self.camera)
 
     def __enter__(self) -> Self:
@@ -171,7 +177,7 @@ def make_repeatable(settings: RenderSettings) -> RenderSettings:
 
 def film(
     scene: Scene | str,
-    camera: CameraPath | Camera | str | None = None,
+    camera: FilmCamera | str | None = None,
     frames: Iterable[int] | None = None,
     output: str | Path | None = None,
     *,
@@ -188,7 +194,8 @@ def film(
 
     Args:
         scene: a scene, or the text that names one. It travels to each worker once.
-        camera: a path, a camera that stays, or a text that names one; None: the scene's first path or view.
+        camera: a path, a camera that stays, a view that follows its node, or a text that names one; None: the
+            scene's first path or view.
         frames: numbers of frames, which are 60 a second; None: all frames of the path.
         output: the file of a video, or the name of images, such as `city/%05d.png`; None returns the images.
         size: (width, height) of a frame in pixels.
@@ -223,23 +230,28 @@ def film(
     )
 
 
-def resolve_camera(camera: CameraPath | Camera | str | None, scene: Scene) -> CameraPath | Camera:
-    """Return the path or the camera that `film`'s argument names."""
+def resolve_camera(camera: FilmCamera | str | None, scene: Scene) -> FilmCamera:
+    """Return the path, the moving view or the camera that `film`'s argument names."""
     if camera is None:
-        return next(iter(scene.paths.values()), None) or next(iter(scene.views.values()))
+        camera = next(iter(scene.paths or scene.views))
     if not isinstance(camera, str):
         return camera
+    if camera not in scene.paths and camera in scene.attachments.views:
+        return MovingView(camera)
     if camera in scene.paths or Path(camera).suffix.lower() == ".json":
         return parse_camera_path(camera, scene)
     return parse_camera(camera, scene)
 
 
-def list_frames(frames: Iterable[int] | None, path: CameraPath | Camera) -> Sequence[int]:
+def list_frames(frames: Iterable[int] | None, path: FilmCamera) -> Sequence[int]:
     """Return the numbers of frames; refuse those beyond the path before anything is drawn."""
     if frames is None:
         if not isinstance(path, CameraPath):
             refuse(
-                rules.FRAME_RANGE, "film(frames=...)", "None", "numbers of frames, for a camera that stays"
+                rules.FRAME_RANGE,
+                "film(frames=...)",
+                "None",
+                "numbers of frames, for a camera without a path",
             )
         return range(len(path))
     numbers = frames if isinstance(frames, range) else list(frames)
@@ -250,12 +262,12 @@ def list_frames(frames: Iterable[int] | None, path: CameraPath | Camera) -> Sequ
 
 
 def resolve_stereo(
-    stereo: Stereo | str | None, scene: Scene, path: CameraPath | Camera, size: tuple[int, int]
+    stereo: Stereo | str | None, scene: Scene, path: FilmCamera, size: tuple[int, int]
 ) -> Stereo | None:
     """Return two eyes; a name of an output gets a comfortable rig."""
     if not isinstance(stereo, str):
         return stereo
-    return Stereo(compute_rig(scene, first_camera(path, size)), stereo)
+    return Stereo(compute_rig(scene, first_camera(scene, path, size)), stereo)
 
 
 def choose_backend(backend: str | None) -> str | None:
@@ -263,10 +275,13 @@ def choose_backend(backend: str | None) -> str | None:
     return backend or environ.get("RHI_BACKEND")
 
 
-def first_camera(path: CameraPath | Camera, size: tuple[int, int]) -> Camera:
+def first_camera(scene: Scene, path: FilmCamera, size: tuple[int, int]) -> Camera:
     """Return the camera of a path's first frame, for frames of this size. Rigs are comfortable for it,
     whichever frames are drawn."""
-    camera = path.camera(0) if isinstance(path, CameraPath) else path
+    if isinstance(path, MovingView):
+        camera = scene.view_at(path.name, 0.0)
+    else:
+        camera = path.camera(0) if isinstance(path, CameraPath) else path
     return camera.with_aspect(size[0] / size[1])
 
 
@@ -284,6 +299,8 @@ def identify(render: SceneFilm, origin: str = "") -> str:
     if isinstance(camera, CameraPath):
         arrays += [camera.positions, camera.targets, camera.ups]
         parts.append(repr(camera.projection))
+    elif isinstance(camera, MovingView):
+        parts.append(repr(camera))
     else:
         arrays += [camera.position, camera.rotation]
         parts.append(repr(camera.projection))

@@ -21,7 +21,7 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, PathFrame, Scene
 from renderer.scene.arrays import Floats
 from renderer.stereo import eye_image_size
-from renderer.viewer.camera_recording import MAX_SECONDS, CameraRecorder, CameraReplay
+from renderer.viewer.camera_recording import MAX_SECONDS, CameraRecorder, CameraReplay, ViewFollower
 from renderer.viewer.display_settings import Configurator, DisplaySettings, OriginalState
 from renderer.viewer.frame_budget import FrameBudget
 from renderer.viewer.picking import Hit, Ray, find_hit
@@ -57,7 +57,7 @@ class ViewerSession:
         counter: counts frames.
         seconds: the scene's time.
         is_paused: whether that stands still.
-        replay: the walk-through that is replayed, if any.
+        replay: the walk-through that is replayed, or the moving view that is shown, if any.
         hit, hit_lines: what was picked, and lines about it.
         folder: commands write only below it; None: anywhere.
         budget: selects the settings of frames, if any; changing settings ends it.
@@ -82,7 +82,7 @@ class ViewerSession:
         self.counter = FrameCounter()
         self.seconds = 0.0
         self.is_paused = False
-        self.replay: CameraReplay | None = None
+        self.replay: CameraReplay | ViewFollower | None = None
         self.hit: Hit | None = None
         self.hit_lines: list[str] = []
         self._say = show_message
@@ -114,6 +114,8 @@ class ViewerSession:
             _destroy(*opened)
             raise
         self._take(*opened)
+        if isinstance(self.replay, ViewFollower):
+            self.camera = self._last_camera
         self._original = original
         self._result = None  # its rows are those of the old scene
         self.clear()
@@ -311,6 +313,10 @@ class ViewerSession:
         self._latest.save(path)
         return f"wrote {path}: {len(self._latest)} frames, {recorder.seconds:.1f} s"
 
+    def follow(self, name: str) -> None:
+        """Show a view as its node moves it, until the camera is moved."""
+        self.replay = ViewFollower(self.scene, name, self.seconds)
+
     def play(self, path: CameraPath | None, name: str) -> None:
         """Replay a walk-through, or the latest recording."""
         path = path or self._latest
@@ -336,7 +342,7 @@ class ViewerSession:
         elif self.replay.is_over:
             self.camera = self.replay.camera
         else:
-            self.replay.seconds += step
+            self.replay.advance(step, self.seconds)
 
     def draw(self, now: float) -> FrameResult:
         """Draw a frame at the clock's time `now`."""

@@ -15,9 +15,10 @@ from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import INFINITE, get_extras
 from renderer.content.gltf.tracks import compose
 from renderer.light_kinds.table import LIGHT_KINDS
-from renderer.scene.arrays import Floats
-from renderer.scene.lights import Lights
+from renderer.scene.arrays import Floats, Indices
+from renderer.scene.attachments import orthonormalize_axes
 from renderer.scene.omissions import Omissions
+from renderer.scene.scene import SceneBuilder
 from rhi.math import Camera, Orthographic, Perspective, multiply
 
 CANDELA: Final = 1.0 / np.pi
@@ -28,7 +29,6 @@ _FAINT: Final = 1.0 / 512.0  # what a light without a range gives at the range t
 _FARTHEST: Final = 1e6  # metres: the greatest of these ranges
 _LARGEST_WORLD: Final = 1e60  # in a world transform: float32 vertices times it can be squared
 _EXACT: Final = 1e-9  # deviation of a squared length from 1, up to which a quaternion is kept as it is
-_ORTHONORMAL: Final = 1e-6  # of products of axes, up to which axes are kept as they are: they may be float32
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,7 +121,7 @@ def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
         near = perspective.real("znear")
         far = perspective.real("zfar", low=near + 1e-9)
         projection = Orthographic(2.0 * height, width / height, near, far)
-    axes = _axes(world)
+    axes = orthonormalize_axes(world)
     return None if axes is None else Camera(world[:3, 3].copy(), axes, projection)
 
 
@@ -134,9 +134,15 @@ class LightCollector:
 
     def __init__(self) -> None:
         self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _KINDS}
+        self._nodes: dict[str, list[int]] = {name: [] for name in _KINDS}
 
-    def add(self, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
-        """Add a light at a node, along whose -Z it shines."""
+    def add(self, fields: JsonObject, world: Floats, omissions: Omissions, node: int = -1) -> None:
+        """Add a light at a node, along whose -Z it shines.
+
+        Args:
+            world: the node's transform to the world, or to the space of the scene's node `node`, which the light
+                follows unless that is -1.
+        """
         kind = _KINDS[fields.choice("type", self._rows)]
         color = fields.reals("color", 3, (1.0, 1.0, 1.0), 0.0)
         extras = get_extras(fields)
@@ -146,7 +152,7 @@ class LightCollector:
             "casts_shadow": extras is not None and extras.flag("casts_shadow"),
         }
         if kind.has_direction:
-            axes = _axes(world)
+            axes = orthonormalize_axes(world)
             if axes is None:
                 omissions.add("lights without a direction", fields.where)
                 return
@@ -161,19 +167,24 @@ class LightCollector:
         assert kind.gltf is not None
         row |= kind.gltf.read(fields)
         self._rows[kind.gltf.type].append(row)
+        self._nodes[kind.gltf.type].append(node)
 
-    def add_to(self, lights: Lights) -> None:
+    def add_to(self, builder: SceneBuilder) -> None:
         """Add all lights, each kind in the order in which they were collected."""
+        lights = builder.lights
         for type, kind in _KINDS.items():
-            rows = self._rows[type]
+            rows, nodes = self._rows[type], np.array(self._nodes[type], np.int64)
+            added: Indices = np.zeros(0, np.int64)
             if not kind.has_range:
-                for row in rows:
-                    getattr(lights, f"add_{kind.name}")(**row)
+                added = np.array([getattr(lights, f"add_{kind.name}")(**row) for row in rows], np.int64)
             elif rows:
                 columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
                 shadows = columns.pop("casts_shadow")
                 added = getattr(lights, f"add_{kind.name}s")(**columns)
                 lights.of_kind(kind)["casts_shadow"][added] = shadows
+            follows = nodes >= 0
+            if follows.any():
+                builder.attach_lights(kind.name, added[follows], nodes[follows])
 
 
 def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:
@@ -194,19 +205,3 @@ def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:
         fields.reals("scale", 3, (1.0, 1.0, 1.0)),
     )
     return GltfNode(number, fields, parent, compose(*parts), parts)
-
-
-def _axes(world: Floats) -> Floats | None:
-    """Return the axes (3, 3) of a node as rows: right, up and back, of unit length; None if they aren't
-    axes."""
-    axes = world[:3, :3].T.copy()
-    if np.abs(axes @ axes.T - np.eye(3)).max() <= _ORTHONORMAL:
-        return axes
-    back, up = axes[2], axes[1]
-    length = float(np.linalg.norm(back))
-    right = np.cross(up, back)
-    across = float(np.linalg.norm(right))
-    if not np.isfinite([length, across]).all() or length < 1e-30 or across < 1e-30:
-        return None
-    back, right = back / length, right / across
-    return np.stack([right, np.cross(back, right), back])

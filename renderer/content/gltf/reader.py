@@ -1,8 +1,8 @@
 """glTF 2.0 files as scenes.
 
 A file is read in this order: materials with their images, meshes, nodes with objects, cameras and lights,
-animations. What is broken is refused in one line that names the place in the file
-(`renderer.content.gltf.document`). What is whole but has no place in a scene is left out and listed
+animations. What is broken is refused in one line that names the anchor in the file
+(`renderer.content.gltf.document`). What is whole but has no anchor in a scene is left out and listed
 (`Scene.omissions`).
 
 Meshes have the order of their accessors, nodes that of their depth and then of the file, objects that of
@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.assets import share_geometry
@@ -89,6 +88,7 @@ class _GltfReader:
         self._primitives = Primitives(self._accessors, builder.omissions)
         self._meshes: list[list[_GltfPart]] = []  # of each mesh of the file
         self._has_nodes = False
+        self._dynamic = frozenset(self._private.indices("dynamic", file.root.length("nodes")))
         self._view_names = UniqueNames()
 
     def add_all(self) -> None:
@@ -108,9 +108,10 @@ class _GltfReader:
         tree = deformations.NodeTree.make(
             nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips)
         )
-        self._add_nodes(tree, tracks)
-        self._add_cameras(nodes, worlds, tree.moves)
-        self._add_lights(nodes, worlds, tree.moves)
+        ids = self._add_nodes(tree, tracks)
+        anchors = [self._anchor(row, tree, ids, worlds) for row in range(len(nodes))]
+        self._add_cameras(nodes, worlds, anchors)
+        self._add_lights(nodes, worlds, anchors)
 
     def explain_emptiness(self) -> str:
         """Return why nothing of the file is drawn; an empty text if it has only lights, cameras or empty
@@ -165,12 +166,27 @@ class _GltfReader:
                     mesh_parts.append(_GltfPart(mesh, primitive, mesh_id, material))
             self._meshes.append(mesh_parts)
 
-    def _add_nodes(self, tree: deformations.NodeTree, tracks: Tracks) -> None:
-        """Add nodes, objects and their animations."""
+    def _anchor(
+        self, row: int, tree: deformations.NodeTree, ids: list[int], worlds: Floats
+    ) -> tuple[Floats, int]:
+        """Return where the node `row` is: its transform to the world and -1, or, if it may move, to a node of the
+        scene and that node's id."""
+        local, at = np.eye(4), row
+        while at >= 0 and ids[at] < 0:  # nodes that only hold a light or a camera
+            local, at = tree.nodes[at].local @ local, tree.nodes[at].parent
+        if at >= 0 and any(self._may_move(tree, above) for above in tree.chain(at)):
+            return local, ids[at]
+        return worlds[row], -1
+
+    def _may_move(self, tree: deformations.NodeTree, row: int) -> bool:
+        return bool(tree.member[row] >= 0) or tree.nodes[row].number in self._dynamic
+
+    def _add_nodes(self, tree: deformations.NodeTree, tracks: Tracks) -> list[int]:
+        """Add nodes, objects and their animations; return the id of each node, -1 for one that only holds a light
+        or a camera."""
         skeletons = deformations.read_skins(self._root, self._accessors, tree)
         deformed: list[tuple[int, deformations.DeformedMesh]] = []  # objects, and how they change
-        count = self._root.length("nodes")
-        dynamic, hidden = (frozenset(self._private.indices(name, count)) for name in ("dynamic", "hidden"))
+        hidden = frozenset(self._private.indices("hidden", self._root.length("nodes")))
         ids: list[int] = []
         objects: list[tuple[int, int, int]] = []
         bounds: dict[int, tuple[Floats, Floats]] = {}
@@ -182,7 +198,7 @@ class _GltfReader:
                 continue
             above = -1 if node.parent < 0 else ids[node.parent]
             name = node.fields.text("name", "")
-            is_dynamic = is_animated or node.number in dynamic
+            is_dynamic = is_animated or node.number in self._dynamic
             ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
             if node.number in hidden:
                 self._builder.hide(ids[-1])
@@ -216,6 +232,7 @@ class _GltfReader:
             moving = {track.clip for target in targets for track in tracks.get((node.number, target), ())}
             for clip in moving:
                 self._builder.clips.nodes[clip].append(ids[row])
+        return ids
 
     def _read_deformed(
         self,
@@ -274,35 +291,43 @@ class _GltfReader:
             nodes, meshes, materials = table[start:end].T
             self._builder.add_objects(nodes, meshes, materials, bool(casts[start]))
 
-    def _add_cameras(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
+    def _add_cameras(self, nodes: list[GltfNode], worlds: Floats, anchors: list[tuple[Floats, int]]) -> None:
         cameras = self._root.children("cameras")
-        for node, world, moves in zip(nodes, worlds, moving, strict=True):
-            number = node.fields.index("camera", len(cameras))
-            if number < 0:
-                continue
+        used = [
+            (number, node, world, anchor)
+            for node, world, anchor in zip(nodes, worlds, anchors, strict=True)
+            if (number := node.fields.index("camera", len(cameras))) >= 0
+        ]
+        if self.scene_extras is not None:  # views of a saved scene keep their order
+            used.sort(key=lambda camera_and_anchor: camera_and_anchor[0])
+        for number, node, world, (transform, followed) in used:
             try:
-                camera = read_camera(cameras[number], world)
+                camera = read_camera(cameras[number], transform)
+                has_direction = read_camera(cameras[number], world) is not None
             except ValidationError as error:  # the rest of the file can still be seen
                 problem = error.given.removeprefix(f"{self._file.path}: ")
                 self._omissions.add(f"a camera that can't be read ({problem})", cameras[number].where)
                 continue
-            if camera is None:
+            if camera is None or not has_direction:
                 self._omissions.add("cameras without a direction", node.fields.where)
                 continue
-            if moves:
-                self._omissions.add("motion of a camera", node.fields.where)
             name = node.fields.text("name", "") or cameras[number].text("name", "") or f"camera {number}"
-            self._builder.views[self._view_names.choose(name, self._builder.views)] = camera
+            view = self._view_names.choose(name, self._builder.views)
+            self._builder.views[view] = camera
+            if followed >= 0:
+                self._builder.attach_view(view, followed)
 
-    def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
+    def _add_lights(self, nodes: list[GltfNode], worlds: Floats, anchors: list[tuple[Floats, int]]) -> None:
         extension = self._root.extension("KHR_lights_punctual")
         lights = [] if extension is None else extension.children("lights")
+        used = [
+            (fields.index("light", len(lights), required=True), anchor)
+            for node, anchor in zip(nodes, anchors, strict=True)
+            if (fields := node.fields.extension("KHR_lights_punctual")) is not None
+        ]
+        if self.scene_extras is not None:  # lights of a saved scene keep their order
+            used.sort(key=lambda light_and_anchor: light_and_anchor[0])
         collector = LightCollector()
-        for node, world, moves in zip(nodes, worlds, moving, strict=True):
-            used = node.fields.extension("KHR_lights_punctual")
-            if used is not None:
-                number = used.index("light", len(lights), required=True)
-                if moves:
-                    self._omissions.add("motion of a light", node.fields.where)
-                collector.add(lights[number], world, self._omissions)
-        collector.add_to(self._builder.lights)
+        for number, (transform, followed) in used:
+            collector.add(lights[number], transform, self._omissions, followed)
+        collector.add_to(self._builder)

@@ -27,6 +27,7 @@ from renderer.content.gltf.materials import ALPHA_MODES, MAGNIFY, MINIFY, WRAPS
 from renderer.content.gltf.nodes import CANDELA
 from renderer.content.gltf.primitives import ATTRIBUTES
 from renderer.content.gltf.tracks import LINEAR, NodeMotion, Track
+from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
 from renderer.scene.materials import AlphaMode, ImagePixels, ShadingModel
@@ -379,12 +380,19 @@ class _GltfWriter:
         accessor = {"bufferView": view, "componentType": 5126, "count": len(values), "type": kind}
         return self._add("accessors", accessor | more)
 
-    def _add_light_or_camera_node(self, name: str, position: Floats, axes: Floats, **more: Any) -> None:
-        """Add a node that only holds a light or a camera; `axes` (3, 3) has the rows right, up and back."""
+    def _add_light_or_camera_node(
+        self, name: str, position: Floats, axes: Floats, followed: int = -1, **more: Any
+    ) -> None:
+        """Add a node that only holds a light or a camera; `axes` (3, 3) has the rows right, up and back.
+
+        It is in the space of the row `followed` of the scene's nodes, or in the world if that is -1.
+        """
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = axes.T, position
         fields = {"name": name, "matrix": matrix.T.ravel().tolist(), "extras": {KEY: {HOLDER: True}}, **more}
-        self._lists["scenes"][0]["nodes"].append(self._add("nodes", fields))
+        number = self._add("nodes", fields)
+        above = self._lists["scenes"][0] if followed < 0 else self._lists["nodes"][followed]
+        above.setdefault("nodes" if followed < 0 else "children", []).append(number)
 
     def _write_lights(self) -> None:
         for kind in LIGHT_KINDS:
@@ -395,7 +403,8 @@ class _GltfWriter:
                         f"{kind.noun}s, which glTF doesn't have", f"lights[{len(self._lights)}]"
                     )
                 continue
-            for light in lights:
+            lights, followed = self._anchor_lights(kind)
+            for light, node in zip(lights, followed, strict=True):
                 number = len(self._lights)
                 fields: dict[str, Any] = {
                     "type": kind.gltf.type,
@@ -417,12 +426,27 @@ class _GltfWriter:
                 axes = _look_along(light["direction"].astype(np.float64)) if kind.has_direction else np.eye(3)
                 extension = {"KHR_lights_punctual": {"light": number}}
                 name = f"{kind.gltf.type} {number}"
-                self._add_light_or_camera_node(name, position, axes, extensions=extension)
+                self._add_light_or_camera_node(name, position, axes, node, extensions=extension)
+
+    def _anchor_lights(self, kind: LightKind) -> tuple[NDArray[Any], list[int]]:
+        """Return the lights of a kind, each in the space of the node that it follows, and these nodes; -1 is the
+        world."""
+        lights = self._scene.lights.of_kind(kind).copy()
+        followed = np.full(len(lights), -1)
+        for attached in self._scene.attachments.lights:
+            if attached.kind is kind:
+                followed[attached.indices] = attached.nodes
+                for field, values in (("position", attached.positions), ("direction", attached.directions)):
+                    if field in (lights.dtype.names or ()):
+                        lights[field][attached.indices] = values
+        return lights, followed.tolist()
 
     def _write_views(self) -> None:
+        attached = self._scene.attachments.views
         for name, view in self._scene.views.items():
+            node, camera = (attached[name].node, attached[name].camera) if name in attached else (-1, view)
             number = self._add("cameras", self._camera(view, name))
-            self._add_light_or_camera_node(name, view.position, view.rotation, camera=number)
+            self._add_light_or_camera_node(name, camera.position, camera.rotation, node, camera=number)
 
     def _camera(self, view: Camera, name: str) -> dict[str, Any]:
         projection = view.projection

@@ -141,15 +141,6 @@ def test_the_animation_of_a_node_with_a_matrix_is_listed(tmp_path, nodes):
     assert left_out(scene) == ({"animations of nodes with a matrix": 1} if "matrix" in nodes[0] else {})
 
 
-def test_lights_and_cameras_stay_where_they_are_and_their_motion_is_listed(tmp_path):
-    document = animated(
-        "translation", [0, 1], [[0, 0, 0], [2, 0, 0]],
-        nodes=[{"mesh": 0}, {"camera": 0}, {"children": [1]}],
-    )  # fmt: skip
-    document.add("cameras", type="perspective", perspective={"yfov": 1, "znear": 0.1})
-    assert left_out(load_model(document.write(tmp_path / "a.glb"))) == {"motion of a camera": 1}
-
-
 def make_track(rng, target, kind, keys, clip=0, spread=1.0):
     """Random values; rotations are `spread` around the same one."""
     size = 4 if target == ROTATION else 3
