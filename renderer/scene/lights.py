@@ -97,6 +97,17 @@ class Lights(AllLightArrays):
             bool((_strongest_irradiance(self.of_kind(kind)) < LEAST_LIGHT).any()) for kind in LIGHT_KINDS
         )
 
+    def without_hidden(self) -> Lights:
+        """The lights that aren't at hidden nodes: these, or a copy without the others."""
+        if not self.hidden:
+            return self
+        left = copy(self)
+        left.hidden = {}
+        for name, hidden in self.hidden.items():
+            setattr(left, name, getattr(self, name)[~hidden])
+        left.refresh()
+        return left
+
     def without_dark(self, response: float = np.inf) -> Lights:
         """The lights that shine: these, or a copy without those of no intensity or color, without local
         lights of no range or angle, and without those at hidden nodes. Their indices are those among what is left.

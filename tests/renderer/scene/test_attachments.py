@@ -171,10 +171,12 @@ def test_lights_at_hidden_nodes_are_off_until_they_are_shown() -> None:
     scene.nodes.hide(mast)
     scene.refresh()
     assert len(scene.lights.without_dark().spot) == 0
+    assert len(scene.lights.without_hidden().spot) == 0
     assert scene.lights.spot["intensity"].tolist() == [1.0]
     assert scene.lights.snapshot != before
     scene.nodes.show(mast)
     scene.refresh()
+    assert scene.lights.without_hidden() is scene.lights
     assert len(scene.lights.without_dark().spot) == 1
     assert scene.lights.snapshot == before
 

@@ -36,7 +36,7 @@ class LitSurfaces:
     def light(self, surfaces: Surfaces) -> Floats:
         """The light (k, 3) that surfaces send to the eye, before fog."""
         color = self._reflect_surroundings(surfaces) + surfaces.emitted
-        lights = self._scene.lights
+        lights = self._scene.lights.without_hidden()
         for sun in lights.directional:
             to_light = np.broadcast_to(-sun["direction"].astype(np.float64), surfaces.normal.shape)
             strength = np.full(len(to_light), float(sun["intensity"]))
@@ -94,7 +94,7 @@ class LitSurfaces:
 
     def _reflect_surroundings(self, seen: Surfaces) -> Floats:
         """The reflected light of the sky and the ground, diffuse and specular."""
-        lights = self._scene.lights
+        lights = self._scene.lights.without_hidden()
         sky, ground = (np.asarray(color, np.float64) for color in (lights.sky, lights.ground))
 
         def arrive(direction: Floats) -> Floats:
