@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +45,12 @@ def orthonormalize_axes(world: Floats) -> Floats | None:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AttachedLights:
-    """Lights `indices` (k,) of one kind at the rows `nodes` (k,).
+    """Lights `indices` (k,) of the kind named `kind_name` at the rows `nodes` (k,).
 
     `positions` and `directions` (k, 3) are in the space of the node; zeros where the kind has none.
     """
 
-    kind: LightKind
+    kind_name: str  # scenes travel between processes, kinds don't
     indices: Indices
     nodes: Indices
     positions: Floats
@@ -62,7 +62,7 @@ class AttachedLights:
         rows = lights.of_kind(kind)[indices]
         nowhere = np.zeros((len(indices), 3))
         return cls(
-            kind,
+            kind.name,
             indices,
             nodes,
             rows["position"].astype(np.float64) if kind.has_range else nowhere,
@@ -71,21 +71,26 @@ class AttachedLights:
 
     def follow(self, nodes: Nodes, lights: Lights) -> None:
         """Write where the lights are. A light whose node has no extent along it keeps its direction."""
-        array = lights.of_kind(self.kind)
+        array = self._read_array(lights)
+        names = array.dtype.names or ()
         is_there = self.indices < len(array)
         indices, worlds = self.indices[is_there], nodes.world[self.nodes[is_there]]
-        if self.kind.has_range:
+        if "position" in names:
             turned = np.einsum("kij,kj->ki", worlds[:, :3, :3], self.positions[is_there])
             array["position"][indices] = turned + worlds[:, :3, 3]
-        if self.kind.has_direction:
+        if "direction" in names:
             directions = np.einsum("kij,kj->ki", worlds[:, :3, :3], self.directions[is_there])
             lengths = np.linalg.norm(directions, axis=1)
             is_long = lengths >= _SHORTEST
             array["direction"][indices[is_long]] = directions[is_long] / lengths[is_long, None]
 
+    def _read_array(self, lights: Lights) -> NDArray[Any]:
+        array: NDArray[Any] = getattr(lights, self.kind_name)
+        return array
+
     def flag_hidden(self, nodes: Nodes, lights: Lights) -> NDArray[np.bool_]:
         """Return which of all lights of the kind are at hidden nodes."""
-        hidden = np.zeros(len(lights.of_kind(self.kind)), bool)
+        hidden = np.zeros(len(self._read_array(lights)), bool)
         is_there = self.indices < len(hidden)
         hidden[self.indices[is_there]] = nodes.hidden[self.nodes[is_there]]
         return hidden
@@ -144,7 +149,7 @@ class Attachments:
         if not len(self.nodes):
             return
         lights.hidden = {
-            attached.kind.name: hidden
+            attached.kind_name: hidden
             for attached in self.lights
             if (hidden := attached.flag_hidden(nodes, lights)).any()
         }

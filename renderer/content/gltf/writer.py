@@ -434,7 +434,7 @@ class _GltfWriter:
         lights = self._scene.lights.of_kind(kind).copy()
         followed = np.full(len(lights), -1)
         for attached in self._scene.attachments.lights:
-            if attached.kind is kind:
+            if attached.kind_name == kind.name:
                 followed[attached.indices] = attached.nodes
                 for field, values in (("position", attached.positions), ("direction", attached.directions)):
                     if field in (lights.dtype.names or ()):

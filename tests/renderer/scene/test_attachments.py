@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -337,3 +338,9 @@ def test_the_viewer_shows_a_moving_view_as_of_the_time_of_the_scene(moving: Scen
     assert follower.camera.position[0] == pytest.approx(5.0 + 4.0 * np.sqrt(0.5), abs=1e-5)
     assert not follower.is_over
     assert refused_rule(lambda: moving.view_at("nobody", 0.0)) == "camera-unknown-name"
+
+
+def test_lights_and_views_at_nodes_travel_to_the_workers_of_a_film(moving: Scene) -> None:
+    copied = pickle.loads(pickle.dumps(moving))
+    assert copied.view_at("driver", 0.5).position.tolist() == moving.view_at("driver", 0.5).position.tolist()
+    assert copied.lights.point["position"].tolist() == moving.lights.point["position"].tolist()
