@@ -76,7 +76,13 @@ STEPS: Final = (
             "dispatch",
             "dispatch_indirect",
         ),
-        ("operation · compute", "operation · language", "operation · operators", "operation · outside"),
+        (
+            "operation · compute",
+            "operation · constant arguments",
+            "operation · language",
+            "operation · operators",
+            "operation · outside",
+        ),
     ),
     Step(
         "draws",

@@ -310,6 +310,7 @@ class Edges(sl.Shader):
 
     values: sl.Storage[float]
     powers: sl.StorageRW[float]
+    infinities: sl.StorageRW[float]
     angles: sl.StorageRW[float]
 
     def compute(self) -> None:
@@ -323,22 +324,35 @@ class Edges(sl.Shader):
         self.powers[6 * i + 3] = v.y
         self.powers[6 * i + 4] = v.z
         self.powers[6 * i + 5] = zero ** (x * x + 1.0)
+        self.infinities[4 * i] = zero ** (-1.0 - x)
+        self.infinities[4 * i + 1] = zero**-0.5
+        self.infinities[4 * i + 2] = sl.pow(sl.vec2(zero, 2.0), sl.vec2(-1.0 - x, 1.0)).x
+        self.infinities[4 * i + 3] = sl.pow(sl.vec2(2.0, zero), sl.vec2(1.0, -2.5)).y
         angle = sl.atan2(sl.vec2(zero, x), sl.vec2(zero, 1.0))
         self.angles[3 * i] = sl.atan2(zero, zero)
         self.angles[3 * i + 1] = angle.x
         self.angles[3 * i + 2] = angle.y
 
 
-def test_powers_of_exponent_0_and_the_angle_of_no_vector(device: Device) -> None:
+def test_powers_of_0_and_to_0_and_the_angle_of_no_vector(device: Device) -> None:
     values = np.array([0.0, 1.0, 2.0, 100.0, 1e-3], np.float32)
     with (
         device.storage(float, values) as source,
         device.storage(float, 6 * len(values)) as powers,
+        device.storage(float, 4 * len(values)) as infinities,
         device.storage(float, 3 * len(values)) as angles,
     ):
-        device.dispatch(device.program(Edges), len(values), values=source, powers=powers, angles=angles)
+        device.dispatch(
+            device.program(Edges),
+            len(values),
+            values=source,
+            powers=powers,
+            infinities=infinities,
+            angles=angles,
+        )
         rows = np.array([[1.0, 1.0, 1.0, 1.0, 9.0, 0.0]] * len(values))
         assert_near(powers.read().reshape(-1, 6), rows, 1e-4, "the exponent 0 gives 1")
+        assert (infinities.read() > 1e38).all(), "0 to a negative power is infinite"
         zeros = np.zeros(len(values))
         expected = np.stack([zeros, zeros, np.arctan(values.astype(np.float64))], axis=1)
         assert_near(angles.read().reshape(-1, 3), expected, 1e-3, "the angle of (0, 0) is 0")

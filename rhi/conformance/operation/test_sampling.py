@@ -834,6 +834,39 @@ class Layers(sl.Shader):
             self.results[i] = self.source.sample_lod(sl.vec3(0.5, 0.5, self.numbers[i]), 0.0).x
 
 
+class Gradients(sl.Shader):
+    """Samples the middle of a texture with each gradient, and with its opposite."""
+
+    work_group = (64, 1, 1)
+    source: sl.Texture2D
+    numbers: sl.Storage[float]
+    results: sl.StorageRW[float]
+
+    def compute(self) -> None:
+        i = sl.global_id().x
+        if i < len(self.numbers):
+            x = self.numbers[i]
+            first = self.source.sample_grad(sl.vec2(0.5, 0.5), sl.vec2(x, 0.0), sl.vec2(0.0, 0.0)).x
+            second = self.source.sample_grad(sl.vec2(0.5, 0.5), sl.vec2(0.0, 0.0), sl.vec2(-x, -x)).x
+            self.results[i] = 0.5 * (first + second)
+
+
+class Sizes(sl.Shader):
+    """Asks for the sizes of levels."""
+
+    work_group = (64, 1, 1)
+    source: sl.Texture2D
+    layers: sl.Texture2DArray
+    numbers: sl.Storage[int]
+    results: sl.StorageRW[sl.ivec3]
+
+    def compute(self) -> None:
+        i = sl.global_id().x
+        if i < len(self.numbers):
+            self.results[2 * i] = sl.ivec3(self.source.size(self.numbers[i]), self.source.size(9).x)
+            self.results[2 * i + 1] = self.layers.size(self.numbers[i])
+
+
 FAR = [2147483520.0, 2147483648.0, 3e9, 4294967296.0, 1e10, 1e20, 3e38, np.inf]
 """Numbers beyond what an integer of 32 bits holds."""
 
@@ -861,6 +894,33 @@ def test_levels_of_detail_are_clamped_to_the_first_and_last_level(device: Device
         expected = np.clip(levels, 0, 3) + 1
         assert_same(sample_at(device, Levels, texture, levels, mip), expected)
         assert_same(sample_at(device, Levels, texture, [-level for level in levels], mip), 1)
+
+
+def test_the_longest_gradients_choose_the_last_level(device: Device) -> None:
+    numbers = [1.0, 1e6, 2e9, *FAR, -1e20, -np.inf]
+    with device.texture((8, 8), Format.R32F, levels=4) as texture:
+        for level in range(4):
+            texture.write(np.full((8 >> level, 8 >> level), level + 1, np.float32), level=level)
+        assert_same(sample_at(device, Gradients, texture, [0.0, 1e-3], Filter.LINEAR), 1)
+        assert_same(sample_at(device, Gradients, texture, numbers, Filter.LINEAR), 4)
+
+
+def test_a_level_that_does_not_exist_has_the_size_of_the_nearest(device: Device) -> None:
+    numbers = np.array([0, 1, 2, 3, 4, 5, 31, 32, 1000, -1, -2, 2**31 - 1, -(2**31)], np.int32)
+    nearest = np.clip(numbers, 0, 3)
+    with (
+        device.texture((8, 4), Format.R32F, levels=4) as texture,
+        device.texture((8, 4), Format.R32F, kind=TextureKind.D2_ARRAY, layers=5, levels=4) as layers,
+        device.storage(int, numbers) as levels,
+        device.storage(sl.ivec3, 2 * len(numbers)) as results,
+    ):
+        device.dispatch(
+            device.program(Sizes), 1, source=texture, layers=layers, numbers=levels, results=results
+        )
+        back = results.read()[:, :3]
+    width, height = np.maximum(8 >> nearest, 1), np.maximum(4 >> nearest, 1)
+    assert_same(back[0::2], np.stack([width, height, np.ones_like(width)], 1))
+    assert_same(back[1::2], np.stack([width, height, np.full_like(width, 5)], 1))
 
 
 @pytest.mark.parametrize("layers", [1, 4, 7])

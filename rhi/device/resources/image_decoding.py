@@ -7,7 +7,7 @@
 - A PNG whose compressed pixels can't be all of them is refused before memory is taken, and one that ends early
   after it is decoded: Pillow would show black rows.
 - PNG may have 16 bits a channel, of which Pillow keeps the upper 8. Here they are rounded, and a transparent
-  colour is compared with all 16.
+  colour is compared with all 16. A transparent grey of 2 or 4 bits is widened as the pixels are.
 """
 
 from __future__ import annotations
@@ -57,6 +57,8 @@ _ADAM7: Final = (
 """The first column and row of each pass of an interlaced PNG, and the steps between columns and rows."""
 _LOW_BYTES: Final = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L"}
 """Pillow's layouts of 16 bits a channel, and those that read the lower byte of each."""
+_GREY_STEPS: Final = {"L;2": 85, "L;4": 17}
+"""Layouts of fewer than 8 bits, which Pillow widens to 8 by these factors, but not the transparent grey."""
 
 ImageSource: TypeAlias = "str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO"
 
@@ -231,6 +233,8 @@ def _decode_colors(image: Any) -> NDArray[np.uint8]:
             again = import_pillow("rhi.decode_colors").open(io.BytesIO(image.fp.getvalue()), formats=("PNG",))
             low = _with_layout(again, _LOW_BYTES[layout])  # Pillow decodes one byte of each channel
             return _round(np.asarray(image, np.uint8), transparency, low)
+        if layout in _GREY_STEPS and isinstance(transparency, int):
+            image.info["transparency"] = transparency * _GREY_STEPS[layout]
         if layout == "LA;16B" and image.mode == "RGBA":
             pairs = _with_layout(image, "RGBA").view(">u2")  # grey and alpha, of two bytes each
             return _round(pairs[..., [0, 0, 0, 1]], None)

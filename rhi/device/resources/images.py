@@ -73,8 +73,9 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
 
     `device.texture(load_image("wood.jpg"), Format.RGBA8_SRGB, levels=None)` is a texture of colors with all
     mip levels. A file of one channel of 16 bits is (height, width) uint16, one of floats float32, one of
-    integers of 32 bits int32 or uint32; colors of 16 bits are rounded to 8. A photo is turned upright. Only
-    PNG, JPEG, WebP, TIFF, BMP, DDS (whose blocks are decoded) and TGA are read.
+    integers of 32 bits int32 or uint32; colors of 16 bits, and greys of which one is transparent, are rounded
+    to 8. A photo is turned upright. Only PNG, JPEG, WebP, TIFF, BMP, DDS (whose blocks are decoded) and TGA
+    are read.
 
     Args:
         source: the path of a regular file, the contents of a file, or an open one.
@@ -94,7 +95,8 @@ def load_image(source: ImageSource, *, max_pixels: float = MAX_PIXELS) -> NDArra
     image = open_image(source, max_pixels=max_pixels, call=call)
     try:
         dtype = _DATA.get(image.mode)
-        if image.mode != "I" and dtype is None:
+        is_transparent = image.format == "PNG" and "transparency" in image.info
+        if is_transparent or (image.mode != "I" and dtype is None):
             texels: NDArray[Any] = decode_colors(image, call=call)
         else:
             content = encoded_png(image)

@@ -20,7 +20,7 @@ from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.names import Names
-from rhi.shading.text.text_writer import TextWriter, int_text, is_nonzero, is_plain, unknown_indices
+from rhi.shading.text.text_writer import TextWriter, int_text, is_plain, is_positive, unknown_indices
 
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {layout.FLOAT: "", layout.INT: "i", layout.UINT: "u"}
@@ -153,6 +153,8 @@ class Writer(TextWriter):
         if isinstance(type, TextureType) and type.kind is TextureKind.D2_ARRAY:
             self.helpers["rhi_layer"] = _LAYER
             texts[1] = f"rhi_layer({texts[1]})"
+        if name == "sample_grad":
+            texts[2:4] = (f"clamp({text}, -1e9, 1e9)" for text in texts[2:4])
         level = _LEVELS.get(name)
         if level is not None and not isinstance(node.arguments[level], tree.Constant):
             texts[level] = f"min({texts[level]}, 1000.0)"
@@ -235,13 +237,22 @@ class Writer(TextWriter):
         return text if math.copysign(1.0, number) > 0 else f"({text})"
 
     def float_power(self, type: Type, base: str, text: str, exponent: Expression) -> str:
-        if is_nonzero(exponent):
+        """Return a power, which GLSL leaves open for a base of 0 and an exponent up to 0."""
+        if is_positive(exponent):
             return f"pow({base}, {text})"
-        name = self.type(type)
-        zeros = "y == 0.0 ? 1.0 : pow(x, y)"
+        body = "return y == 0.0 ? 1.0 : x == 0.0 && y < 0.0 ? uintBitsToFloat(0x7F800000u) : pow(x, y);"
+        name = self.helper("rhi_pow", "float", "x y", body)
+        return f"{self.of_components(name, type, 'x y')}({base}, {text})"
+
+    def of_components(self, name: str, type: Type, parameters: str) -> str:
+        """Return the name of a helper of floats, or of one that calls it for each component of vectors."""
         if isinstance(type, layout.VectorType):
-            zeros = f"mix(pow(x, y), {name}(1.0), equal(y, {name}(0.0)))"
-        return f"{self.helper('rhi_pow', name, 'x y', f'return {zeros};')}({base}, {text})"
+            calls = (
+                f"{name}({', '.join(f'{parameter}.{axis}' for parameter in parameters.split())})"
+                for axis in "xyzw"[: type.size]
+            )
+            self.helper(name, self.type(type), parameters, f"return {self.type(type)}({', '.join(calls)});")
+        return name
 
     def angle(self, type: Type) -> str:
         """Return the name of the function that computes the angle of (y, x), as C does for two zeros."""
@@ -250,10 +261,7 @@ class Writer(TextWriter):
             "(floatBitsToUint(x) >> 31) * 0x40490FDBu) : atan(y, x);"
         )
         name = self.helper("rhi_atan2", "float", "y x", body)
-        if isinstance(type, layout.VectorType):
-            parts = ", ".join(f"{name}(y.{axis}, x.{axis})" for axis in "xyzw"[: type.size])
-            self.helper(name, self.type(type), "y x", f"return {self.type(type)}({parts});")
-        return name
+        return self.of_components(name, type, "y x")
 
     def integer_helper(self, node: tree.Binary, divide: bool) -> str:
         name = "rhi_floor_divide" if divide else "rhi_modulo"

@@ -1018,7 +1018,7 @@ _ROWS: Final = (
         "pack_snorm_4x8",
         "uint(vec4)",
         glsl="packSnorm4x8",
-        wgsl="pack4x8snorm",
+        wgsl=POLYFILL,
         lanes=POLYFILL,
         doc="-1…1 in 8 bits each",
         error=_WHOLE,

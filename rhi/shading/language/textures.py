@@ -25,6 +25,12 @@ _NOT_3D: Final = frozenset({_D2, _ARRAY, _CUBE})
 _NOT_CUBE: Final = frozenset({_D2, _ARRAY, _D3})
 _FLAT: Final = frozenset({_D2})
 _ALL: Final = frozenset(TextureKind)
+_LEVEL_SIZE: Final = "max(textureSize({0}, 0) >> clamp({1}, 0, textureQueryLevels({0}) - 1), 1)"
+"""The size of a level, or of the nearest that exists. Drivers return 0 for others, and llvmpipe the size of one
+level for all lanes."""
+_LEVEL_SIZES: Final = dict.fromkeys(_ALL, _LEVEL_SIZE) | {
+    _ARRAY: f"ivec3({_LEVEL_SIZE.replace('0) >>', '0).xy >>')}, textureSize({{0}}, 0).z)"
+}
 _REFERENCE: Final = {_D2: "vec3({1}, {2})", _ARRAY: "vec4({1}, {2})", _CUBE: "vec4({1}, {2})"}
 
 # (name, kinds, signatures with their spellings, documentation)
@@ -74,7 +80,7 @@ _SAMPLED: Final = (
     (
         "size",
         _ALL,
-        {"SIZE()": "textureSize({0}, 0)", "SIZE(level: int)": "textureSize({0}, {1})"},
+        {"SIZE()": "textureSize({0}, 0)", "SIZE(level: int)": "LEVEL_SIZE"},
         "in texels",
     ),
     ("levels", _ALL, {"int()": "textureQueryLevels({0})"}, "number of mip levels"),
@@ -101,7 +107,7 @@ _COMPARED: Final = (
     (
         "size",
         _ALL,
-        {"SIZE()": "textureSize({0}, 0)", "SIZE(level: int)": "textureSize({0}, {1})"},
+        {"SIZE()": "textureSize({0}, 0)", "SIZE(level: int)": "LEVEL_SIZE"},
         "in texels",
     ),
 )
@@ -155,7 +161,11 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
                     (BuiltinParameter(type, "self"), *overload.parameters), overload.result, overload.glsl
                 )
                 for signature, glsl in signatures.items()
-                for overload in expand(signature, glsl.replace("REFERENCE", reference), names)
+                for overload in expand(
+                    signature,
+                    glsl.replace("REFERENCE", reference).replace("LEVEL_SIZE", _LEVEL_SIZES[type.kind]),
+                    names,
+                )
             )
             methods[name] = Builtin(
                 name,

@@ -78,6 +78,8 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
             raise ValueError(f"a shift by {count}")
     if isinstance(node.left, Constant) and isinstance(node.right, Constant):
         value = op.fold(node.left.value, node.right.value)
+        if isinstance(value, complex):
+            raise ValueError("a negative number to a fractional power")
         literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
         if node.type is UINT:
             value &= 0xFFFFFFFF

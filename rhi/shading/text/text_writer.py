@@ -545,15 +545,15 @@ def is_constant(node: Expression) -> bool:
     return False
 
 
-def is_nonzero(node: Expression) -> bool:
-    """Return whether all components of an expression are constants other than 0."""
+def is_positive(node: Expression) -> bool:
+    """Return whether all components of an expression are constants above 0."""
     match node:
         case tree.Constant(value=value):
-            return bool(value)
+            return value > 0
         case tree.Construct(parts=parts):
-            return all(map(is_nonzero, parts))
+            return all(map(is_positive, parts))
         case tree.Convert(value=value):
-            return is_nonzero(value)
+            return is_positive(value)
     return False
 
 

@@ -20,6 +20,13 @@ CONVERSIONS: Final = {
 
 BARRIER: Final = "fn rhi_barrier() { storageBarrier(); workgroupBarrier(); }"
 
+PACK_SNORM_4X8: Final = (
+    "fn rhi_pack_snorm_4x8(v: vec4<f32>) -> u32 { "
+    "let b = vec4<u32>(vec4<i32>(round(clamp(v, vec4<f32>(-1.0), vec4<f32>(1.0)) * 127.0))) & vec4<u32>(255u); "
+    "return b.x | (b.y << 8u) | (b.z << 16u) | (b.w << 24u); }"
+)
+"""Mesa folds WGSL's own function of a constant without cutting negative components to 8 bits."""
+
 INVERSES: Final = {
     2: "return mat2x2<f32>(m[1][1], -m[0][1], -m[1][0], m[0][0]) * (1.0 / determinant(m));",
     3: "let a = cross(m[1], m[2]); let b = cross(m[2], m[0]); let c = cross(m[0], m[1]);"

@@ -27,7 +27,7 @@ from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.language.textures import METHOD_NAMES
 from rhi.shading.language.types import VOID, ImageType, StorageType, TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.names import Names
-from rhi.shading.text.text_writer import TextWriter, int_text, is_constant, is_nonzero, unknown_indices
+from rhi.shading.text.text_writer import TextWriter, int_text, is_constant, is_positive, unknown_indices
 from rhi.shading.wgsl.wgsl_builtins import (
     AGREEMENT,
     BARRIER,
@@ -36,6 +36,7 @@ from rhi.shading.wgsl.wgsl_builtins import (
     INPUTS,
     INVERSES,
     OUTSIDE_FRAGMENTS,
+    PACK_SNORM_4X8,
     TEXTURE_CALLS,
 )
 from rhi.shading.wgsl.wgsl_memory import UNIFORM, MemoryTypes
@@ -364,14 +365,19 @@ class WgslWriter(TextWriter):
         return f"{self.helper('rhi_value', self.type(node.type), 'x', 'return x;')}({text})"
 
     def float_power(self, type: Type, base: str, text: str, exponent: Expression) -> str:
-        if is_nonzero(exponent):
+        if is_positive(exponent):
             return f"pow({base}, {text})"
         name = self.type(type)
-        body = f"return select(pow(x, y), {name}(1.0), y == {name}());"
+        body = (  # 0 to a negative power is infinity, which WGSL has no constant for
+            f"let p = select(pow(x, y), y * -3e38 * 3e38, (x == {name}()) & (y < {name}())); "
+            f"return select(p, {name}(1.0), y == {name}());"
+        )
         return f"{self.helper('rhi_pow', name, 'x y', body)}({base}, {text})"
 
     def pow(self, node: tree.BuiltinCall) -> str:
         base, exponent = self.sequence(node.arguments)
+        if all(map(_is_constant_expression, node.arguments)):
+            base = self.variable_value(node.arguments[0], base)
         return self.float_power(node.type, base, exponent, node.arguments[1])
 
     def atan2(self, node: tree.BuiltinCall) -> str:
@@ -488,6 +494,11 @@ class WgslWriter(TextWriter):
         size = node.type.size
         return f"{self.helper(f'rhi_inverse{size}', self.type(node.type), 'm', INVERSES[size])}({text})"
 
+    def pack_snorm_4x8(self, node: tree.BuiltinCall) -> str:
+        (text,) = self.sequence(node.arguments)
+        self.helpers["rhi_pack_snorm_4x8"] = PACK_SNORM_4X8
+        return f"rhi_pack_snorm_4x8({text})"
+
     def atomic(self, name: str, node: tree.BuiltinCall) -> str:
         """Return a call of an atomic, or write a compare-exchange and return its result."""
         location, *values = node.arguments
@@ -555,8 +566,11 @@ class WgslWriter(TextWriter):
         texture, sampler = (self.expression(source), "") if image else self.texture_and_sampler(source)
         layered = type.kind is TextureKind.D2_ARRAY
         if name == "size":
-            level = "" if whole_level else f", {texts[1]}" if len(texts) > 1 else ", 0"
-            size = f"textureDimensions({texture}{level})"
+            size = f"textureDimensions({texture}{'' if whole_level else ', 0'})"
+            if len(texts) > 1:  # llvmpipe returns the size of one level for all lanes
+                level = f"u32(clamp({texts[1]}, 0, i32(textureNumLevels({texture})) - 1))"
+                form = f"vec{3 if type.kind is TextureKind.D3 else 2}<u32>"
+                size = f"max({size} >> {form}({level}), {form}(1u))"
             return (
                 f"vec3<i32>(vec3<u32>({size}, textureNumLayers({texture})))"
                 if layered
@@ -595,6 +609,11 @@ class WgslWriter(TextWriter):
             return f"textureGather({component}, {texture}, {sampler}, {at})"
         if name == "sample_compare_lod" and not (isinstance(rest[2], tree.Constant) and not rest[2].value):
             self.refuse(node, "a comparison at a mip level other than 0")
+        if name == "sample_grad":
+            texts[2:] = (
+                f"clamp({text}, {self.type(part.type)}(-1e9), {self.type(part.type)}(1e9))"
+                for text, part in zip(texts[2:], rest[1:], strict=True)
+            )
         calls = TEXTURE_CALLS if self.stage is Stage.FRAGMENT else TEXTURE_CALLS | OUTSIDE_FRAGMENTS
         return calls[name].format(*texts, texture_and_sampler=f"{texture}, {sampler}", texture=texture, at=at)
 
@@ -713,6 +732,7 @@ _POLYFILLS: Final[dict[str, Callable[[WgslWriter, tree.BuiltinCall], str]]] = {
     "barrier": WgslWriter.barrier,
     "inverse": WgslWriter.inverse,
     "mix": WgslWriter.mix,
+    "pack_snorm_4x8": WgslWriter.pack_snorm_4x8,
     "pow": WgslWriter.pow,
 }
 _WRITTEN: Final = {

@@ -7,8 +7,10 @@ import io
 import math
 import os
 import random
+import struct
 import tracemalloc
 import warnings
+import zlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -380,6 +382,36 @@ def test_sixteen_bits_of_a_png_are_rounded_with_their_transparency(size: int, ha
         expected[(channels == transparent).all(axis=2), 3] = 0
         assert expected[1, :2, 3].tolist() == [0, 255]
     assert np.array_equal(read, expected)
+
+
+@pytest.mark.parametrize("read", [rhi.load_image, lambda content: rhi.decode_colors(rhi.open_image(content))])
+@pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
+def test_a_grey_of_any_depth_may_be_transparent(bits: int, read: Callable[[bytes], Any]) -> None:
+    top = 2**bits - 1
+    greys = np.array([0, 1, top // 2, top - 1, top])
+    row = "".join(f"{grey:0{bits}b}" for grey in greys)
+    row += "0" * (-len(row) % 8)
+    pixels = zlib.compress(b"\0" + int(row, 2).to_bytes(len(row) // 8, "big"))
+    head = struct.pack(">IIBBBBB", len(greys), 1, bits, 0, 0, 0, 0)
+    for transparent in {*greys.tolist()}:
+        chunks = [
+            (b"IHDR", head),
+            (b"tRNS", struct.pack(">H", transparent)),
+            (b"IDAT", pixels),
+            (b"IEND", b""),
+        ]
+        texels = read(b"\x89PNG\r\n\x1a\n" + b"".join(_png_chunk(*chunk) for chunk in chunks))
+        expected = np.rint(greys * (255 / top))
+        assert texels.tolist() == [
+            [
+                [grey, grey, grey, 0 if number == transparent else 255]
+                for number, grey in zip(greys, expected, strict=True)
+            ]
+        ]
+
+
+def _png_chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

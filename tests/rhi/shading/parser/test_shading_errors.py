@@ -194,6 +194,7 @@ BODIES = [
     ),
     ("out-of-range", ["x = self.scale / 0.0"], ["x = self.scale / 0.5"], "division by zero"),
     ("out-of-range", ["x = self.scale / 0"], ["x = self.scale / 1"], "division by zero"),
+    ("out-of-range", ["x = (-8.0) ** 0.5"], ["x = (-8.0) ** 3.0"], "a negative number to a fractional power"),
     ("out-of-range", ["x = vec4(self.scale) / 0.0"], ["x = vec4(self.scale) / 2.0"], "division by zero"),
     ("out-of-range", ["x = vec4(1.0) / 0.0"], ["x = vec4(1.0) / 2.0"], "division by zero"),
     ("out-of-range", ["x = 1.0 / vec2(1, 0)"], ["x = 1.0 / vec2(1, 2)"], "division by zero"),
