@@ -7,16 +7,10 @@ texels and mip levels, and no more, and the device's own samplers read them.
 A shader binds each array once for each sampler that reads it, at most `MAX_ARRAYS` in all. If a scene has
 more sizes or samplers, colours and data are in a `TextureTable` each. There too each image keeps its own
 size, mip levels and sampler.
-
-Devices with few storage slots have no room for these tables. There arrays are joined instead, those first that
-cost the fewest bytes; the smaller images are stretched, so that texture coordinates hold. If that would take
-more than `MAX_MEMORY_RATIO` times the memory of the images, the layers of joined arrays are made smaller
-instead, and their largest images lose detail.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
@@ -43,11 +37,6 @@ from rhi.shading import TextureBinding
 
 MAX_ARRAYS: Final = 8
 """The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own."""
-MAX_MEMORY_RATIO: Final = 1.15
-"""The most memory of arrays, in that of their images with their mip levels."""
-TABLE_SLOTS: Final = 16
-"""The storage slots of devices on which images may be in texture tables. WebGPU promises 8: forward
-techniques use 7 of them without tables, which take two more."""
 TEXEL_BYTES: Final = 4
 _MAX_BIAS: Final = 16.0
 """The most levels of a bias: there are no more levels."""
@@ -127,60 +116,25 @@ def count_bytes(size: Size) -> int:
         width, height = max(width // 2, 1), max(height // 2, 1)
 
 
-def plan_arrays(
-    sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]], max_bindings: int = MAX_ARRAYS
-) -> list[ImageArray]:
+def plan_arrays(sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]]) -> list[ImageArray]:
     """The array textures that hold images of these sizes.
 
     Args:
         uses: image, whether it holds colours, and sampler, of each texture.
-        max_bindings: the most pairs of an array and a sampler. There must not be more samplers of colours and
-            data than that.
     """
     groups: dict[tuple[Size, bool], tuple[dict[int, None], set[int]]] = {}
     for image, is_color, sampler in uses:
         images, samplers = groups.setdefault((sizes[image], is_color), ({}, set()))
         images[image] = None
         samplers.add(sampler)
-    arrays = [
+    return [
         ImageArray(size, is_color, tuple(images), frozenset(samplers))
         for (size, is_color), (images, samplers) in groups.items()
     ]
-    limit = MAX_MEMORY_RATIO * sum(array.bytes for array in arrays)
-    while sum(len(array.samplers) for array in arrays) > max_bindings:
-        pairs = [
-            (_join(first, other), i, j)
-            for i, first in enumerate(arrays)
-            for j, other in enumerate(arrays[:i])
-            if first.is_color == other.is_color
-        ]
-        joined, i, j = min(
-            pairs, key=lambda pair: pair[0].bytes - arrays[pair[1]].bytes - arrays[pair[2]].bytes
-        )
-        arrays[j] = joined
-        del arrays[i]
-    return _shrink(arrays, sizes, limit)
-
-
-def _join(first: ImageArray, second: ImageArray) -> ImageArray:
-    size = max(first.size[0], second.size[0]), max(first.size[1], second.size[1])
-    images = tuple(dict.fromkeys((*second.images, *first.images)))
-    return ImageArray(size, first.is_color, images, first.samplers | second.samplers)
-
-
-def _shrink(arrays: list[ImageArray], sizes: Sequence[Size], limit: float) -> list[ImageArray]:
-    """Reduce the layers' size until all arrays take at most `limit` bytes, starting with the array that
-    wastes the most."""
-    while sum(array.bytes for array in arrays) > limit:
-        waste = [array.bytes - sum(count_bytes(sizes[image]) for image in array.images) for array in arrays]
-        worst = int(np.argmax(waste))
-        width, height = (max(side * 15 // 16, 1) for side in arrays[worst].size)
-        arrays[worst] = replace(arrays[worst], size=(width, height))
-    return arrays
 
 
 def count_bindings(sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]]) -> int:
-    """The number of arrays with their samplers that hold images of these sizes unscaled; `uses` are those of
+    """The number of arrays with their samplers that hold images of these sizes; `uses` are those of
     `plan_arrays`."""
     return len({(sizes[image], is_color, sampler) for image, is_color, sampler in uses})
 
@@ -210,8 +164,7 @@ class SceneImages:
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
         self.tables: tuple[TextureTable | None, TextureTable | None] | None = None
-        has_slots = device.capabilities.max_storage_slots >= TABLE_SLOTS
-        if has_slots and count_bindings(sizes, uses) > MAX_ARRAYS:
+        if count_bindings(sizes, uses) > MAX_ARRAYS:
             self._make_tables(device, scene, settings, uses, table)
         else:
             self._make_arrays(device, scene, settings, sizes, uses, table)
@@ -238,10 +191,6 @@ class SceneImages:
         table: NDArray[Any],
     ) -> None:
         """Make an array for each size, and write where each texture is into the table."""
-        samplers = _limit_samplers([use[2] for use in uses], [use[1] for use in uses])
-        uses = [
-            (image, is_color, sampler) for (image, is_color, _), sampler in zip(uses, samplers, strict=True)
-        ]
         planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
         self.bytes = sum(array.bytes for array in planned)
         self.textures: tuple[Texture, ...] = tuple(_make_array(device, scene, array) for array in planned)
@@ -315,19 +264,6 @@ class SceneImages:
             texture.destroy()
         if self.table is not None:
             self.table.destroy()
-
-
-def _limit_samplers(samplers: list[int], is_color: list[bool]) -> list[int]:
-    """Sampler of each texture, with rare ones replaced by the most frequent: at most half of the arrays
-    for colours, and half for data."""
-    frequent: dict[bool, list[int]] = {}
-    for kind in (False, True):
-        counts = Counter(sampler for sampler, of in zip(samplers, is_color, strict=True) if of == kind)
-        frequent[kind] = [sampler for sampler, _ in counts.most_common(MAX_ARRAYS // 2)]
-    return [
-        sampler if sampler in frequent[kind] else frequent[kind][0]
-        for sampler, kind in zip(samplers, is_color, strict=True)
-    ]
 
 
 def _make_array(device: Device, scene: Scene, array: ImageArray) -> Texture:

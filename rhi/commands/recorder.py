@@ -14,6 +14,7 @@ import linecache
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from types import CodeType, MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -201,6 +202,10 @@ class CommandWriter(CommandMethods):
         """Do nothing: there is nothing to release."""
 
 
+PORTABLE_ALIGNMENT: Final = 256
+"""The coarsest alignment in bytes of uniform and storage ranges that a device may ask for (WebGPU, 3.6.2)."""
+
+
 class ForwardingBackend(CommandMethods):
     """A `Backend` that forwards every call to another. Subclasses add their work to some or all calls.
 
@@ -256,6 +261,19 @@ class Recorder(ForwardingBackend):
         super().__init__(backend)
         self.stream = CommandStream()
         self._write: Callable[[tuple[Any, ...]], None] = self.stream.data.extend
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """The capabilities of the inner backend. Ranges of a device that draws are aligned as WebGPU promises, so
+        that what is recorded replays on every device, however fine its own alignment."""
+        inner = self.backend.capabilities
+        if not inner.shading:
+            return inner
+        return replace(
+            inner,
+            uniform_alignment=max(inner.uniform_alignment, PORTABLE_ALIGNMENT),
+            storage_alignment=max(inner.storage_alignment, PORTABLE_ALIGNMENT),
+        )
 
     def forward(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
         """Record a command that was called elsewhere, with its own call site, and forward it."""

@@ -113,6 +113,7 @@ STEPS: Final = (
             "operation · stencil",
             "operation · blending",
             "operation · targets",
+            "operation · layers",
             "operation · clears",
         ),
     ),

@@ -42,6 +42,7 @@ ALTERNATIVES: Final[Mapping[str, str]] = {
     "alpha_to_coverage": "call discard() in the fragment stage, or blend sorted surfaces",
     "depth_bias_clamp": "use PolygonOffset without a clamp, and a smaller slope",
     "blend_per_target": "draw targets that blend differently in passes of their own",
+    "layered_rendering": "draw a pass for each layer: texture.at(layer=…)",
     "wireframe": "draw the edges with Primitive.LINES and indices of their ends",
     "draw_index": "give each draw a base_instance, and read the index from an instance attribute",
     "early_depth": "draw depth first, and return early where fragment_coordinate().z lies behind the depth texture",

@@ -138,6 +138,8 @@ class Capabilities:
     """Whether clipping is exact: points whose centre is out of view aren't drawn, and `PolygonMode.LINE`
     draws no edge where the near or far plane cuts a triangle."""
     blend_per_target: bool = True
+    layered_rendering: bool = False
+    """Whether a pass can have all layers of its targets, among which vertex stages choose: `TargetLayer`."""
     wireframe: bool = False
     """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""
     platform_states: frozenset[type[PlatformState]] = frozenset()

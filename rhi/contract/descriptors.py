@@ -272,10 +272,15 @@ class VertexArrayDescriptor:
 # -- passes ----------------------------------------------------------------------------------------------
 
 
+ALL_LAYERS: Final = -1
+"""The layer of an attachment, or an image binding, that is all layers of a level."""
+
+
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A color target: one level and layer of a texture. `clear` None loads its contents. `resolve` names the
-    texture that receives the resolved samples at the end of the pass, in its level and layer 0."""
+    """A color target: one level and layer of a texture, or all its layers: −1. `clear` None loads its
+    contents. `resolve` names the texture that receives the resolved samples at the end of the pass, in its
+    level and layer 0."""
 
     texture: TextureId
     level: int = 0
@@ -286,7 +291,8 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class DepthAttachment:
-    """A depth target, with or without stencil. A clear value of None loads the contents."""
+    """A depth target, with or without stencil, of one layer or of all: −1. A clear value of None loads the
+    contents."""
 
     texture: TextureId
     level: int = 0
@@ -304,6 +310,12 @@ class PassDescriptor:
     depth: DepthAttachment | None = None
     samples: int = 1
     label: str = ""
+
+    @property
+    def is_layered(self) -> bool:
+        """True if the pass draws to all layers of its targets."""
+        targets = self.colors or (self.depth,)
+        return targets[0] is not None and targets[0].layer == ALL_LAYERS
 
 
 # -- queries ---------------------------------------------------------------------------------------------
@@ -345,7 +357,7 @@ class Binding:
     `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or
     image type. `size` is the size of one element in bytes. `writes` and `reads` say what the program does
     with its memory; `reads` may be True for memory that isn't read. `table` is the name of the texture
-    table whose images the buffer describes; a draw passes both as one value.
+    table whose images the texture describes; a draw passes both as one value.
     """
 
     name: str
@@ -425,11 +437,13 @@ class ProgramDescriptor:
             "vulkan" (GLSL 4.50 for Vulkan) and "spirv", its `binary`; "wgsl"; and those of
             `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
-        varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
+        varyings: the varyings that the fragment stage reads, the point size and the target's layer, in the
+            order of their words.
         shared_bytes: memory that a work-group shares, in bytes.
         checked: whether the stages report faults on OpenCL and NumPy (`rhi.shading.ir.faults`).
         flushes_denormals: whether numbers below 2^-126 may be treated as 0, which OpenGL may always do.
         point_size: the name of the varying that is the size of points, "" if there is none.
+        target_layer: the name of the varying that is the target's layer, "" if there is none.
         reads_point_coordinates: whether the fragment stage reads its coordinates inside a point.
         reads_draw_index: whether the vertex stage reads the index of the draw.
         vertex_writes: whether the vertex stage writes memory.
@@ -451,6 +465,7 @@ class ProgramDescriptor:
     checked: bool = False
     flushes_denormals: bool = False
     point_size: str = ""
+    target_layer: str = ""
     reads_point_coordinates: bool = False
     reads_draw_index: bool = False
     vertex_writes: bool = False
@@ -459,6 +474,7 @@ class ProgramDescriptor:
         fields = FieldChecker(self)
         fields.text("name", self.name)
         fields.text("point_size", self.point_size)
+        fields.text("target_layer", self.target_layer)
         fields.members("stages", self.stages, frozenset, Stage)
         fields.members("bindings", self.bindings, tuple, Binding)
         fields.members("attributes", self.attributes, tuple, Attribute)

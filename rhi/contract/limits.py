@@ -18,6 +18,7 @@ from rhi.contract.alternatives import ALTERNATIVES
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
+    ALL_LAYERS,
     DRAW,
     Attachment,
     Binding,
@@ -101,6 +102,7 @@ ANY_DEVICE: Final = Capabilities(
     copy_offset_alignment=1,
     sample_counter=True,
     alpha_test=True,
+    layered_rendering=True,
     wireframe=True,
     texture_buffer_copies=True,
     compressed_formats=frozenset(CompressedFormat),
@@ -549,6 +551,8 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
         given = "a point size" if descriptor.point_size else "point_coordinate()"
         yield lack(given, "max_point_size")
+    if descriptor.target_layer and not limits.layered_rendering:
+        yield lack(f"{descriptor.target_layer}: TargetLayer", "layered_rendering")
     if descriptor.reads_draw_index and not limits.draw_index:
         yield lack("draw_index()", "draw_index")
     if descriptor.early_depth and not limits.early_depth:
@@ -686,6 +690,7 @@ def pass_faults(
         if taken > limits.max_target_bytes:
             allowed = f"up to capabilities.max_target_bytes, {limits.max_target_bytes}"
             yield lack(f"texels of {taken} bytes in {len(colors)} color targets", "max_target_bytes", allowed)
+    yield from _layer_faults(targets, used, limits)
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
         yield Fault(rules.PASS_TARGET, "the same texture twice", "each level and layer once")
     ends = [color.resolve for color in colors if color.resolve]
@@ -730,6 +735,32 @@ def pass_faults(
                 yield fault
     if depth is not None:
         yield from _clear_faults(depth, used[-1])
+
+
+def _layer_faults(
+    targets: Sequence[Attachment | DepthAttachment],
+    textures: Sequence[TextureDescriptor],
+    limits: Capabilities,
+) -> Faults:
+    """Yield the faults of a pass that draws to all layers. Source: OpenGL 4.6, 9.4.2, "framebuffer
+    completeness"."""
+    if all(target.layer != ALL_LAYERS for target in targets):
+        return
+    if not limits.layered_rendering:
+        yield lack("all layers of a texture as target", "layered_rendering")
+    kinds = {texture.kind for texture in textures}
+    if TextureKind.D2 in kinds:
+        yield Fault(rules.PASS_TARGET, "all layers of a 2D texture", "an array, cube or 3D texture")
+    counts = {
+        texture.level_layers(target.level) if target.layer == ALL_LAYERS else 1
+        for texture, target in zip(textures, targets, strict=True)
+    }
+    if len(kinds) > 1 or len(counts) > 1 or any(target.layer != ALL_LAYERS for target in targets):
+        given = ", ".join(
+            f"{'all layers' if target.layer == ALL_LAYERS else f'layer {target.layer}'} of {show_texture(texture)}"
+            for texture, target in zip(textures, targets, strict=True)
+        )
+        yield Fault(rules.PASS_TARGET, given, "all layers of all targets, as many, of one kind of texture")
 
 
 @lru_cache(1024)

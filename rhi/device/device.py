@@ -569,7 +569,6 @@ class Device(Encoder):
             levels,
             label,
             make_texture=self.texture,
-            make_storage=self.storage,
         )
 
     @_creates

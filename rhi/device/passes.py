@@ -106,7 +106,7 @@ class RenderPass(Scope):
                 Attachment(
                     t.texture.id,
                     t.level,
-                    t.layer,
+                    t.attached_layer,
                     None if value is None else cast("Vec4", nearest(t.texture.format, value)),
                     r.id if r is not None else 0,
                 )
@@ -115,7 +115,11 @@ class RenderPass(Scope):
             None
             if depth_target is None
             else DepthAttachment(
-                depth_target.texture.id, depth_target.level, depth_target.layer, clear_depth, clear_stencil
+                depth_target.texture.id,
+                depth_target.level,
+                depth_target.attached_layer,
+                clear_depth,
+                clear_stencil,
             ),
             first.texture.samples,
             label,
@@ -198,8 +202,8 @@ def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | Non
 
 def _as_render_target(core: Core, value: object) -> TextureTarget:
     if isinstance(value, TextureTarget) and isinstance(value.texture, Texture):
-        level, layer = value.texture._check("device.render_pass", value.level, value.layer, core)
-        return TextureTarget(value.texture, level, layer)
+        level, layer = value.texture._check("device.render_pass", value.level, value.layer or 0, core)
+        return TextureTarget(value.texture, level, None if value.layer is None else layer)
     if isinstance(value, Texture):
         layers = value.requested.layers
         if layers > 1:  # silently drawing to layer 0 would look like a lost draw in all others
@@ -208,7 +212,7 @@ def _as_render_target(core: Core, value: object) -> TextureTarget:
                 "device.render_pass",
                 f"{describe_object(value)} with {layers} layers as target",
                 "a texture with one layer, or one layer of it",
-                "texture.at(layer=…) is one layer; draw to all of them in a loop",
+                "texture.at(layer=…) is one layer, texture.at(layer=None) all of them",
             )
         return TextureTarget(value)
     core.refuse(

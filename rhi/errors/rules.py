@@ -103,7 +103,11 @@ RESOURCE_DESTROYED: Final = Rule(
 RESOURCE_FOREIGN: Final = Rule(
     "resource-foreign", "the resource belongs to another device", "create it with the device that uses it"
 )
-BUFFER_SIZE: Final = Rule("buffer-size", "a buffer's size is not allowed")
+BUFFER_SIZE: Final = Rule(
+    "buffer-size",
+    "a buffer's size is not allowed",
+    "no buffer is empty: keep room for one element, and draw 0 instances",
+)
 BUFFER_RANGE: Final = Rule("buffer-range", "the range lies outside the buffer")
 BUFFER_DTYPE: Final = Rule("buffer-dtype", "the array's dtype is not the buffer's")
 BUFFER_OVERLAP: Final = Rule(

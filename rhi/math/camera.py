@@ -88,7 +88,10 @@ class Camera:
         up: ArrayLike = (0.0, 1.0, 0.0),
         projection: Projection | None = None,
     ) -> Camera:
-        """Create a camera at `position` that looks at `target`; looking along `up` is allowed."""
+        """Create a camera at `position` that looks at `target`; looking along `up` is allowed.
+
+        `projection` is a `Perspective` of 60 degrees and 16:9 by default: `Perspective(aspect=4 / 3)`.
+        """
         eye, aim, above = (
             np.array(read_floats(f"look_at({name}=...)", value, rule=CAMERA_VALUE))
             for name, value in (("position", position), ("target", target), ("up", up))

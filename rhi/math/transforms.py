@@ -40,13 +40,16 @@ def translation(offset: ArrayLike) -> Floats:
 
 
 def scaling(factors: ArrayLike) -> Floats:
-    """Return matrices (..., 4, 4) that scale the axes by `factors` (..., 3).
+    """Return matrices (..., 4, 4) that scale the axes by `factors` (..., 3), or all of them by one number.
 
     Examples:
         >>> (scaling((2, 2, 2)) @ (1, 1, 1, 1)).tolist()
         [2.0, 2.0, 2.0, 1.0]
     """
-    scaled = read_floats("scaling(factors=...)", factors, 3)
+    scaled = read_floats("scaling(factors=...)", factors)
+    if scaled.shape == ():
+        scaled = np.repeat(scaled, 3)
+    scaled = read_floats("scaling(factors=...)", scaled, 3)
     matrix = _identity(scaled.shape[:-1])
     for axis in range(3):
         matrix[..., axis, axis] = scaled[..., axis]

@@ -15,6 +15,7 @@ from rhi.shading.language.annotations import Flat as Flat
 from rhi.shading.language.annotations import FragmentDepth as FragmentDepth
 from rhi.shading.language.annotations import NoPerspective as NoPerspective
 from rhi.shading.language.annotations import PointSize as PointSize
+from rhi.shading.language.annotations import TargetLayer as TargetLayer
 from rhi.shading.language.annotations import value_type_of as value_type_of
 from rhi.shading.language.bindings import ImageBinding as ImageBinding
 from rhi.shading.language.bindings import Storage as Storage

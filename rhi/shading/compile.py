@@ -25,6 +25,7 @@ from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
+from rhi.shading.language.annotations import Role
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.edits import Edit, file_of
 from rhi.shading.language.shader import Declaration, Shader, StorageClass, work_group_size
@@ -35,8 +36,8 @@ from rhi.shading.parser.group_rules import may_break_group_rules
 from rhi.shading.parser.interface import (
     attributes_read,
     check_fragment_input,
+    field_of_role,
     fragment_outputs,
-    point_size_of,
     varyings_of,
     varyings_read,
     vertex_inputs,
@@ -238,7 +239,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     checked = shader.checked and not any(stage.entry.native for stage in stages.values())
     if compute is not None:
         checked = checked and tree.has_python_bodies(compute)
-    varyings = varyings_read(fragment, interface.varyings, interface.point_size)
+    varyings = varyings_read(fragment, interface.varyings, {interface.point_size, interface.target_layer})
     code = ShaderCode(stages, interface, varyings, shader.precision, checked, unused)
     if (
         compute is not None
@@ -267,6 +268,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         checked=checked,
         flushes_denormals=shader.precision is Precision.FAST,
         point_size=interface.point_size,
+        target_layer=interface.target_layer,
         reads_point_coordinates=fragment is not None
         and any(builtin.name == "point_coordinate" for builtin in fragment.builtins),
         reads_draw_index=Stage.VERTEX in stages
@@ -326,7 +328,8 @@ def _complete(interface: Interface, entries: dict[Stage, Callee]) -> Interface:
         attributes=attributes,
         varyings=varyings,
         position=position,
-        point_size=point_size_of(vertex),
+        point_size=field_of_role(vertex, Role.POINT_SIZE, "PointSize"),
+        target_layer=field_of_role(vertex, Role.TARGET_LAYER, "TargetLayer"),
     )
     if fragment is None:
         return interface
@@ -363,9 +366,9 @@ def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: boo
     match type:
         case StorageType(element=element, writable=writable):
             size = stride_of(element, Layout.STD430)
-            return Binding(name, kind, slot, writable, declaration.host, size, table=declaration.table)
+            return Binding(name, kind, slot, writable, declaration.host, size)
         case ImageType():
             return Binding(name, kind, slot, stored, type, reads=loaded)
     if kind is BindingKind.TEXTURE:
-        return Binding(name, kind, slot, False, type)
+        return Binding(name, kind, slot, False, type, table=declaration.table)
     return Binding(name, kind, slot, False, declaration.host, memory_layout(type, Layout.STD140).size)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rhi.commands.buffer_bytes import BufferBytes, UnknownDataError
 from rhi.commands.stream import Command
 from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor
-from rhi.contract.layout import Layout, element_dtype
+from rhi.contract.layout import Layout, MatrixType, ScalarType, VectorType, element_dtype, shape_of
 from rhi.shading import Struct, value_type_of
 from rhi.testing.arguments import checker, read_command
 
@@ -41,7 +41,17 @@ class BufferTracker(BufferBytes):
         data = self.read(repr(name), buffer, offset, size)
         base, shape = dtype.subdtype or (dtype, ())
         values = data.view(base).reshape(-1, *shape)
-        return values[0] if binding.kind is BindingKind.UNIFORM else values
+        return values if binding.kind is BindingKind.STORAGE else _cut_padding(values[0], binding)
+
+
+def _cut_padding(value: Any, binding: Binding) -> Any:
+    """Return a uniform's number, vector or matrix without the padding of its std140 layout; a struct as it
+    is."""
+    type = None if isinstance(binding.type, str) else value_type_of(binding.type)
+    if not isinstance(type, ScalarType | VectorType | MatrixType):
+        return value
+    shape = shape_of(type)
+    return value[tuple(slice(0, length) for length in shape) or 0]
 
 
 def binding_data(command: Command, name: str) -> Any:
@@ -49,7 +59,8 @@ def binding_data(command: Command, name: str) -> Any:
     `name`.
 
     Returns:
-        One value of the struct's std140 dtype for a uniform, an array (n,) of its std430 dtype for storage.
+        One value of the struct's std140 dtype for a uniform, or its number, vector or matrix; an array (n,) of
+        its std430 dtype for storage.
 
     Raises:
         UnknownDataError: there is no such binding, or its contents can't be derived from the stream.
@@ -63,6 +74,10 @@ def binding_data(command: Command, name: str) -> Any:
     """
     checker("binding_data").text("name", name)
     return BufferTracker(read_command("binding_data", command).stream).read_binding(command, name)
+
+
+WHOLE: Final = ""
+"""The path of a value that is no struct."""
 
 
 def describe_differences(values: Any, expected: Mapping[str, object], tolerance: float) -> str:
@@ -86,19 +101,20 @@ def describe_differences(values: Any, expected: Mapping[str, object], tolerance:
             (np.abs(actual - expected_array) <= tolerance).all()
         )
         if not fits:
-            wrong.append(f"{path} is {np.array2string(actual, separator=', ', threshold=16)}")
+            wrong.append(f"{path or 'it'} is {np.array2string(actual, separator=', ', threshold=16)}")
     return ", ".join(wrong)
 
 
-def as_fields(value: Mapping[str, object] | Struct) -> Mapping[str, object]:
-    """Return the fields of a struct's value by name; a mapping is returned as it is."""
+def as_fields(value: Any) -> Mapping[str, object]:
+    """Return the fields of a struct's value by name; a mapping is returned as it is, and other values by the
+    path of the whole."""
     if isinstance(value, Struct):
         return {field.name: getattr(value, field.name) for field in type(value).shading_type.fields}
-    return value
+    return value if isinstance(value, Mapping) else {WHOLE: value}
 
 
 def _part(values: Any, path: str) -> Any:
-    for step in path.split("."):
+    for step in path.split(".") if path != WHOLE else ():
         values = values[int(step) if step.isdigit() else step]
     return values
 

@@ -26,6 +26,7 @@ from rhi.shading import value_type_of
 from rhi.testing.arguments import refuse_name
 from rhi.testing.buffer_tracking import (
     RANGES,
+    WHOLE,
     BufferTracker,
     bindings_of,
     describe_differences,
@@ -256,11 +257,19 @@ class HasData:
         types = self._list_types(programs)
         for path, value in self.expected.items():
             parts = [part for data_type in types if (part := part_type(data_type, path)) is not None]
+            if path == WHOLE and any(isinstance(part, StructType | ArrayType) for part in parts):
+                allowed = "a struct's value, or numbers by name or index"
+                refuse(ASSERTION_ARGUMENT, "with_data", f"expected={value!r}", allowed)
             shapes = {shape_of(part) for part in parts if not isinstance(part, StructType)}
             numbers: Any = value
             if parts and np.shape(numbers) not in shapes:
                 allowed = " or ".join(map(str, sorted(shapes)))
-                refuse(ASSERTION_ARGUMENT, "with_data", f"{path}={value!r}", f"numbers of shape {allowed}")
+                refuse(
+                    ASSERTION_ARGUMENT,
+                    "with_data",
+                    f"{path or self.binding}={value!r}",
+                    f"numbers of shape {allowed}",
+                )
 
     def _list_types(self, programs: Sequence[ProgramDescriptor]) -> list[HostType]:
         """The types that the binding has in these programs; a loaded trace has none."""
@@ -285,7 +294,9 @@ class HasData:
         return f"of {self.binding}, {wrong}" if wrong else ""
 
     def __str__(self) -> str:
-        values = ", ".join(f"{name}={value!r}" for name, value in self.expected.items())
+        values = ", ".join(
+            f"{name}={value!r}" if name else f"{value!r}" for name, value in self.expected.items()
+        )
         within = f" within {self.tolerance:g}" if self.tolerance else ""
         return f"with {values} in {self.binding}{within}"
 
@@ -330,7 +341,7 @@ def part_type(type: HostType, path: str) -> HostType | None:
     """Return the type of a part of a value, which a path of fields and indices names; None if it hasn't
     any."""
     part: HostType | None = type
-    for step in path.split("."):
+    for step in path.split(".") if path != WHOLE else ():
         index = int(step) if step.isdigit() else -1
         match part:
             case ArrayType(element=element, length=length):

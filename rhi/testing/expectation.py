@@ -13,6 +13,8 @@ import heapq
 from collections import Counter
 from collections.abc import Collection, Mapping
 
+from numpy.typing import ArrayLike
+
 from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Commands
 from rhi.contract.descriptors import ProgramDescriptor
@@ -146,13 +148,13 @@ class Expectation:
         return self._and(HasBindings(resources))
 
     def with_data(
-        self, binding: str, expected: Mapping[str, object] | Struct, *, tolerance: float = 0.0
+        self, binding: str, expected: Mapping[str, object] | Struct | ArrayLike, *, tolerance: float = 0.0
     ) -> Expectation:
         """Select commands while a uniform or storage binding of the program contains these numbers.
 
         Args:
             expected: a value of the struct, or numbers by name: `{"color": (1, 0, 0, 1)}`; in arrays and
-                nested structs by path, `{"lights.0.color": …}`.
+                nested structs by path, `{"lights.0.color": …}`. Of a uniform that is no struct, its numbers.
             tolerance: the maximum difference of each number.
 
         Unknown contents (last written on the device, or before the stream) don't match; the message
@@ -164,9 +166,6 @@ class Expectation:
             ...     device.draw(device.program(Tinted), mesh, tint=Tint(color=(1, 0, 0, 1)))
             >>> matches = expect(device).draws().with_data("tint", {"color": (1, 0, 0, 1)}).exactly(1)
         """
-        checker("with_data").instance(
-            "expected", expected, (Mapping, Struct), "a struct's value, or numbers by name"
-        )
         fields = as_fields(expected)
         check_data("with_data", binding, fields)
         return self._and(HasData(binding, fields, read_tolerance("with_data", tolerance)))

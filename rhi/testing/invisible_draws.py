@@ -14,6 +14,7 @@ from typing import Any, Final
 from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, CommandStream
 from rhi.contract.descriptors import (
+    ALL_LAYERS,
     BindingKind,
     BufferDescriptor,
     PassDescriptor,
@@ -277,6 +278,7 @@ def _afterwards(draw: Command) -> Iterator[Cause]:
     if target is None:
         return
     targets = {(color.texture, color.level, color.layer) for color in target.colors}
+    targets |= {(color.texture, color.level, ALL_LAYERS) for color in target.colors}
     stream: CommandStream = draw._stream
     for command in stream[draw.index + 1 :]:
         if command.op is Op.BEGIN_PASS and command.failure is None:

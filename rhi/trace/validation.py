@@ -28,6 +28,7 @@ from rhi.contract import limits
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import BLOCK
 from rhi.contract.descriptors import (
+    ALL_LAYERS,
     BindingKind,
     BufferDescriptor,
     Id,
@@ -405,7 +406,9 @@ def _begin_pass(resources: _Resources, device: Capabilities, descriptor: PassDes
     if not targets:
         yield Fault(rules.PASS_EMPTY, "no color and no depth", "a target")
     for target in targets:
-        yield from limits.level_faults(resources[target.texture], target.level, target.layer)
+        yield from limits.level_faults(
+            resources[target.texture], target.level, 0 if target.layer == ALL_LAYERS else target.layer
+        )
     yield from limits.pass_faults(descriptor, resources, device)
 
 

@@ -283,6 +283,8 @@ class ClBackend:
         self._flush()
         self._render_pass = descriptor
         self._draw_state.begin_pass(descriptor)
+        if descriptor.is_layered:  # tiles of draws clear one layer only
+            self._flush()
 
     @_reports_errors_as("the end of a pass")
     def end_pass(self) -> None:

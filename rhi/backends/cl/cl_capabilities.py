@@ -50,6 +50,7 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         texture_buffer_copies=True,
         max_point_size=_MAX_POINT_SIZE if draws else 1.0,
         max_line_width=_MAX_LINE_WIDTH if draws else 1.0,
+        layered_rendering=draws,
         wireframe=draws,
         indirect_count=draws,
         occlusion_queries=draws,

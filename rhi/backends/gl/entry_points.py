@@ -158,6 +158,7 @@ class EntryPoints:
     UseProgram: Callable[[Int], None]
     GetUniformLocation: Callable[[Int, Text], Int]
     ProgramUniform1f: Callable[[Int, Int, Real], None]
+    ProgramUniform1i: Callable[[Int, Int, Int], None]
     BindVertexArray: Callable[[Int], None]
     VertexArrayVertexBuffer: Callable[[Int, Int, Int, Size, Int], None]
     VertexArrayElementBuffer: Callable[[Int, Int], None]

@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.gl_textures import Textures
-from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
+from rhi.contract.descriptors import ALL_LAYERS, Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
 from rhi.contract.formats import ChannelKind
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
@@ -88,7 +88,7 @@ class Framebuffers:
     def _attach(self, name: int, point: int, attachment: Attachment | DepthAttachment) -> None:
         texture = self._textures[attachment.texture]
         level, layer = attachment.level, attachment.layer
-        if texture.descriptor.kind in _LAYERED:
+        if texture.descriptor.kind in _LAYERED and layer != ALL_LAYERS:
             self._gl.NamedFramebufferTextureLayer(name, point, texture.name, level, layer)
         else:
             self._gl.NamedFramebufferTexture(name, point, texture.name, level)

@@ -71,6 +71,7 @@ from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateC
 from rhi.errors import DeviceError, refuse
 from rhi.errors.rules import DEVICE_CONTEXT, TEXTURE_FORMAT
 
+_NO_LAYERS: Final = -1
 _QUADS: Final = Primitive.QUADS
 _TESTS_ALPHA: Final = AlphaTest.ON
 _MAX_LABELS: Final = 60  # open at a time; GL guarantees 64
@@ -161,6 +162,7 @@ class GlBackend:
         self._pass = PassDescriptor((0, 0))
         self._targets = 0  # the color targets of the open pass, as bits
         self._framebuffer = 0
+        self._layer_count = 0  # of the open pass
         self._condition: tuple[Id, bool] | None = None
         self._labels = 0
         self._states = RenderStates(gl, self.capabilities.depth_bias_clamp, self._change_alpha_test)
@@ -493,7 +495,18 @@ class GlBackend:
         self._pass = descriptor
         self._targets = (1 << len(descriptor.colors)) - 1
         self._states.set_target_size(descriptor.size)
+        self._layer_count = self._count_layers(descriptor)
+        if self._program and self._bound_program.has_layer:
+            self._bound_program.set_layer_count(self._layer_count)
         self._clear(descriptor)
+
+    def _count_layers(self, descriptor: PassDescriptor) -> int:
+        """Return the number of layers that a pass draws to; −1 if that is one, whatever vertices choose."""
+        if not descriptor.is_layered:
+            return _NO_LAYERS
+        target = descriptor.colors[0] if descriptor.colors else descriptor.depth
+        assert target is not None
+        return self._textures[target.texture].descriptor.level_layers(target.level)
 
     def end_pass(self) -> None:
         self._framebuffer = self._targets = 0  # a framebuffer lives no longer than its textures
@@ -555,6 +568,8 @@ class GlBackend:
             self._change_alpha_test()
         else:
             self._bound_program = self._programs[program]
+        if self._bound_program.has_layer:
+            self._bound_program.set_layer_count(self._layer_count)
         unwritten = self._targets & ~self._bound_program.outputs
         if unwritten != self._states.unwritten:
             self._states.leave_unwritten(unwritten)
@@ -569,6 +584,8 @@ class GlBackend:
             self._bound_program = self._programs.get_alpha_tested(self._program, function, reference)
         else:
             self._bound_program = self._programs[self._program]
+        if self._bound_program.has_layer:
+            self._bound_program.set_layer_count(self._layer_count)
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
         self._bind_uniform[buffer](slot, offset, size)

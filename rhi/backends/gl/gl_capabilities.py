@@ -86,6 +86,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         texture_buffer_copies=True,
         max_point_size=_largest(gl, enums.POINT_SIZE_RANGE),
         max_line_width=_largest(gl, enums.ALIASED_LINE_WIDTH_RANGE),
+        layered_rendering="GL_ARB_shader_viewport_layer_array" in extensions,
         wireframe=True,
         platform_states=frozenset({DepthClamp}),
         compressed_formats=_list_compressed_formats(extensions),

@@ -47,6 +47,10 @@ _OPERATORS: Final = {
 }
 _MAIN: Final = re.compile(r"\bvoid\s+main\s*\(\s*(?:void)?\s*\)")
 _OUTPUT: Final = re.compile(r"\blayout\s*\([^)]*\blocation\s*=\s*0\b[^)]*\)\s*out\s+vec4\s+(\w+)")
+_DROP_LAYERS: Final = (
+    " if (rhi_layer_count >= 0 && uint(gl_Layer) >= uint(rhi_layer_count))"
+    " gl_Position = vec4(2.0, 0.0, 0.0, 1.0);"
+)
 _READS_TEXELS: Final = re.compile(r"\buniform\b[^;]*\b[iu]?(?:sampler|image)(?:2D|3D|Cube)")
 _TITLES: Final = {
     "vertex_shader": Stage.VERTEX,
@@ -121,6 +125,7 @@ class LinkedProgram(dict[Id, Render]):
         program: moderngl's program or compute shader.
         writes_memory: whether the program writes memory, so that a memory barrier follows each draw.
         outputs: the color targets, as bits, that the fragment stage has an output for.
+        has_layer: whether the vertex stage chooses the target's layer.
     """
 
     def __init__(
@@ -140,6 +145,8 @@ class LinkedProgram(dict[Id, Render]):
         self.writes_memory = descriptor.writes_memory
         self.outputs = sum(1 << output.location for output in descriptor.outputs)
         self._finish = finish
+        self.has_layer = bool(descriptor.target_layer)
+        self._layer_count = 0
 
     def __missing__(self, vertex_array: Id) -> Render:
         array = self._vertex_arrays[vertex_array] = self._arrays.create(vertex_array, self.program)
@@ -153,6 +160,15 @@ class LinkedProgram(dict[Id, Render]):
         """Create the entry of `vertex_array` if it doesn't exist yet."""
         if vertex_array not in self:
             self.__missing__(vertex_array)
+
+    def set_layer_count(self, count: int) -> None:
+        """Tell a vertex stage that chooses a layer how many the targets have: GL leaves undefined what others
+        do, so it drops them itself. `count`: −1 for a pass without layers."""
+        if count != self._layer_count:
+            location = self._gl.GetUniformLocation(self.program.glo, b"rhi_layer_count")
+            if location >= 0:
+                self._gl.ProgramUniform1i(self.program.glo, location, count)
+            self._layer_count = count
 
     def memory_barrier(self) -> None:
         """Make all writes so far visible to all later reads."""
@@ -285,7 +301,10 @@ class Programs:
         if fragment is not None:
             sources[Stage.FRAGMENT] = self.instrument(fragment)
         if Stage.VERTEX in sources:
-            sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
+            ending, declaration = "gl_Position.y = -gl_Position.y;", ""
+            if descriptor.target_layer:
+                ending, declaration = ending + _DROP_LAYERS, "uniform int rhi_layer_count;"
+            sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], ending, declaration)
         # Bytes, because moderngl strips and preprocesses text, which would change its line numbers.
         encoded = {stage: source.text.encode() for stage, source in sources.items()}
         program: GlProgram

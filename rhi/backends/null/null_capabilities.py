@@ -55,6 +55,7 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         texture_buffer_copies=True,
         max_point_size=64.0,
         max_line_width=64.0,
+        layered_rendering=True,
         wireframe=True,
         max_storage_slots=16,
         max_volume_size=1 << 14,

@@ -8,12 +8,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import (
+    ALL_LAYERS,
     Attachment,
     DepthAttachment,
     Id,
@@ -65,10 +68,16 @@ def _encode_once(format: Format, values: bytes) -> NDArray[np.generic]:
     return encode(format, np.frombuffer(values))
 
 
-def _fill(layer: NDArray[np.generic], value: NDArray[np.generic]) -> None:
-    """Fill a layer (height, width, channels) with a texel."""
-    layer[0] = value
-    layer[1:] = layer[0]  # row by row: NumPy repeats a few bytes much more slowly than a row
+def _fill(texels: NDArray[np.generic], value: NDArray[np.generic]) -> None:
+    """Fill a layer (height, width, channels), or several, with a texel."""
+    texels[0] = value
+    texels[1:] = texels[0]  # row by row: NumPy repeats a few bytes much more slowly than a row
+
+
+def _layers_of(levels: Sequence[NDArray[Any]], attachment: Attachment | DepthAttachment) -> NDArray[Any]:
+    """Return the texels that an attachment names: (height, width, channels), with all layers one axis more."""
+    level = levels[attachment.level]
+    return level if attachment.layer == ALL_LAYERS else level[attachment.layer]
 
 
 class Textures:
@@ -156,13 +165,15 @@ class Textures:
         texture = self.textures[attachment.texture]
         format = texture.descriptor.format
         values = np.array(attachment.clear, np.float64)[: format.channels]
-        _fill(texture.levels[attachment.level][attachment.layer], _encode_once(format, values.tobytes()))
+        _fill(_layers_of(texture.levels, attachment), _encode_once(format, values.tobytes()))
 
     def _clear_depth(self, attachment: DepthAttachment) -> None:
         texture = self.textures[attachment.texture]
-        level, layer = attachment.level, attachment.layer
         if attachment.clear is not None:
             value = np.array([attachment.clear], np.float64)
-            _fill(texture.levels[level][layer], _encode_once(texture.descriptor.format, value.tobytes()))
+            _fill(
+                _layers_of(texture.levels, attachment),
+                _encode_once(texture.descriptor.format, value.tobytes()),
+            )
         if attachment.clear_stencil is not None and texture.stencil:
-            texture.stencil[level][layer] = attachment.clear_stencil & 0xFF
+            _layers_of(texture.stencil, attachment)[...] = attachment.clear_stencil & 0xFF

@@ -236,6 +236,23 @@ class StoresInVertexStage(sl.Shader):
         return sl.vec4(1.0)
 
 
+class Slice(sl.Struct):
+    """A position and a layer."""
+
+    clip: sl.vec4
+    layer: sl.TargetLayer
+
+
+class ChoosesLayer(sl.Shader):
+    """Draws to the third layer."""
+
+    def vertex(self) -> Slice:
+        return Slice(clip=sl.vec4(0.0, 0.0, 0.0, 1.0), layer=2)
+
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0)
+
+
 @pytest.mark.requires("draws")
 @pytest.mark.parametrize(
     ("shader", "feature"),
@@ -245,6 +262,7 @@ class StoresInVertexStage(sl.Shader):
         (Numbered, "draw_index"),
         (Early, "early_depth"),
         (StoresInVertexStage, "vertex_writes"),
+        (ChoosesLayer, "layered_rendering"),
     ],
 )
 def test_programs_need_a_device_with_the_capabilities_that_they_use(

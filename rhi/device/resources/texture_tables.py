@@ -1,7 +1,8 @@
 """Texture tables: many images of different sizes, which shaders read by their numbers in one draw.
 
 The images lie in the layers of one 2D array texture (`pages`), each mip level in a rectangle of its own with
-its own texels. So a table takes one texture slot and one storage slot, whatever the number of images.
+its own texels. A second texture describes them. So a table takes two texture
+slots, whatever the number of images.
 `rhi.shading.ir.texture_pages` plans the rectangles; `rhi.shading.parser.texture_tables` reads them.
 """
 
@@ -18,7 +19,6 @@ from rhi.contract.descriptors import Region, SamplerDescriptor, TextureDescripto
 from rhi.contract.formats import Format
 from rhi.contract.limits import full_levels, lack, plain_faults, single_sample_faults
 from rhi.device.core.core import Core
-from rhi.device.resources.buffers import StorageBuffer
 from rhi.device.resources.images import as_texels, infer_format
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.textures import Sampler, Texture
@@ -27,6 +27,7 @@ from rhi.errors.arguments import ArgumentChecker
 from rhi.shading.ir.texture_pages import (
     GUTTER,
     PAGE_SAMPLER,
+    WORDS_FORMAT,
     LevelRectangle,
     PagePlan,
     Size,
@@ -37,7 +38,6 @@ from rhi.shading.ir.texture_pages import (
     surround,
 )
 from rhi.shading.language.bindings import TableBinding, TextureBinding
-from rhi.shading.language.vectors import ivec4
 
 CALL: Final = "device.texture_table"
 
@@ -54,21 +54,20 @@ class TextureTable(TableBinding, Resource):
         samplers: how each image is read.
     """
 
-    __slots__ = ("_plan", "levels", "pages", "samplers", "sizes", "storage")
+    __slots__ = ("_plan", "levels", "pages", "samplers", "sizes")
 
     def __init__(
         self,
         core: Core,
         plan: PagePlan,
         pages: Texture,
-        storage: StorageBuffer[Any],
+        words: Texture,
         sizes: Sequence[Size],
         samplers: Sequence[SamplerDescriptor],
     ) -> None:
-        super().__init__(pages.id, core.sampler(PAGE_SAMPLER), pages, storage)
+        super().__init__(pages.id, core.sampler(PAGE_SAMPLER), pages, words)
         self._plan = plan
         self.pages = pages
-        self.storage = storage
         self.sizes = tuple(sizes)
         self.levels = tuple(len(levels) for levels in plan.levels)
         self.samplers = tuple(samplers)
@@ -91,8 +90,14 @@ class TextureTable(TableBinding, Resource):
 
     @property
     def bytes(self) -> int:
-        """The memory of the pages and of the buffer that describes them, in bytes."""
-        return self._plan.texels * self.format.transfer_bytes + self.storage.size
+        """The memory of the pages and of the texture that describes them, in bytes."""
+        words = self._described
+        width, height = words.size
+        return self._plan.texels * self.format.transfer_bytes + width * height * words.format.transfer_bytes
+
+    @property
+    def _described(self) -> Texture:
+        return cast("Texture", self.words)
 
     @property
     def image_bytes(self) -> int:
@@ -101,9 +106,9 @@ class TextureTable(TableBinding, Resource):
         return texels * self.format.transfer_bytes
 
     def destroy(self) -> None:
-        """Destroy the pages and the buffer once the GPU no longer uses them. A second call does nothing."""
+        """Destroy both textures once the GPU no longer uses them. A second call does nothing."""
         self.pages.destroy()
-        self.storage.owner.destroy()
+        self._described.destroy()
 
     def copy_from(self, texture: Texture, index: int) -> None:
         """Replace the texels of an image by those of a texture, which has its size, format and levels. The
@@ -173,12 +178,11 @@ def create_table(
     label: str,
     *,
     make_texture: Callable[..., Texture],
-    make_storage: Callable[..., StorageBuffer[Any]],
 ) -> TextureTable:
     """Create a table; see `Device.texture_table`.
 
     Args:
-        make_texture, make_storage: those of the device. Textures of arrays live until they are copied.
+        make_texture: that of the device. Textures of arrays live until they are copied.
     """
     check = ArgumentChecker(CALL, core.refuse)
     check.text("label", label)
@@ -215,8 +219,8 @@ def create_table(
         )
         sizes = [texture.size for texture in textures]
         pages = Texture(core, page_descriptor(plan, format, label))
-        storage = make_storage(ivec4, describe_pages(plan, sizes, descriptors), label=label)
-        table = TextureTable(core, plan, pages, storage, sizes, descriptors)
+        words = make_texture(describe_pages(plan, sizes, descriptors), WORDS_FORMAT, label=label)
+        table = TextureTable(core, plan, pages, words, sizes, descriptors)
         for index, texture in enumerate(textures):
             table.fill(texture, index)
     finally:

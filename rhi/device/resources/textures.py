@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rhi.contract import limits
 from rhi.contract.blocks import BLOCK, CompressedFormat, decode_level
 from rhi.contract.descriptors import (
+    ALL_LAYERS,
     Access,
     Filter,
     Id,
@@ -66,11 +67,16 @@ class Sampler(DeviceObject):
 
 @dataclass(frozen=True, slots=True)
 class TextureTarget:
-    """A mip level and layer of a texture, as the target of a render pass."""
+    """A mip level and layer of a texture, as the target of a render pass; without a layer, all of them."""
 
     texture: Texture
     level: int = 0
-    layer: int = 0
+    layer: int | None = 0
+
+    @property
+    def attached_layer(self) -> int:
+        """The layer as the backend takes it."""
+        return ALL_LAYERS if self.layer is None else self.layer
 
     @property
     def size(self) -> tuple[int, int]:
@@ -171,8 +177,9 @@ class Texture(TextureBinding, ArrayExchange, Resource):
 
     # -- parts -------------------------------------------------------------------------------------------
 
-    def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
-        """Return one level and layer as a render target.
+    def at(self, level: int = 0, layer: int | None = 0) -> TextureTarget:
+        """Return one level and layer as a render target. With `layer=None` it has all layers, among which
+        vertex stages choose by a `TargetLayer`, if the device has `capabilities.layered_rendering`.
 
         Examples:
             >>> layers = device.texture((16, 16), rhi.Format.RGBA8, kind=rhi.TextureKind.D2_ARRAY, layers=4)
@@ -181,9 +188,10 @@ class Texture(TextureBinding, ArrayExchange, Resource):
             >>> layers.read(layer=2)[0, 0].tolist()
             [255, 255, 255, 255]
         """
-        level, layer = self._check("Texture.at", level, layer)
+        layer = ArgumentChecker("Texture.at", self.core.refuse).integer_or_none("layer", layer)
+        level, first = self._check("Texture.at", level, layer or 0)
         self.core.require("Texture.at", limits.plain_faults(self.requested))
-        return TextureTarget(self, level, layer)
+        return TextureTarget(self, level, None if layer is None else first)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
         """Return a binding that reads this texture through another sampler.
@@ -222,7 +230,8 @@ class Texture(TextureBinding, ArrayExchange, Resource):
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
         """Return a binding of one level, with all layers or one, for a shader's loads and stores. It is the
         same object as long as a program or a variable refers to it."""
-        level, first = self._check("Texture.image", level, 0 if layer is None else layer)
+        layer = ArgumentChecker("Texture.image", self.core.refuse).integer_or_none("layer", layer)
+        level, first = self._check("Texture.image", level, layer or 0)
         layer = None if layer is None else first
         if self.requested.compressed is not None:  # seldom: a list of faults takes a microsecond
             self.core.require("Texture.image", limits.plain_faults(self.requested))

@@ -27,6 +27,7 @@ _PACKED_IMAGES: Final = {
     Format.RGB10A2UI: "rgb10_a2ui",
     Format.R11G11B10F: "r11f_g11f_b10f",
 }
+_LAYER_EXTENSION: Final = "GL_ARB_shader_viewport_layer_array"
 
 
 def write_stage(stage: tree.StageTree, interface: Interface, exact: bool = False) -> StageText:
@@ -110,6 +111,8 @@ class StageWriter:
             for row in sorted(self.stage.builtins, key=lambda row: row.name)
             if self.extension_of(row)
         )
+        if self.stage.stage is Stage.VERTEX and self.interface.target_layer and not self.whole:
+            extensions[f"#extension {_LAYER_EXTENSION} : require"] = None
         rest: list[str] = []
         for function in self.stage.functions:
             native = function.native.get("glsl")
@@ -293,6 +296,8 @@ class StageWriter:
                 self.lines.add(f"gl_Position = {self._part(result, interface.position)};")
                 if interface.point_size:
                     self.lines.add(f"gl_PointSize = max(1.0, {self._part(result, interface.point_size)});")
+                if interface.target_layer:
+                    self.lines.add(f"gl_Layer = {self._part(result, interface.target_layer)};")
             elif interface.depth:
                 self.lines.add(f"gl_FragDepth = {self._part(result, interface.depth)};")
             for name, output in outputs.items():

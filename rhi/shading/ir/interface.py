@@ -27,7 +27,8 @@ class Interface:
 
     `bindings` holds their slots, by name and in order. `position` is the name of the vertex stage's position
     field, "" if it returns a plain vec4. `depth` is the name of the fragment stage's depth field,
-    `point_size` that of the vertex stage's point size; "" if there is none.
+    `point_size` that of the vertex stage's point size, `target_layer` that of the target's layer; "" if there
+    is none.
     """
 
     name: str
@@ -40,3 +41,4 @@ class Interface:
     outputs: tuple[FragmentOutput, ...] = ()
     depth: str = ""
     point_size: str = ""
+    target_layer: str = ""

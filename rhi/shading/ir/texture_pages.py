@@ -25,6 +25,9 @@ from rhi.shading.ir.texture_words import border_color
 
 GUTTER: Final = 1
 """Texels of the border on each side."""
+WORDS_ACROSS: Final = 64
+"""Words in a row of the texture that describes a table, a power of two."""
+WORDS_FORMAT: Final = Format.RGBA32I
 MAX_ANISOTROPY: Final = 256.0
 """The most that the flags can say."""
 ANISOTROPY_STEPS: Final = 16
@@ -199,9 +202,10 @@ def flags_of(sampler: SamplerDescriptor, transposed: bool, *, filters: bool = Tr
 def describe_pages(
     plan: PagePlan, sizes: Sequence[Size], samplers: Sequence[SamplerDescriptor], *, filters: bool = True
 ) -> NDArray[np.int32]:
-    """Return the words of a table, (n, 4); `sizes`: of each image, upright."""
+    """Return the words of a table as texels, (rows, WORDS_ACROSS, 4); `sizes`: of each image, upright."""
     count = len(plan.levels)
-    words = np.zeros((1 + count + sum(map(len, plan.levels)), 4), np.int32)
+    total = 1 + count + sum(map(len, plan.levels))
+    words = np.zeros((-(-total // WORDS_ACROSS) * WORDS_ACROSS, 4), np.int32)
     words[0] = count, *plan.size, 0
     row = 1 + count
     for image, levels in enumerate(plan.levels):
@@ -212,7 +216,7 @@ def describe_pages(
             packed = rectangle.width | rectangle.height << 16
             words[row] = rectangle.x, rectangle.y, packed, rectangle.layer
             row += 1
-    return words
+    return words.reshape(-1, WORDS_ACROSS, 4)
 
 
 def gutter_sources(wrap: Wrap, size: int) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from rhi.errors.choices import Choice
 from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
 
-LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective", "PointSize"))
+LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective", "PointSize", "TargetLayer"))
 
 T = TypeVar("T")
 
@@ -22,6 +22,7 @@ class Role(Choice):
     NO_PERSPECTIVE = "noperspective"
     FRAGMENT_DEPTH = "fragment depth"
     POINT_SIZE = "point size"
+    TARGET_LAYER = "target layer"
 
 
 Flat = Annotated[T, Role.FLAT]
@@ -35,6 +36,10 @@ FragmentDepth: TypeAlias = Annotated[float, Role.FRAGMENT_DEPTH]
 
 PointSize: TypeAlias = Annotated[float, Role.POINT_SIZE]
 """A field of the vertex stage's result: the side in texels of the square that a point is drawn as."""
+
+TargetLayer: TypeAlias = Annotated[int, Role.TARGET_LAYER]
+"""A field of the vertex stage's result: the layer that a primitive is drawn to, in a pass on all layers
+(`texture.at(layer=None)`). All its vertices have the same; outside of the target's layers, nothing is drawn."""
 
 _SCALARS: dict[Any, HostType] = {float: FLOAT, int: INT, bool: BOOL}
 

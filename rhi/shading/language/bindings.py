@@ -89,15 +89,15 @@ class TextureBinding(DeviceObject):
 
 
 class TableBinding(TextureBinding):
-    """A texture table as a binding: its pages with their sampler, and the buffer that describes its images.
+    """A texture table as a binding: its pages with their sampler, and the texture that describes its images.
 
     Attributes:
-        words: elements of `ivec4` (see `rhi.shading.ir.texture_pages`).
+        words: a texture of `RGBA32I` (see `rhi.shading.ir.texture_pages`).
     """
 
     __slots__ = ("words",)
 
-    def __init__(self, texture: int, sampler: int, owner: object, words: StorageRange[Any]) -> None:
+    def __init__(self, texture: int, sampler: int, owner: object, words: TextureBinding) -> None:
         super().__init__(texture, sampler, owner)
         self.words = words
 

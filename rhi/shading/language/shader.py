@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, ge
 
 from typing_extensions import dataclass_transform
 
+from rhi.contract.descriptors import TextureKind
 from rhi.contract.formats import ChannelKind
 from rhi.contract.layout import INT, ArrayType, HostType, is_host_shareable
 from rhi.errors import ShaderError, ShaderErrors, refuse
@@ -32,8 +33,8 @@ from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.source import globals_of, keep_sources, locals_of, resolve_annotations, suggest_name
 from rhi.shading.language.textures import ImageFormat, SampledTexture, StorageImage, image
-from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, StorageType, TextureType, Type
-from rhi.shading.language.vectors import Array, ivec4
+from rhi.shading.language.types import LANGUAGE_NAMES, ImageType, StorageType, TextureType, Type
+from rhi.shading.language.vectors import Array
 
 LANGUAGE_NAMES.update(("Shader", "shared"))
 
@@ -53,7 +54,7 @@ class StorageClass(Choice):
 @dataclass(frozen=True, slots=True)
 class Declaration:
     """A binding or shared variable of a shader. `host` is its type on the CPU: a `Struct` class, `float`,
-    `vec3`… `table` is the name of the texture table that a buffer describes, "" for others."""
+    `vec3`… `table` is the name of the texture table whose images a texture describes, "" for others."""
 
     name: str
     storage_class: StorageClass
@@ -195,9 +196,9 @@ def collect_bindings(
             if declared[name].is_table:
                 words = words_of_table(name)
                 if words in inspect.get_annotations(cls) or (words in inherited and name not in inherited):
-                    _refuse(cls, words, f"the name of the buffer of {name}", "choose another name")
-                type = StorageType(VECTORS[INT, 4], False)
-                declared[words] = Declaration(words, StorageClass.STORAGE, type, ivec4, name)
+                    _refuse(cls, words, f"the name of the words of {name}", "choose another name")
+                type = TextureType(TextureKind.D2, INT)
+                declared[words] = Declaration(words, StorageClass.TEXTURE, type, table=name)
     errors.check()
     for name, value in cls.__dict__.items():
         if isinstance(value, FunctionType):
@@ -214,7 +215,7 @@ def collect_bindings(
 
 
 def words_of_table(name: str) -> str:
-    """Return the name of the buffer that describes the images of a texture table."""
+    """Return the name of the texture that describes the images of a texture table."""
     return f"{name}_words"
 
 

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import TextureKind
 from rhi.contract.formats import Format
 from rhi.errors import refuse
-from rhi.shading.ir.texture_pages import GUTTER, PAGE_SAMPLER, describe_pages, plan_pages, surround
+from rhi.shading.ir.texture_pages import (
+    GUTTER,
+    PAGE_SAMPLER,
+    WORDS_FORMAT,
+    describe_pages,
+    plan_pages,
+    surround,
+)
 from rhi.shading.language import rules
 from rhi.shading.language.bindings import TableBinding
 from rhi.shading.numpy.host_textures import HostTexture
@@ -24,7 +31,7 @@ class HostTextureTable:
 
     Attributes:
         pages: the pages, a 2D array.
-        words: what describes the images, (n, 4) int32.
+        words: what describes the images, a 2D texture.
     """
 
     def __init__(self, images: Sequence[HostTexture]) -> None:
@@ -66,9 +73,9 @@ class HostTextureTable:
         words: Any = table.words
         copy = cls.__new__(cls)
         texels = pages.read_layers()
-        copy._set(texels, pages.format, words.read().reshape(-1, 4))
+        copy._set(texels, pages.format, words.read())
         return copy
 
     def _set(self, pages: NDArray[Any], form: Format, words: NDArray[np.int32]) -> None:
         self.pages = HostTexture(pages, form, TextureKind.D2_ARRAY, PAGE_SAMPLER)
-        self.words = words
+        self.words = HostTexture(words, WORDS_FORMAT)

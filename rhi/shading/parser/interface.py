@@ -1,7 +1,8 @@
 """The interface of a shader's stages: vertex inputs, varyings and outputs, read from their signatures.
 
 - The vertex stage takes structs of attributes and returns a `vec4`, the clip position, or a struct whose
-  first field is the clip position; the other fields are varyings, among them at most one `PointSize`.
+  first field is the clip position; the other fields are varyings, among them at most one `PointSize` and one
+  `TargetLayer`.
 - The fragment stage takes nothing, or a struct whose fields match varyings of the vertex stage by name and
   type; it returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
 """
@@ -9,6 +10,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 from rhi.contract import layout
@@ -76,20 +78,26 @@ def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
         ):
             actual = f"varying {field.name}: {field.type}"
             source.refuse(rules.INTERFACE, source.node, actual, "numbers, vectors, matrices")
-        if scalar_of(field.type) not in (layout.FLOAT, None) or role is Role.POINT_SIZE:
+        if scalar_of(field.type) not in (layout.FLOAT, None) or role in (
+            Role.POINT_SIZE,
+            Role.TARGET_LAYER,
+        ):
             role = Role.FLAT
         varyings.append(Varying(field.name, field.type, role, location))
         location += field.type.size if isinstance(field.type, layout.MatrixType) else 1
     return fields[0].name, tuple(varyings)
 
 
-def point_size_of(vertex: Callee) -> str:
-    """Return the name of the vertex stage's point size, "" if it has none."""
+def field_of_role(vertex: Callee, role: Role, annotation: str) -> str:
+    """Return the name of the field of the vertex stage's result with a role, "" if it has none. `annotation`:
+    the role's name in the language."""
     cls = struct_class(vertex.signature.result_host)
-    names = [name for name, role in cls._roles.items() if role is Role.POINT_SIZE] if cls is not None else []
+    names = [name for name, other in cls._roles.items() if other is role] if cls is not None else []
     if len(names) > 1:
         source = vertex.source
-        source.refuse(rules.INTERFACE, source.node, f"point sizes {' and '.join(names)}", "one PointSize")
+        source.refuse(
+            rules.INTERFACE, source.node, f"{role.value}s {' and '.join(names)}", f"one {annotation}"
+        )
     return names[0] if names else ""
 
 
@@ -126,11 +134,12 @@ _INTERPOLATIONS = {
 
 
 def varyings_read(
-    fragment: tree.StageTree | None, varyings: tuple[Varying, ...], point_size: str = ""
+    fragment: tree.StageTree | None, varyings: tuple[Varying, ...], builtins: AbstractSet[str] = frozenset()
 ) -> tuple[StageVarying, ...]:
-    """Return the varyings that the fragment stage reads, and the point size, with their words."""
+    """Return the varyings that the fragment stage reads, and those of the names `builtins`, with their
+    words."""
     names = _fields_read(fragment.entry) if fragment is not None else set()
-    return words_of_varyings(varyings, names | {point_size})
+    return words_of_varyings(varyings, names | builtins)
 
 
 def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[StageVarying, ...]:

@@ -19,15 +19,14 @@ from typing import Final
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import INT, UINT
 from rhi.shading.ir import tree
-from rhi.shading.ir.texture_pages import ANISOTROPY_STEPS, TRANSPOSED
+from rhi.shading.ir.texture_pages import ANISOTROPY_STEPS, TRANSPOSED, WORDS_ACROSS
 from rhi.shading.language import rules
-from rhi.shading.language.bindings import Storage
 from rhi.shading.language.builtins import BUILTINS
 from rhi.shading.language.function import function
 from rhi.shading.language.functions import clamp, ddx, ddy, dot, floor, length, log2, mix, saturate, sqrt
 from rhi.shading.language.shader import Declaration, Shader
 from rhi.shading.language.source import source_of, span_of, suggest
-from rhi.shading.language.textures import Texture2DArray
+from rhi.shading.language.textures import IntTexture2D, Texture2DArray
 from rhi.shading.language.vectors import ivec2, ivec3, ivec4, vec2, vec3, vec4
 from rhi.shading.parser.context import FunctionParser
 from rhi.shading.parser.signatures import Callee
@@ -36,6 +35,7 @@ _TABLE: Final = "_rhi_table"
 _REPEAT, _MIRROR, _BORDER = 0, 1, 3
 _NEAREST_MIP = 1
 _MINIFIES_NEAREST, _MAGNIFIES_NEAREST, _MIP_SHIFT, _ANISOTROPY_SHIFT = 16, 32, 6, 9
+_ROW_SHIFT: Final = WORDS_ACROSS.bit_length() - 1
 _SMALL, _HUGE = 2.0**-100, 2.0**100
 
 
@@ -63,15 +63,19 @@ class TableFunctions(Shader):
     """The functions that read a table. `table` and `table_words` stand for the bindings of any table."""
 
     table: Texture2DArray
-    table_words: Storage[ivec4]
+    table_words: IntTexture2D
+
+    def word(self, index: int) -> ivec4:
+        """Return a word of the table."""
+        return self.table_words.load(ivec2(index & (WORDS_ACROSS - 1), index >> _ROW_SHIFT))
 
     def entry(self, index: int) -> ivec4:
         """Return the word of an image: its first level, levels, size and flags."""
-        return self.table_words[clamp(index, 0, self.table_words[0].x - 1) + 1]
+        return self.word(clamp(index, 0, self.word(0).x - 1) + 1)
 
     def read_level(self, entry: ivec4, number: int, at: vec2, is_nearest: bool) -> vec4:
         """Filter one level, which exists."""
-        record = self.table_words[entry.x + number]
+        record = self.word(entry.x + number)
         size = _unpack(record.z)
         wrap_u = entry.w & 3
         wrap_v = (entry.w >> 2) & 3
@@ -89,7 +93,7 @@ class TableFunctions(Shader):
             if wrap_v != _BORDER:
                 j = min(j, size.y - 1)
             return self.table.load(ivec3(record.x + i, record.y + j, record.w))
-        page = self.table_words[0]
+        page = self.word(0)
         position = vec2(float(record.x) + texel.x, float(record.y) + texel.y)
         position = vec2(position.x / float(page.y), position.y / float(page.z))
         return self.table.sample_lod(vec3(position, float(record.w)), 0.0)
@@ -181,7 +185,7 @@ class TableFunctions(Shader):
         entry = self.entry(index)
         if level < 0 or level >= entry.y:
             return vec4(0.0)
-        record = self.table_words[entry.x + level]
+        record = self.word(entry.x + level)
         size = _unpack(record.z)
         i = texel.x
         j = texel.y
@@ -194,7 +198,7 @@ class TableFunctions(Shader):
     def size(self, index: int, level: int = 0) -> ivec2:
         """Return the width and height of a level."""
         entry = self.entry(index)
-        size = _unpack(self.table_words[entry.x + clamp(level, 0, entry.y - 1)].z)
+        size = _unpack(self.word(entry.x + clamp(level, 0, entry.y - 1)).z)
         if (entry.w & TRANSPOSED) != 0:
             return ivec2(size.y, size.x)
         return size
@@ -205,7 +209,7 @@ class TableFunctions(Shader):
 
     def count(self) -> int:
         """Return the number of images."""
-        return self.table_words[0].x
+        return self.word(0).x
 
 
 METHODS: Final = ("sample", "sample_bias", "sample_lod", "sample_grad", "load", "size", "levels")

@@ -209,7 +209,7 @@ def test_the_panel_is_drawn_over_the_image_and_not_into_screenshots() -> None:
     tick(viewer_screen, 2)
     plain = viewer_screen.screen.canvas._last_image.astype(int)
     viewer_screen.viewer.run("panel")
-    tick(viewer_screen, 4)
+    tick(viewer_screen, 3)
     with_panel = viewer_screen.screen.canvas._last_image.astype(int)
     assert np.array_equal(viewer_screen.viewer.session.screenshot().astype(int)[..., :3], plain[..., :3])
     rows, _ = np.nonzero(np.abs(with_panel - plain)[..., :3].sum(axis=2) > 30)

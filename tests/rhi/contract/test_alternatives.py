@@ -15,7 +15,7 @@ from rhi import Capabilities, Format
 from rhi.backends.null.null_capabilities import get_profile
 from rhi.contract import limits
 from rhi.contract.alternatives import ALTERNATIVES
-from rhi.contract.descriptors import QueryKind, TextureDescriptor
+from rhi.contract.descriptors import Attachment, PassDescriptor, QueryKind, TextureDescriptor
 from rhi.contract.limits import Fault
 from rhi.errors.rules import DEVICE_CAPABILITY, STATE_CAPABILITY
 from rhi.testing.portability import check_portability
@@ -54,6 +54,9 @@ def cases() -> dict[str, Iterable[Fault]]:
         "conditional_rendering": limits.condition_faults(lacking(conditional_rendering=False)),
         "wireframe": limits.state_faults(rhi.PolygonMode.LINE, lacking(wireframe=False)),
         "alpha_test": limits.state_faults(rhi.AlphaTest.ON, lacking(alpha_test=False)),
+        "layered_rendering": limits.pass_faults(
+            PassDescriptor((4, 4), (Attachment(1, layer=-1),)), {1: layered}, CORE
+        ),
         "max_line_width": limits.state_faults(rhi.LineWidth(3.0), lacking(max_line_width=1.0)),
     }
 

@@ -278,7 +278,7 @@ class Wrong(sl.Shader):
 @pytest.mark.parametrize(
     ("field", "part"),
     [
-        ("images_words: sl.Storage[float]", "the buffer of images"),
+        ("images_words: sl.Storage[float]", "the words of images"),
         ("def f(self, t: sl.TextureTable) -> float: return 0.0", "make the function a method"),
     ],
 )

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import rhi
 from rhi.math import multiply, normal_matrices, relative_to, rotation, scaling, transform_bounds, translation
 
 
@@ -47,6 +48,9 @@ def test_rotation_is_right_handed():
 def test_builders_make_stacks():
     assert translation(np.zeros((5, 3))).shape == (5, 4, 4)
     assert scaling(np.ones((2, 3, 3))).shape == (2, 3, 4, 4)
+    assert np.array_equal(scaling(2), scaling((2, 2, 2)))
+    with pytest.raises(rhi.ValidationError):
+        scaling((2, 2))
     assert rotation((1, 0, 0), np.zeros(6)).shape == (6, 4, 4)
     product = multiply(translation((1, 2, 3)), scaling((2, 2, 2))) @ (1.0, 1.0, 1.0, 1.0)
     assert product.tolist() == [3.0, 4.0, 5.0, 1.0]

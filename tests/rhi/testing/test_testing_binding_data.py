@@ -425,3 +425,36 @@ def _offset(draw: rhi.Command) -> list[float] | None:
     except UnknownDataError:
         return None
     return offset
+
+
+class Blend(Shader):
+    strength: Uniform[float]
+    tint: Uniform[vec4]
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, self.strength, 1.0) * self.tint
+
+
+def test_a_uniform_that_is_no_struct_contains_numbers(null_device: Device) -> None:
+    with null_device.render_pass(null_device.texture((4, 4), Format.RGBA8)):
+        mesh = null_device.mesh(np.zeros(3, Corner.dtype))
+        null_device.draw(null_device.program(Blend), mesh, strength=0.1, tint=(1, 2, 3, 4))
+    draws = expect(null_device).draws()
+    draws.with_data("strength", 0.1).exactly(1)
+    draws.with_data("strength", 0.2).exactly(0)
+    draws.with_data("strength", 0.25, tolerance=0.2).exactly(1)
+    draws.with_data("tint", (1, 2, 3, 4)).exactly(1)
+    draws.with_data("tint", np.array([1, 2, 3, 5])).exactly(0)
+    with pytest.raises(AssertionError, match=r"of strength, it is 0\.1"):
+        draws.with_data("strength", 0.2).exactly(1)
+    for binding, value in (("strength", (0.1,)), ("tint", 1.0), ("tint", (1, 2)), ("strength", float("nan"))):
+        with pytest.raises(rhi.ValidationError, match="assertion-argument"):
+            draws.with_data(binding, value).exactly(0)
+
+
+def test_numbers_alone_are_no_data_of_structs_and_arrays(null_device: Device) -> None:
+    value = Everything(number=1, rotation=np.eye(3), point_lights=[PointLight(color=(1, 0, 0), power=1)] * 2)
+    draw_all(null_device, value, np.zeros(2, PointLight.dtype))
+    for binding in ("all", "point_lights"):
+        with pytest.raises(rhi.ValidationError, match="a struct's value, or numbers by name"):
+            expect(null_device).draws().with_data(binding, 0.0).exactly(0)

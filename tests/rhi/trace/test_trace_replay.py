@@ -12,8 +12,8 @@ from testing_kit import SampleFrame, backend_works, gl_works
 from trace_kit import VERSION_1, Doubled, record, record_much
 
 import rhi
-from rhi import CullMode, Format, LineWidth, Op, PolygonMode
-from rhi.conformance.shaders import Colored
+from rhi import CullMode, DepthTest, Format, LineWidth, Op, PolygonMode
+from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import BufferDescriptor, Stage, StageText
@@ -229,6 +229,26 @@ def test_a_trace_of_any_backend_replays_on_null(recordings: dict[str, Path], sou
     trace = load(recordings[source])
     with rhi.create_device("null") as device:
         assert replay(trace, on=device).commands == len(trace)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_values_passed_to_draws_replay_on_devices_of_coarser_alignment(tmp_path: Path, source: str) -> None:
+    """A device's own alignment may be 16 bytes, another's 256."""
+    with rhi.create_device(source, record=True) as device:
+        image, mesh = device.texture((4, 4), Format.RGBA8), device.mesh(rectangle())
+        tints = device.uniform_array(Tint, 3)
+        with device.render_pass(image), device.states(DepthTest.OFF):
+            for red in (0.25, 0.5):
+                device.draw(device.program(Tinted), mesh, tint=Tint(color=(red, 0, 0, 1)))
+            device.draw(device.program(Tinted), mesh, tint=tints[2])
+        device.present(image)
+        save(device, tmp_path / "t.zip")
+    trace = load(tmp_path / "t.zip", trusted=True)
+    for name in ("null", *TARGETS):
+        with rhi.create_device(name) as device:
+            replay(trace, on=device)
+    with rhi.create_device("null", profile="gl-4.5") as device:
+        replay(trace, on=device)
 
 
 def test_a_trace_has_texts_in_the_language_of_a_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

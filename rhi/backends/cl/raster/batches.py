@@ -33,13 +33,14 @@ from rhi.backends.cl.raster.kernel_structs import (
     EMPTY_BATCH,
     MAX_PLANES,
     TILE,
-    point_size_word,
+    varying_word,
     varying_words,
 )
 from rhi.backends.cl.raster.merger import MergerKey
 from rhi.backends.cl.raster.pass_surfaces import PassSurfaces
 from rhi.contract.descriptors import Interpolation
 
+_ONE_LAYER: Final = (-1,)
 _EDGES: Final = 3  # of a triangle
 _FIRST_GREATER: Final = 4  # the first comparison that greater depths pass, see merger.py
 
@@ -53,8 +54,9 @@ class BatchState:
         table: fields of the batch table, without what the launcher fills in.
         surfaces: the surfaces that the raster kernel draws into.
         `addresses`: the addresses of their memory.
-        merger_data: bytes that tell kernels the merger's key, where the surfaces begin in their memory and
-            what they are cleared to.
+        layers: the layers that its kernels run for, one after the other; −1 alone if they don't choose one.
+        merger_data: by layer, bytes that tell kernels the merger's key, where the surfaces begin in their
+            memory and what they are cleared to.
         bounds_depth: whether the key permits bounds of depth.
     """
 
@@ -62,6 +64,7 @@ class BatchState:
         "addresses",
         "bound",
         "bounds_depth",
+        "layers",
         "merger_data",
         "pipeline",
         "raster",
@@ -91,9 +94,14 @@ class BatchState:
         self.width = FIXED_COLUMNS + pipeline.starts[-1]
         surfaces = self.surfaces = target.surfaces_of(key)
         self.addresses = [surface.address for surface in surfaces] + [0] * (MAX_PLANES - len(surfaces))
-        layouts = array("Q", [word for surface in surfaces for word in surface.layout])
-        self.merger_data = key.words + layouts.tobytes() + b"".join([surface.pattern for surface in surfaces])
-        self.bounds_depth = key.bounds_depth
+        chooses = bool(target.layers) and table["target_layer"] >= 0
+        self.layers = tuple(range(target.layers)) if chooses else _ONE_LAYER
+        patterns = b"".join([surface.pattern for surface in surfaces])
+        self.merger_data = [
+            key.words + _pack_layouts([surface.layout_of(max(layer, 0)) for surface in surfaces]) + patterns
+            for layer in self.layers
+        ]
+        self.bounds_depth = key.bounds_depth and not target.layers
         self.table = table.copy()
         self.table["binding_words"] = pipeline.starts[-1] + streams
 
@@ -108,6 +116,10 @@ class BatchState:
         texture, depth = self.target.texture, self.target.depth
         surface = depth and (depth.address, depth.layout)
         return surface, bool(self.table["near_is_less"]), texture, texture and texture.changes
+
+
+def _pack_layouts(layouts: Iterable[tuple[int, int, int]]) -> bytes:
+    return array("Q", [word for layout in layouts for word in layout]).tobytes()
 
 
 def describe_batch(
@@ -129,7 +141,8 @@ def describe_batch(
         "near_is_less": key.depth_comparison < _FIRST_GREATER,
         "depth_step": key.depth_step,
         "varying_words": varying_words(pipeline.descriptor),
-        "point_size": point_size_word(pipeline.descriptor),
+        "point_size": varying_word(pipeline.descriptor, pipeline.descriptor.point_size),
+        "target_layer": varying_word(pipeline.descriptor, pipeline.descriptor.target_layer),
     }
 
 

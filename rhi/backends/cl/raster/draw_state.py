@@ -92,11 +92,17 @@ class DrawState:
             depth = self._make_surface(attachment, texture.levels, depth_clear(attachment, depth_format))
             if texture.stencil:
                 stencil = self._make_surface(attachment, texture.stencil, stencil_clear(attachment))
-        self.target = PassSurfaces(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
+        layers = self._count_layers(descriptor) if descriptor.is_layered else 0
+        self.target = PassSurfaces(descriptor.size, descriptor.samples, colors, depth, stencil, drawn, layers)
         self._formats = tuple(formats), depth_format
         self.ready_for = None
         surfaces = (*colors, depth, stencil)  # last, since what clears needs the target
         self.has_clears = any(surface is not None and surface.clear is not None for surface in surfaces)
+
+    def _count_layers(self, descriptor: PassDescriptor) -> int:
+        attachment = descriptor.colors[0] if descriptor.colors else descriptor.depth
+        assert attachment is not None
+        return self._textures[attachment.texture].levels[attachment.level].layers
 
     def _make_surface(
         self,

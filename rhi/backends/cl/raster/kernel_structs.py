@@ -66,8 +66,9 @@ BATCH_STRUCT: Final = np.dtype(
         ("near_is_less", "i4"),  # direction of the depth test
         ("bounded", "i4"),  # whether raster kernels left valid bounds of depth
         ("cleared", "i4"),  # surfaces with pending clears, as bits
-        # Words of a vertex's varyings; which of them is its point size, -1: none.
-        *_fields("varying_words point_size", "i4"),
+        # Words of a vertex's varyings; which of them is its point size and its target's layer, -1: none.
+        *_fields("varying_words point_size target_layer", "i4"),
+        ("layer", "i4"),  # the one that primitives are drawn to; -1: whatever theirs is
         ("depth_step", "f4"),  # difference between depths of the target's format; 0 for floats
     ],
     align=True,
@@ -149,10 +150,9 @@ def varying_words(descriptor: ProgramDescriptor) -> int:
     return -(-words // 4) * 4
 
 
-def point_size_word(descriptor: ProgramDescriptor) -> int:
-    """Return the word of the point size among a vertex's varyings, -1 if there is none."""
-    words = (varying.word for varying in descriptor.varyings if varying.name == descriptor.point_size)
-    return next(words, -1)
+def varying_word(descriptor: ProgramDescriptor, name: str) -> int:
+    """Return the first word of a varying among a vertex's varyings, -1 if there is none of this name."""
+    return next((varying.word for varying in descriptor.varyings if varying.name == name), -1)
 
 
 @cache

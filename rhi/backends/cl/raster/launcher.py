@@ -163,7 +163,8 @@ class Launcher:
         (count, vertex_groups, groups, draws), bound = piece
         if not groups:
             return None
-        tables = draws, bound, state.merger_data, views
+        merger_data = b"".join(state.merger_data)
+        tables = draws, bound, merger_data, views
         address = self._uploads.write(b"".join(tables))
         table = state.table
         table["draw_count"], table["vertex_groups"], table["vertex_chunk"] = (
@@ -195,7 +196,7 @@ class Launcher:
         table, vertex = state.table, state.vertex
         geometry = self.geometry
         queue = self._queue
-        tiles = int(table["tiles"])
+        tiles, merger = int(table["tiles"]), table["merger"]
         event = None
         for first in range(0, groups, slice_groups):
             end = min(first + slice_groups, groups)
@@ -205,16 +206,23 @@ class Launcher:
             table["chunk_groups"], table["chunks"] = chunk, chunks
             table["chunk_records"] = chunk * group_records
             table["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
+            table["layer"] = state.layers[0]
             batch = self._uploads.write(pack_batch(state.addresses, table))
             if first == 0:
                 if vertex.measure is not None and self._boxes.has_unmeasured:
                     vertex.measure.launch(queue, batch, int(table["draw_count"]))
                 vertex.transform.launch(queue, batch, -(-vertex_groups // _VERTEX_CHUNK))
-            geometry.set_up.launch(queue, batch, chunks)
-            if listed:
-                geometry.prefix.launch(queue, batch, 1)
-                geometry.scatter.launch(queue, batch, chunks)
-            event = state.raster.launch(queue, batch, tiles)
+            for index, layer in enumerate(state.layers):
+                if index:
+                    table["layer"] = layer
+                    table["merger"] = merger + index * len(state.merger_data[0])
+                    batch = self._uploads.write(pack_batch(state.addresses, table))
+                geometry.set_up.launch(queue, batch, chunks)
+                if listed:
+                    geometry.prefix.launch(queue, batch, 1)
+                    geometry.scatter.launch(queue, batch, chunks)
+                event = state.raster.launch(queue, batch, tiles)
+            table["merger"] = merger
             table["bounded"], table["cleared"] = state.leaves_bounds, 0
             for surface in state.surfaces:
                 surface.clear = None

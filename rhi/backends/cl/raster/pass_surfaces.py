@@ -18,7 +18,7 @@ import pyopencl as cl
 from rhi.backends.cl.memory.cl_textures import ClTexture
 from rhi.backends.cl.memory.planes import TexelPlane
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.contract.descriptors import Attachment, DepthAttachment
+from rhi.contract.descriptors import ALL_LAYERS, Attachment, DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode
 
@@ -27,7 +27,7 @@ PATTERN_BYTES: Final = 16
 
 
 class RenderSurface:
-    """A layer of a texture's plane, with all its samples.
+    """A layer of a texture's plane, with all its samples; or all layers, where `layout` is that of the first.
 
     Attributes:
         address: the address of the plane's memory.
@@ -36,14 +36,16 @@ class RenderSurface:
         clear: the texel of a pending clear, or None.
     """
 
-    __slots__ = ("_layer", "_plane", "_samples", "address", "clear", "layout")
+    __slots__ = ("_count", "_layer", "_plane", "address", "clear", "layout")
 
     def __init__(
         self, plane: TexelPlane, layer: int, samples: int, address: int, clear: bytes | None
     ) -> None:
+        """`layer`: −1 for all."""
         self._plane = plane
+        self._count = plane.layers if layer == ALL_LAYERS else samples
+        layer = max(layer, 0)
         self._layer = layer
-        self._samples = samples
         self.address = address
         self.layout = plane.start + layer * plane.layer_bytes, plane.pitch, plane.layer_bytes
         self.clear = clear
@@ -61,8 +63,13 @@ class RenderSurface:
             pyopencl.Error: the driver refused; the clear stays pending.
         """
         if self.clear is not None:
-            self._plane.fill(queue, self.clear, self._layer, self._samples)
+            self._plane.fill(queue, self.clear, self._layer, self._count)
             self.clear = None
+
+    def layout_of(self, layer: int) -> tuple[int, int, int]:
+        """Return `layout` of a layer, counted from the surface's first."""
+        start, pitch, layer_bytes = self.layout
+        return start + layer * layer_bytes, pitch, layer_bytes
 
 
 class PassSurfaces:
@@ -73,9 +80,10 @@ class PassSurfaces:
         colors: color surfaces by location.
         depth, stencil: None if the pass has none.
         texture: the texture that depth and stencil belong to.
+        layers: the number of layers of a pass on all layers; 0 for other passes.
     """
 
-    __slots__ = ("colors", "depth", "samples", "size", "stencil", "texture")
+    __slots__ = ("colors", "depth", "layers", "samples", "size", "stencil", "texture")
 
     def __init__(
         self,
@@ -85,6 +93,7 @@ class PassSurfaces:
         depth: RenderSurface | None,
         stencil: RenderSurface | None,
         texture: ClTexture | None,
+        layers: int,
     ) -> None:
         self.size = size
         self.samples = samples
@@ -92,6 +101,7 @@ class PassSurfaces:
         self.depth = depth
         self.stencil = stencil
         self.texture = texture
+        self.layers = layers
 
     def surfaces_of(self, key: MergerKey) -> list[RenderSurface]:
         """Return the surfaces that a raster kernel takes, in its order."""

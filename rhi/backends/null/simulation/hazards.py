@@ -30,6 +30,7 @@ from rhi.commands.context import StreamContext
 from rhi.commands.ops import CREATIONS, ID_ARGUMENTS, Op
 from rhi.commands.stream import call_site_at
 from rhi.contract.descriptors import (
+    ALL_LAYERS,
     DRAW,
     Attachment,
     BindingKind,
@@ -521,7 +522,9 @@ class HazardTracker:
         ):
             written.append(Attachment(depth.texture, depth.level, depth.layer))
         for target in written:
-            same = level in (None, target.level) and layer in (-1, target.layer)
+            same = level in (None, target.level) and (
+                ALL_LAYERS in (layer, target.layer) or layer == target.layer
+            )
             if target.texture == texture and same:
                 self._report(HazardKind.PASS_FEEDBACK, texture, self._pass_use, use, happened=True)
                 return

@@ -74,6 +74,38 @@ def test_a_texture_with_several_layers_is_a_target_by_one_layer(
         recording.render_pass(single)
 
 
+def test_all_layers_are_those_of_all_targets_of_one_kind(recording: rhi.Device) -> None:
+    arrays, cube = rhi.TextureKind.D2_ARRAY, rhi.TextureKind.CUBE
+    with (
+        recording.texture(SIZE, rhi.Format.RGBA8, kind=arrays, layers=6) as image,
+        recording.texture(SIZE, rhi.Format.D32F, kind=arrays, layers=6) as depth,
+        recording.texture(SIZE, rhi.Format.D32F, kind=arrays, layers=5) as fewer,
+        recording.texture(SIZE, rhi.Format.D32F, kind=cube, layers=6) as other,
+        recording.texture(SIZE, rhi.Format.RGBA8) as flat,
+    ):
+        colors = image.at(layer=None)
+        for target in (fewer.at(layer=None), other.at(layer=None), depth.at(), depth.at(layer=3)):
+            with refuses(rules.PASS_TARGET, recording):
+                recording.render_pass(colors, target)
+        for target in (flat.at(layer=None), [colors, image.at(layer=1)], [image.at(), colors]):
+            with refuses(rules.PASS_TARGET, recording):
+                recording.render_pass(target)
+        with recording.render_pass(colors, depth.at(layer=None), clear=(1, 0, 0, 1), clear_depth=0.0):
+            pass
+        assert (image.read_layers() == (255, 0, 0, 255)).all()
+
+
+def test_a_device_without_layered_rendering_names_the_loop() -> None:
+    with rhi.create_device("null", profile="webgpu") as device:
+        cube = device.texture(SIZE, rhi.Format.RGBA8, kind=rhi.TextureKind.CUBE)
+        with pytest.raises(
+            rhi.ValidationError, match=r"a pass for each layer: texture\.at\(layer=…\)"
+        ) as refused:
+            device.render_pass(cube.at(layer=None))
+        assert refused.value.rule is rules.DEVICE_CAPABILITY
+        device.render_pass(cube.at(layer=3))
+
+
 def test_samples_are_resolved_to_a_texture_with_one_layer(recording: rhi.Device) -> None:
     with recording.texture(SIZE, rhi.Format.RGBA8, samples=2) as image:
         for layers, fits in ((1, True), (2, False)):

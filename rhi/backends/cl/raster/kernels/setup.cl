@@ -402,6 +402,18 @@ bool set_up_clipped(
     return true;
 }
 
+// Return the layer of its target that a vertex chooses.
+INLINE int load_layer(global const Batch *batch, uint slot) {
+    return AT(const int, batch->varyings)[(long)slot * batch->varying_words + batch->target_layer];
+}
+
+// Return which of 16 primitives the batch's layer has: those whose first corner chooses it.
+INLINE int16 select_layer(global const Batch *batch, global const uint *corners, int to_slot) {
+    int layers[GROUP];
+    UNROLL_FOR (int i = 0; i < GROUP; ++i) layers[i] = load_layer(batch, corners[3 * i] + (uint)to_slot);
+    return vload16(0, layers) == batch->layer;
+}
+
 // Add a record to the counts of the tiles that its box touches.
 INLINE void count_tiles(global uint *counts, int tiles_x, uint box) {
     const int x0 = box & 255u, y0 = box >> 8 & 255u, x1 = box >> 16 & 255u, y1 = box >> 24;
@@ -447,8 +459,14 @@ NOINLINE int set_up_points(
     const int16 first_x = max(left, view->box[0]), last_x = min(right, view->box[2]);
     const int16 first_y = max(top, view->box[1]), last_y = min(bottom, view->box[3]);
     // Points whose centres lie outside of the view are dropped, as are all those without a window position.
+    int16 present = LANES <= last;
+    if (batch->layer >= 0) {
+        int layers[GROUP];
+        UNROLL_FOR (int i = 0; i < GROUP; ++i) layers[i] = load_layer(batch, slots[i]);
+        present &= vload16(0, layers) == batch->layer;
+    }
     uint survivors = bits_of(
-        (LANES <= last) & (inverse_w >= 0.0f) & (fabs(wide) <= w) & (fabs(high) <= w) & (first_x <= last_x) &
+        present & (inverse_w >= 0.0f) & (fabs(wide) <= w) & (fabs(high) <= w) & (first_x <= last_x) &
         (first_y <= last_y)
     );
     if (!survivors) return record_index;
@@ -603,6 +621,7 @@ SINGLE set_up(ulong address) {
             LOAD_POSITIONS(2)
 
             int16 present = LANES <= last;
+            if (batch->layer >= 0) present &= select_layer(batch, corners, to_slot);
             int16 unfit = (inverse_w[0] < 0.0f) | (inverse_w[1] < 0.0f) | (inverse_w[2] < 0.0f);
             int16 hidden = (inverse_w[0] < 0.0f) & (inverse_w[1] < 0.0f) & (inverse_w[2] < 0.0f) &
                 ((x[0] & x[1] & x[2]) != 0);
