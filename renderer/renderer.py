@@ -42,7 +42,7 @@ from renderer.frame.scene_images import SceneImages
 from renderer.scene import Camera, Projection, Scene, Simulator
 from renderer.scene.catch_up import count_steps
 from renderer.scene.finite import check_finite, check_time
-from renderer.shadows import ShadowMaps, shadow_passes
+from renderer.shadows import ShadowFilter, ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, eye_image_size
 from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.techniques.inspection import Inspection
@@ -587,6 +587,7 @@ class Renderer:
         shows_objects: bool | None = None,
     ) -> FrameEffects:
         resources = self._resources
+        maps = resources.existing_workspace(ShadowMaps)
         self._effects = collect_frame_effects(
             self.scene,
             camera,
@@ -594,6 +595,7 @@ class Renderer:
             blending=self.blending,
             bloom=self.bloom,
             occlusion=self.occlusion,
+            filters_penumbras=maps is not None and maps.settings.filter is ShadowFilter.PCSS,
             visible_features=recent_features,
             shows_objects=shows_objects,
             lights=resources.lights,

@@ -142,6 +142,13 @@ def draw_all(device: rhi.Device, folder: Path) -> None:
     write_image(folder / "shadow-filters.png", filters)
     biased = [render(device, static, eye, SMALL, replace(near, bias=bias))[0] for bias in (0.0, 1.0)]
     write_image(folder / "shadow-bias.webp", arrange(biased))
+    static.lights.directional["angular_diameter"] = 0.15
+    fine = replace(near, cascade_size=1024)
+    soft = [
+        render(device, static, eye, SMALL, replace(fine, filter=shadow_filter))[0]
+        for shadow_filter in (ShadowFilter.SMOOTH, ShadowFilter.PCSS)
+    ]
+    write_image(folder / "shadow-penumbras.webp", arrange(soft))
 
     city = load_scene("city:blocks=8,shadows=1")
     street = [

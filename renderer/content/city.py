@@ -23,11 +23,13 @@ from renderer.content.specs import (
     OCCLUSION,
     SEED,
     SHADOWS,
+    SUN_DEGREES,
     Generator,
     Option,
     add_fog_and_bloom,
     add_occlusion,
     cast_shadows,
+    widen_sun,
 )
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
 from renderer.scene.arrays import Floats, Indices
@@ -88,6 +90,7 @@ def make_city(
     fog: float = 0.0,
     bloom: float = 0.0,
     occlusion: float = 0.0,
+    sun_degrees: float = 0.0,
 ) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies
     everything."""
@@ -99,6 +102,7 @@ def make_city(
         cast_shadows(builder)
     add_fog_and_bloom(builder, fog, bloom, builder.background, 0.05)
     add_occlusion(builder, occlusion)
+    widen_sun(builder, sun_degrees)
     return builder.build()
 
 
@@ -151,6 +155,7 @@ CITY: Final = Generator(
         FOG,
         BLOOM,
         OCCLUSION,
+        SUN_DEGREES,
     ),
     make_city,
 )

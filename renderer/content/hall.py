@@ -24,11 +24,13 @@ from renderer.content.specs import (
     OCCLUSION,
     SEED,
     SHADOWS,
+    SUN_DEGREES,
     Generator,
     Option,
     add_fog_and_bloom,
     add_occlusion,
     cast_shadows,
+    widen_sun,
 )
 from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Indices
@@ -91,6 +93,7 @@ def make_hall(
     fog: float = 0.0,
     bloom: float = 0.0,
     occlusion: float = 0.0,
+    sun_degrees: float = 0.0,
 ) -> Scene:
     """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle
     aisle and `cloths` banners between its columns, lit by its bulbs, or by `lights` coloured lights among the
@@ -124,6 +127,7 @@ def make_hall(
         cast_shadows(builder)
     add_fog_and_bloom(builder, fog, bloom, (0.16, 0.13, 0.10), 0.4)
     add_occlusion(builder, occlusion)
+    widen_sun(builder, sun_degrees)
     return builder.build()
 
 
@@ -153,6 +157,7 @@ HALL: Final = Generator(
         FOG,
         BLOOM,
         OCCLUSION,
+        SUN_DEGREES,
     ),
     make_hall,
 )

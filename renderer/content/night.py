@@ -21,11 +21,13 @@ from renderer.content.specs import (
     OCCLUSION,
     SEED,
     SHADOWS,
+    SUN_DEGREES,
     Generator,
     Option,
     add_fog_and_bloom,
     add_occlusion,
     cast_shadows,
+    widen_sun,
 )
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Indices
@@ -85,6 +87,7 @@ def make_night(
     fog: float = 0.0,
     bloom: float = 0.0,
     occlusion: float = 0.0,
+    sun_degrees: float = 0.0,
 ) -> Scene:
     """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun
     shines."""
@@ -120,6 +123,7 @@ def make_night(
         cast_shadows(builder)
     add_fog_and_bloom(builder, fog, bloom, builder.background if sun else _LIT_FOG, 0.05)
     add_occlusion(builder, occlusion)
+    widen_sun(builder, sun_degrees)
     return builder.build()
 
 
@@ -136,6 +140,7 @@ NIGHT: Final = Generator(
         FOG,
         BLOOM,
         OCCLUSION,
+        SUN_DEGREES,
     ),
     make_night,
 )

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from renderer import rules
 from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.fog_and_bloom import Bloom, Fog
@@ -98,6 +100,15 @@ BLOOM: Final = Option("bloom", 0.0, "share of all light that is scattered in the
 OCCLUSION: Final = Option(
     "occlusion", 0.0, "metres within which surfaces take ambient light from each other", 0.0, 100.0
 )
+
+SUN_DEGREES: Final = Option("sun_degrees", 0.0, "angle that the sun or the moon fills, in degrees", 0.0, 90.0)
+
+
+def widen_sun(builder: SceneBuilder, degrees: float) -> None:
+    """Give a scene's directional lights sources of this size unless it is 0; its name then says so."""
+    if degrees:
+        builder.lights.directional["angular_diameter"] = np.radians(degrees)
+        builder.name += f",sun_degrees={degrees:g}"
 
 
 def add_occlusion(builder: SceneBuilder, radius: float) -> None:

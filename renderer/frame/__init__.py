@@ -7,6 +7,7 @@ from renderer.frame.drawing import choose_program as choose_program
 from renderer.frame.effects import EXACT_BLOOM as EXACT_BLOOM
 from renderer.frame.effects import LIGHT_FORMATS as LIGHT_FORMATS
 from renderer.frame.effects import LOCAL_LIGHTS as LOCAL_LIGHTS
+from renderer.frame.effects import PENUMBRA_EFFECTS as PENUMBRA_EFFECTS
 from renderer.frame.effects import SHADOW_EFFECTS as SHADOW_EFFECTS
 from renderer.frame.effects import Blending as Blending
 from renderer.frame.effects import BloomSettings as BloomSettings

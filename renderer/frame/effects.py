@@ -66,6 +66,8 @@ class Effect(Choice):
     DIRECTIONAL_SHADOWS = "shadows of directional lights"
     for shadow_kind in LOCAL_LIGHT_KINDS:
         vars()[f"{shadow_kind.name.upper()}_SHADOWS"] = f"shadows of {shadow_kind.noun}s"
+    DIRECTIONAL_PENUMBRAS = "penumbras of directional lights"
+    LOCAL_PENUMBRAS = "penumbras of local lights"
     TRANSPARENCY = "transparency"
     HEIGHT_FIELDS = "height fields"
 
@@ -94,6 +96,9 @@ LOCAL_LIGHTS: Final = {
 """The effects of the lights with a position, in the order of the table of kinds."""
 SHADOW_EFFECTS: Final = (Effect.DIRECTIONAL_SHADOWS, *(row.shadows for row in LOCAL_LIGHTS.values()))
 """The shadows of each kind of light."""
+
+PENUMBRA_EFFECTS: Final = (Effect.DIRECTIONAL_PENUMBRAS, Effect.LOCAL_PENUMBRAS)
+"""The shadows of lights whose sources have a size, where the filter is `ShadowFilter.PCSS`."""
 
 
 class Blending(Choice):
@@ -183,6 +188,14 @@ _NOUNS: Final = {
         "directional light that casts shadows",
         "directional lights that cast shadows",
     ),
+    Effect.DIRECTIONAL_PENUMBRAS: (
+        "directional light with a size that casts shadows",
+        "directional lights with a size that cast shadows",
+    ),
+    Effect.LOCAL_PENUMBRAS: (
+        "local light with a radius that casts shadows",
+        "local lights with a radius that cast shadows",
+    ),
 }
 for _effect, _row in LOCAL_LIGHTS.items():
     _noun = _row.kind.noun
@@ -230,6 +243,7 @@ class FrameEffects:
         bloom: how bloom is made.
         has_bloom: whether the scene has bloom, whatever shines in it.
         occlusion: how exactly ambient occlusion is computed.
+        filters_penumbras: whether shadows are as soft as the sizes of sources make them.
         shaders: those that the scene's materials have of their own.
         layers_format: the format that transparent objects are added up in; None if they are blended to the
             image itself.
@@ -248,6 +262,7 @@ class FrameEffects:
     bloom: BloomSettings
     has_bloom: bool
     occlusion: OcclusionSettings
+    filters_penumbras: bool
     shaders: tuple[type[Any], ...]
     sources: EffectSources
     visible_features: frozenset[str]
@@ -319,6 +334,8 @@ class FrameEffects:
             return self._explain_bloom(count)
         if effect is Effect.AMBIENT_OCCLUSION:
             return self._explain_occlusion(count)
+        if effect in PENUMBRA_EFFECTS and not self.filters_penumbras:
+            return "the filter of shadows isn't PCSS"
         noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
@@ -362,6 +379,7 @@ def collect_frame_effects(
     blending: Blending = Blending.SORTED,
     bloom: BloomSettings = EXACT_BLOOM,
     occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
+    filters_penumbras: bool = False,
     visible_features: frozenset[str] | None = None,
     shows_objects: bool | None = None,
     lights: Lights | None = None,
@@ -375,6 +393,7 @@ def collect_frame_effects(
         blending: how transparent surfaces are to be put together.
         bloom: how bloom is to be made.
         occlusion: how ambient occlusion is to be computed.
+        filters_penumbras: whether shadows are to be as soft as the sizes of sources make them.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
         shows_objects: whether any object is in view, on which shadows of the sun could fall; None to look.
@@ -393,12 +412,13 @@ def collect_frame_effects(
     in_view, air, has_fogged_sky = _look(scene, camera, sources, reaches)
     if (
         last is not None
-        and (sources, blending, bloom, occlusion, visible_features, shows_objects)
+        and (sources, blending, bloom, occlusion, filters_penumbras, visible_features, shows_objects)
         == (
             last.sources,
             last.blending,
             last.bloom,
             last.occlusion,
+            last.filters_penumbras,
             last.visible_features,
             last.shows_objects,
         )
@@ -413,9 +433,17 @@ def collect_frame_effects(
             if sources.counts[row.shadows]
             else _NONE
         )
+    in_view[Effect.LOCAL_PENUMBRAS] = np.concatenate(
+        [
+            np.intersect1d(in_view[row.shadows], in_view[row.spheres], assume_unique=True)
+            for row in LOCAL_LIGHTS.values()
+        ]
+    )
     hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)} | air
+    if not filters_penumbras:
+        hidden |= {*PENUMBRA_EFFECTS}
     if not shows_objects:
-        hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.AMBIENT_OCCLUSION}
+        hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS, Effect.AMBIENT_OCCLUSION}
     hidden |= {
         _EFFECTS[name]
         for name in (*sources.features, "bloom")
@@ -432,6 +460,7 @@ def collect_frame_effects(
         bloom,
         scene.bloom is not None,
         occlusion,
+        filters_penumbras,
         sources.shaders,
         sources,
         visible_features,
@@ -533,6 +562,10 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.TRANSPARENCY: len(scene.list_transparent()),
         Effect.HEIGHT_FIELDS: len(height_fields),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
+        Effect.DIRECTIONAL_PENUMBRAS: _count_casting(
+            scene, lights.directional[lights.directional["angular_diameter"] > 0.0]
+        ),
+        Effect.LOCAL_PENUMBRAS: 0,
         **{_EFFECTS[name]: count for name, count in features.items()},
     }
     local_lights = []
@@ -541,6 +574,8 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         counts[effect] = len(lights_of_kind)
         counts[row.shadows] = _count_casting(scene, lights_of_kind)
         counts[row.spheres] = int(np.count_nonzero(lights_of_kind["source_radius"]))
+        spheres = lights_of_kind[lights_of_kind["source_radius"] > 0.0]
+        counts[Effect.LOCAL_PENUMBRAS] += _count_casting(scene, spheres)
         local_lights.append((lights_of_kind["position"].copy(), lights_of_kind["range"].astype(np.float64)))
     shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)
     layers = TransparentLayers.count(scene)

@@ -37,6 +37,7 @@ from renderer.frame.mirrors import (
 )
 from renderer.frame.scene_images import SAMPLER_DEFAULTS, SceneImages, TextureSettings
 from renderer.light_kinds.bounds import BOUND_FIELDS
+from renderer.light_kinds.directional import pack_directional
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.lights.object_lists import list_lights
@@ -279,6 +280,10 @@ class SceneResources:
         destroyed with the resources. What depends on the camera belongs to its view (`View.workspace`)."""
         return self._workspaces.get_or_create(kind)
 
+    def existing_workspace(self, kind: Callable[[Device], R]) -> R | None:
+        """The state that `workspace` created, None if it wasn't."""
+        return self._workspaces.get(kind)
+
     def release(self, kind: Callable[[Device], Releasable]) -> None:
         """Release a workspace, if it exists: it destroys what it can create again."""
         workspace = self._workspaces.get(kind)
@@ -457,7 +462,7 @@ class SceneResources:
         following = scene.objects.following_indices  # others that move are simulated before they are drawn
         self._transform(following)
         if self._listed_from is not lights.snapshot:
-            self.directional.write(lights.directional)
+            self.directional.write(pack_directional(lights.directional))
         has_others = False
         if self._material_version != scene.material_version:
             self._material_version = scene.material_version

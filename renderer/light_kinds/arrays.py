@@ -17,7 +17,9 @@ from rhi.math.arguments import read_floats
 
 _ROUNDING: Final = 2.0**-23  # of a unit vector's components in float32
 _OFF_UNIT: Final = 1e-3  # by so much the light of a direction may be off before it shows
-_NON_NEGATIVE: Final = ("range", "color", "intensity", "source_radius")  # 0 or more
+_NON_NEGATIVE: Final = ("range", "color", "intensity", "source_radius", "angular_diameter")  # 0 or more
+WIDEST_SOURCE: Final = float(np.float32(np.pi / 2))
+"""The largest angle in radians that the source of a directional light fills."""
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
@@ -77,8 +79,8 @@ def count_positions(call: str, position: ArrayLike) -> int:
 def _check_related_fields(
     call: str, fields: Container[str], values: Mapping[str, Any] | NDArray[Any]
 ) -> None:
-    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, and radii of sources (k,) above the ranges: a
-    light ends at its range from the centre."""
+    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, sources (k,) that are too wide, and radii of
+    sources (k,) above the ranges: a light ends at its range from the centre."""
     columns: Any = values
     if "source_radius" in fields:
         radii, ranges = columns["source_radius"], columns["range"]
@@ -87,6 +89,12 @@ def _check_related_fields(
             value = _describe(allowed, lambda index: f"source_radius={radii[index]}, range={ranges[index]}")
             tip = "let the light reach farther than its source"
             refuse(rules.BAD_LIGHT, call, value, "source_radius <= range", tip)
+    if "angular_diameter" in fields:
+        diameters = columns["angular_diameter"]
+        allowed = diameters <= WIDEST_SOURCE
+        if not allowed.all():
+            value = _describe(allowed, lambda index: f"angular_diameter={diameters[index]}")
+            refuse(rules.BAD_LIGHT, call, value, "0 <= angular_diameter <= pi / 2", "give it in radians")
     if "inner" in fields:
         low, high = columns["inner"], columns["outer"]
         allowed = (low >= 0.0) & (low <= high) & (high <= np.float32(np.pi))

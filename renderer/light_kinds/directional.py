@@ -1,4 +1,5 @@
-"""Directional lights: light from infinitely far away, such as the sun's, equal everywhere."""
+"""Directional lights: light from infinitely far away, such as the sun's, equal everywhere. Its source is a point,
+or a disc of `angular_diameter` radians."""
 
 from __future__ import annotations
 
@@ -14,14 +15,18 @@ from renderer.light_kinds.incidence import Incidence
 from renderer.light_kinds.kind import GltfMapping, LightKind
 from rhi.shading import Struct, function, uint, vec3
 
-DIRECTIONAL: Final = np.dtype(
+PACKED_DIRECTIONAL: Final = np.dtype(
     [("direction", "<f4", 3), ("intensity", "<f4"), ("color", "<f4", 3), ("casts_shadow", "<u4")]
 )
-"""32 bytes. `direction` is the unit vector along which the light travels; `casts_shadow` is 0 or 1."""
+"""32 bytes, std430 without padding."""
+
+DIRECTIONAL: Final = np.dtype([*PACKED_DIRECTIONAL.descr, ("angular_diameter", "<f4")])
+"""`direction` is the unit vector along which the light travels, `casts_shadow` is 0 or 1, and `angular_diameter`
+the angle in radians that the source fills."""
 
 
 class DirectionalLight(Struct):
-    """A directional light, laid out as `DIRECTIONAL`; it travels along the unit vector `direction`.
+    """A directional light, laid out as `PACKED_DIRECTIONAL`; it travels along the unit vector `direction`.
     `casts_shadow` is 0 or 1."""
 
     direction: vec3
@@ -34,6 +39,14 @@ class DirectionalLight(Struct):
 def directional_incidence(light: DirectionalLight) -> Incidence:
     """The light of a directional light that arrives anywhere."""
     return Incidence(direction=-light.direction, irradiance=light.color * light.intensity)
+
+
+def pack_directional(lights: NDArray[Any]) -> NDArray[Any]:
+    """Directional lights (k,) as shaders read them."""
+    packed = np.zeros(len(lights), PACKED_DIRECTIONAL)
+    for name in PACKED_DIRECTIONAL.names or ():
+        packed[name] = lights[name]
+    return packed
 
 
 KIND: Final = LightKind(
@@ -59,7 +72,10 @@ class DirectionalLights(LightArrays):
         color: Sequence[float] = (1, 1, 1),
         intensity: float = 1.0,
         casts_shadow: bool = False,
+        angular_diameter: float = 0.0,
     ) -> int:
-        """Add light that travels along `direction`; returns its index."""
+        """Add light that travels along `direction`, from a source that fills an angle of at most π/2 radians;
+        returns its index."""
         values: dict[str, ArrayLike] = {"direction": direction, "color": color, "intensity": intensity}
+        values["angular_diameter"] = angular_diameter
         return int(self._add("directional", "add_directional", 1, casts_shadow, **values)[0])

@@ -6,6 +6,7 @@ moved = scene.update(seconds=10.0)
 """
 
 from renderer.light_kinds.directional import DIRECTIONAL as DIRECTIONAL
+from renderer.light_kinds.directional import PACKED_DIRECTIONAL as PACKED_DIRECTIONAL
 from renderer.light_kinds.point import POINT as POINT
 from renderer.light_kinds.point import RELATIVE_POINT as RELATIVE_POINT
 from renderer.light_kinds.spot import RELATIVE_SPOT as RELATIVE_SPOT

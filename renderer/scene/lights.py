@@ -63,6 +63,16 @@ class Lights(AllLightArrays):
         """The number of lights that have a position."""
         return sum(len(self.of_kind(kind)) for kind in LOCAL_LIGHT_KINDS)
 
+    @property
+    def has_wide_shadows(self) -> bool:
+        """True if any light casts shadows from a source that has a size."""
+        return bool(
+            (self.directional["casts_shadow"] & (self.directional["angular_diameter"] > 0.0)).any()
+        ) or any(
+            bool((lights["casts_shadow"] & (lights["source_radius"] > 0.0)).any())
+            for lights in map(self.of_kind, LOCAL_LIGHT_KINDS)
+        )
+
     def refresh(self) -> None:
         """Update `snapshot` if lights have changed."""
         snapshot = tuple([getattr(self, name).tobytes() for name in KIND_NAMES])

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from renderer.shadows.shadow_settings import ShadowSettings
 _BORDER = 4
 """The border in texels at each side of a map, where no point is looked up: filters read it, and the middle is
 moved by up to one texel."""
+
+CASCADE_MARGIN: Final = 1 / 16
+"""The border of a map at each side, in its width, where penumbras are read."""
 
 _MAX_ROUNDING = 0.02
 """The greatest error of depths in a map, in texels. It bounds the depth range of the map."""
@@ -52,6 +56,7 @@ class Cascade:
         inner: how far from the middle, in metres to each side, points may be that are looked up.
         shelf: a coordinate along the axis towards the light, in metres from the world's origin: above the
             slice, and far below the near plane.
+        source: the tangent of half the angle that the light's source fills, of which penumbras are filtered.
     """
 
     camera: Camera
@@ -59,6 +64,7 @@ class Cascade:
     length: float
     inner: float
     shelf: float
+    source: float = 0.0
 
     @property
     def top(self) -> float:
@@ -137,12 +143,15 @@ def fit_cascades(
     settings: ShadowSettings,
     top: float,
     depth: tuple[float, float],
+    *,
+    source: float = 0.0,
 ) -> list[Cascade]:
     """Return the cascades of a light along `direction` for the views of a frame.
 
     Args:
         top: how far against `direction` from the world's origin casters reach, in metres.
         depth: the least and the greatest distance of what parallel views may show.
+        source: the tangent of half the angle that the light's source fills, of which penumbras are filtered.
     """
     spheres = []
     for camera in cameras:
@@ -157,16 +166,19 @@ def fit_cascades(
     middle = centres.mean(0)
     radius = (np.linalg.norm(centres - middle, axis=2) + radii).max(0)
     axes = Camera.look_at((0, 0, 0), direction).rotation
+    size = settings.cascade_size
+    border = min(_BORDER, (size - 1) // 4)
+    if source > 0.0:
+        border = max(border, int(CASCADE_MARGIN * size))
     return [
-        _fit_cascade(centre, axes, float(slice_radius), settings.cascade_size, top)
+        replace(_fit_cascade(centre, axes, float(slice_radius), size, border, top), source=source)
         for centre, slice_radius in zip(middle, radius, strict=True)
     ]
 
 
-def _fit_cascade(centre: Floats, axes: Floats, radius: float, size: int, top: float) -> Cascade:
+def _fit_cascade(centre: Floats, axes: Floats, radius: float, size: int, border: int, top: float) -> Cascade:
     step = 2.0 ** np.floor(np.log2(radius)) / _STEPS
     radius = float(np.ceil(radius / step * (1.0 + 1e-9)) * step)
-    border = min(_BORDER, (size - 1) // 4)
     texel = 2.0 * radius / (size - 2 * border)
     position = axes @ centre
     position[:2] = np.floor(position[:2] / texel) * texel

@@ -21,6 +21,10 @@ NEAR: Final = 1e-6
 """The near plane of maps, in ranges of their light. Reversed depth in floats is as fine wherever it is."""
 
 _BORDER: Final = 3  # texels at each side beyond the light, which filters read
+
+LOCAL_MARGIN: Final = 1 / 8
+"""The border of a map at each side beyond the light, in its width, where penumbras are read."""
+
 _DIRECTIONS: Final = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 FACES: Final = tuple(Camera.look_at((0, 0, 0), direction).rotation for direction in _DIRECTIONS)
 """The axes of the faces of a cube, in the order in which shaders number them."""
@@ -31,17 +35,22 @@ def is_cube(kind: LocalLightKind, light: Any) -> bool:
     return bool(np.isnan(kind.half_angle(light)))
 
 
-def texels_per_tangent(kind: LocalLightKind, light: Any, size: int) -> float:
-    """Return the number of texels, in a map of `size`, per unit of the tangent of the angle to its axis."""
+def texels_per_tangent(kind: LocalLightKind, light: Any, size: int, *, has_penumbras: bool = False) -> float:
+    """Return the number of texels, in a map of `size`, per unit of the tangent of the angle to its axis. If the
+    light `has_penumbras`, filters reach as far as these may be wide."""
     half_angle = kind.half_angle(light)
     tangent = 1.0 if np.isnan(half_angle) else max(float(np.tan(half_angle)), 1e-4)
-    return 0.5 * (size - 2 * min(_BORDER, (size - 1) // 4)) / tangent
+    border = min(_BORDER, (size - 1) // 4)
+    if has_penumbras:
+        border = max(border, int(LOCAL_MARGIN * size))
+    return 0.5 * (size - 2 * border) / tangent
 
 
-def map_cameras(kind: LocalLightKind, light: Any, size: int) -> list[Camera]:
+def map_cameras(kind: LocalLightKind, light: Any, size: int, *, has_penumbras: bool = False) -> list[Camera]:
     """Return the cameras of the maps of a light, each `size` texels wide."""
+    texels = texels_per_tangent(kind, light, size, has_penumbras=has_penumbras)
     projection = Perspective(
-        fov=2.0 * float(np.arctan(0.5 * size / texels_per_tangent(kind, light, size))),
+        fov=2.0 * float(np.arctan(0.5 * size / texels)),
         aspect=1.0,
         near=max(NEAR * float(light["range"]), 1e-30),
     )

@@ -31,7 +31,7 @@ from renderer.shadows.local_light_maps import (
     texels_per_tangent,
 )
 from renderer.shadows.receiver import MAX_CASCADES
-from renderer.shadows.shadow_settings import ShadowSettings
+from renderer.shadows.shadow_settings import ShadowFilter, ShadowSettings
 from renderer.visibility.boxes.volumes import select_inside
 
 DIRECTIONAL: Final = "directional"
@@ -117,6 +117,7 @@ class MapPlanner:
         self.without_room: list[tuple[str, int]] = []
         self.skipped: list[tuple[MapKey, str]] = []
         self._settings = settings
+        self._has_penumbras = settings.filter is ShadowFilter.PCSS
         self._faces: dict[tuple[str, int], LocalLightMaps] = {}
 
     def plan_maps(
@@ -149,9 +150,13 @@ class MapPlanner:
         for light_index in rows:
             direction = lights["direction"][light_index].astype(np.float64)
             axes = Camera.look_at((0, 0, 0), direction).rotation
+            source = 0.0
+            if self._has_penumbras:
+                source = float(np.tan(0.5 * lights["angular_diameter"][light_index].astype(np.float64)))
             boxes = self.casters.rotate_casters(light_index, axes)
             receivers = rotate_boxes(scene, visible, axes)
-            for part, cascade in enumerate(fit_cascades(cameras, direction, settings, boxes.top, depth)):
+            cascades = fit_cascades(cameras, direction, settings, boxes.top, depth, source=source)
+            for part, cascade in enumerate(cascades):
                 key, casters = (DIRECTIONAL, light_index, part), boxes.select_casters(cascade, receivers)
                 if casters is None or not len(casters):
                     reason = "nothing visible is in it" if casters is None else "no caster is in it"
@@ -262,7 +267,8 @@ class MapPlanner:
         key = (light.light.tobytes(), width, static.tobytes())
         faces = self._faces.get(name)
         if faces is None or faces.key != key:
-            aimed = map_cameras(light.kind, light.light, width)
+            has_penumbras = self._has_penumbras and bool(light.light["source_radius"] > 0.0)
+            aimed = map_cameras(light.kind, light.light, width, has_penumbras=has_penumbras)
             planes = np.stack([camera.frustum.planes for camera in aimed])
             maps = [
                 RequiredMap.make(
@@ -273,9 +279,8 @@ class MapPlanner:
                 )
                 for part, camera in enumerate(aimed)
             ]
-            faces = self._faces[name] = LocalLightMaps(
-                key, width, aimed, planes, maps, texels_per_tangent(light.kind, light.light, width)
-            )
+            scale = texels_per_tangent(light.kind, light.light, width, has_penumbras=has_penumbras)
+            faces = self._faces[name] = LocalLightMaps(key, width, aimed, planes, maps, scale)
         return faces
 
 

@@ -30,6 +30,7 @@ from renderer.frame import (
     LOCAL_LIGHTS,
     SHADOW_EFFECTS,
     BoundProgram,
+    Effect,
     Frame,
     FrameEffects,
     FramePass,
@@ -227,9 +228,11 @@ class ShadowMaps:
         self._local_light_textures = {  # by what binds them
             "shadow_slots": MirroredTable(device, Format.R32I, "shadow slots"),
             "local_shadow_maps": MirroredTable(device, Format.RGBA32F, "local shadow maps"),
+            "shadow_sources": MirroredTable(device, Format.R32F, "shadow sources"),
         }
         self._placements = 0  # how often a tile was given to a map
         self._written: tuple[object, ...] = ()  # what the table of local lights was written from
+        self._written_sources = b""  # what the radii of sources were written from
         self._frame = 0
         self._sun_tables: list[MirroredValue[CascadeTable]] = []  # of the eyes that there have been
         self._casting: tuple[bytes, ...] = ()  # of the lights of each kind, which ones cast shadows
@@ -276,6 +279,11 @@ class ShadowMaps:
         return self._local_light_textures["local_shadow_maps"].texture
 
     @property
+    def shadow_sources(self) -> Texture | None:
+        """The radius in metres of the source of each local light; None if no penumbra is filtered."""
+        return self._local_light_textures["shadow_sources"].texture
+
+    @property
     def compared_atlas(self) -> TextureBinding:
         """The texture with all maps, sampled by comparison with a depth."""
         return self.atlas.sampled(_COMPARING)
@@ -311,6 +319,7 @@ class ShadowMaps:
         self._draw(frame, self._decide(scene, required), bind_programs)
         self.aim(frame.camera)
         self._write_local_lights(resources.lights, frame.effects)
+        self._write_sources(resources.lights, frame.effects)
 
     def _warn_without_room(self, count: int) -> None:
         """Count the local lights that are dark, and warn if more are than in the last frame."""
@@ -367,6 +376,7 @@ class ShadowMaps:
                     length=cascade.length if key is not None else 0.0,
                     light=light_index,
                     is_last=int(next_row != light_index),
+                    source=cascade.source,
                 )
             )
         while len(self._sun_tables) <= eye:
@@ -403,6 +413,19 @@ class ShadowMaps:
         self._local_light_table.write(table)
         self._local_light_textures["shadow_slots"].write(slots)
         self._local_light_textures["local_shadow_maps"].write(_describe_maps(maps))
+
+    def _write_sources(self, lights: Lights, effects: FrameEffects) -> None:
+        """Write the radii of the local lights' sources, if the frame filters penumbras."""
+        sources = self._local_light_textures["shadow_sources"]
+        if Effect.LOCAL_PENUMBRAS not in effects.enabled:
+            if not (effects.filters_penumbras and effects.counts[Effect.LOCAL_PENUMBRAS]):
+                sources.destroy()
+                self._written_sources = b""
+            return
+        radii = np.concatenate([lights.of_kind(kind)["source_radius"] for kind in LOCAL_LIGHT_KINDS])
+        if radii.tobytes() != self._written_sources:
+            self._written_sources = radii.tobytes()
+            sources.write(radii)
 
     def _forget_lights(self, lights: Lights) -> bool:
         """Forget the maps of lights that cast no shadows any more; return whether there were any."""
@@ -648,6 +671,7 @@ class ShadowMaps:
             texture.destroy()
         self._local_light_table = None
         self._written = ()
+        self._written_sources = b""
 
     def release(self) -> None:
         """Destroy all maps and tables. They are made again when a frame needs them."""
@@ -731,6 +755,7 @@ def _make_table(maps: list[CascadeMap], bias: float) -> CascadeTable:
         length=0,
         light=-1,
         is_last=0,
+        source=0.0,
     )
     filled = [*maps, *[empty] * (MAX_CASCADES - len(maps))]
     return CascadeTable(maps=filled, bias=scale_bias(bias), count=len(maps))

@@ -27,15 +27,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 import rhi.shading as sl
 from renderer.light_kinds.generation import define, for_each_kind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.shaders.structs import TABLE_WIDTH
-from renderer.shadows.local_light_maps import NEAR
-from renderer.shadows.shadow_settings import ShadowFilter
+from renderer.shadows.cascades import CASCADE_MARGIN
+from renderer.shadows.filters import ShadowFilterShader
+from renderer.shadows.local_light_maps import LOCAL_MARGIN, NEAR
 
 MAX_CASCADES: Final = 8
 """The number of maps of all directional lights together."""
@@ -60,23 +58,6 @@ def scale_bias(bias: float) -> tuple[float, float, float]:
     return bias * _NORMAL_OFFSET[0], bias * _NORMAL_OFFSET[1], bias
 
 
-def make_disc(count: int, radius: float) -> NDArray[np.float64]:
-    """Return a Poisson disc (count, 2): each point is the one of many random points that is farthest from
-    those before."""
-    random = np.random.default_rng(5)
-    points = np.zeros((1, 2))
-    while len(points) < count:
-        tried = random.uniform(-1.0, 1.0, (256, 2))
-        tried = tried[(tried**2).sum(1) <= 1.0]
-        distance = ((tried[:, None] - points) ** 2).sum(2).min(1)
-        points = np.concatenate([points, tried[distance.argmax()][None]])
-    return radius * points
-
-
-DISC: Final = make_disc(12, 2.0)
-"""The Poisson disc: offsets in texels around a point."""
-
-
 class CascadeMap(sl.Struct):
     """A map of a directional light.
 
@@ -84,7 +65,8 @@ class CascadeMap(sl.Struct):
     these axes and relative to the eye, `length` its depth in metres. `center` is that of the tile in texels
     of the atlas, `half` half its width; a texel is `texel` metres wide. Points are looked up within `inner`
     metres. Without casters `length` is 0. `light` is the row of the light, and `is_last` 1 in the last map of
-    a light, whose shadows fade at its edge.
+    a light, whose shadows fade at its edge. `source` is the tangent of half the angle that the light's source
+    fills.
     """
 
     axes: sl.mat3
@@ -96,6 +78,7 @@ class CascadeMap(sl.Struct):
     length: float
     light: int
     is_last: int
+    source: float
 
 
 class CascadeTable(sl.Struct):
@@ -137,94 +120,6 @@ class LocalShadowTable(ShadowBias):
     __annotations__ = dict.fromkeys([f"{kind.name}_slots" for kind in LOCAL_LIGHT_KINDS[1:]], int)
 
 
-class ShadowFilterShader(sl.Shader):
-    """The base of filters: reads the atlas."""
-
-    lean = True
-
-    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
-        """Return the share of the texels around a point that are lit.
-
-        Args:
-            at: the point in texels of the atlas.
-            depth: that of the point.
-            slope: its change per texel in x and y.
-            center, half: the tile, whose edge is repeated outside of it.
-        """
-        return 1.0
-
-
-class TexelFilterShader(ShadowFilterShader):
-    """The base of filters that compare texel by texel, each with the depth of the point's plane there."""
-
-    shadow_atlas: sl.Texture2D
-
-    def is_lit(
-        self, at: sl.vec2, texel: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float
-    ) -> float:
-        """Return 1 where the plane is lit at the middle of a texel, otherwise 0."""
-        inside = sl.clamp(texel, center - half, center + (half - 1.0))
-        plane = depth + sl.abs(sl.dot(slope, inside + 0.5 - at))
-        return 1.0 if plane >= self.shadow_atlas.load(sl.ivec2(inside)).x else 0.0
-
-
-class HardShadows(TexelFilterShader):
-    """Compares one texel."""
-
-    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
-        return self.is_lit(at, sl.floor(at), depth, slope, center, half)
-
-
-class HardwareShadows(ShadowFilterShader):
-    """Compares 2 × 2 texels with one depth: that of the plane where it is nearest to the light among them."""
-
-    shadow_compare: sl.DepthTexture2D
-
-    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
-        inside = sl.clamp(at, center - (half - 0.5), center + (half - 0.5))
-        share = sl.fract(inside - 0.5)
-        nearest = sl.max(-slope * share, slope * (1.0 - share))
-        reference = depth + sl.dot(slope, inside - at) + nearest.x + nearest.y
-        return self.shadow_compare.sample_compare_lod(
-            inside / sl.vec2(self.shadow_compare.size()), sl.clamp(reference, 0.0, 1.0), 0.0
-        )
-
-
-class SmoothShadows(TexelFilterShader):
-    """Compares the 4 × 4 texels that a square of 3 × 3 around the point overlaps, weighted by their areas in
-    it."""
-
-    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
-        first = sl.floor(at - 1.5)
-        share = at - 1.5 - first
-        lit = 0.0
-        for row in range(4):
-            high = 1.0 if row > 0 else 1.0 - share.y
-            high = share.y if row == 3 else high
-            for column in range(4):
-                wide = 1.0 if column > 0 else 1.0 - share.x
-                wide = share.x if column == 3 else wide
-                texel = first + sl.vec2(float(column), float(row))
-                lit += wide * high * self.is_lit(at, texel, depth, slope, center, half)
-        return lit / 9.0
-
-
-class PoissonShadows(TexelFilterShader):
-    """Compares 12 texels of a disc, turned by an angle that depends on the position in the map alone: noise
-    doesn't swim."""
-
-    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
-        cell = sl.floor(at * 8.0)
-        angle = 6.2831853 * sl.fract(52.982918 * sl.fract(sl.dot(cell, sl.vec2(0.06711056, 0.00583715))))
-        rotate = sl.vec2(sl.cos(angle), sl.sin(angle))
-        lit = 0.0
-        for i in range(len(DISC)):
-            tap = DISC[i]
-            turned = at + sl.vec2(rotate.x * tap.x - rotate.y * tap.y, rotate.y * tap.x + rotate.x * tap.y)
-            lit += self.is_lit(at, sl.floor(turned), depth, slope, center, half)
-        return lit / float(len(DISC))
-
-
 class ShadowMapReader(ShadowFilterShader):
     """The base of shaders that light surfaces: multiplies light by the share that casters let through. The
     geometric normal is the one that normal maps don't bend. Without shadows light passes unchanged; with
@@ -234,15 +129,18 @@ class ShadowMapReader(ShadowFilterShader):
     faces of a cube; `NO_SHADOW` or `NO_ATLAS_ROOM` without maps. `local_shadow_maps` has two texels for each
     map: the rotation from the world to its right, up and back, as a quaternion, and its tile: its middle and
     half its width in texels, and the texels in a unit of the tangent. The width of a face without casters is
-    0.
+    0. `shadow_sources` has the radius in metres of each local light's source, if any of them has one.
     """
 
     has_directional_shadows = False
+    has_directional_penumbras = False
+    has_local_penumbras = False
 
     cascade_table: sl.Uniform[CascadeTable]
     local_shadow_table: sl.Uniform[LocalShadowTable]
     shadow_slots: sl.IntTexture2D
     local_shadow_maps: sl.Texture2D
+    shadow_sources: sl.Texture2D
 
     def shadow_directional_light(
         self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int
@@ -260,6 +158,7 @@ class ShadowMapReader(ShadowFilterShader):
         tile = sl.vec4(0.0)
         deep = 0.0
         edge = 0.0
+        source = 0.0
         for i in range(self.cascade_table.count):
             if deep == 0.0 and self.cascade_table.maps[i].light == light_index:
                 there = self.cascade_table.maps[i].axes @ position - self.cascade_table.maps[i].middle
@@ -273,6 +172,8 @@ class ShadowMapReader(ShadowFilterShader):
                         self.cascade_table.maps[i].texel,
                     )
                     deep = self.cascade_table.maps[i].length
+                    if self.has_directional_penumbras:
+                        source = self.cascade_table.maps[i].source
                     edge = aside * float(self.cascade_table.maps[i].is_last)
         if deep == 0.0:
             return light
@@ -283,8 +184,21 @@ class ShadowMapReader(ShadowFilterShader):
             self.cascade_table.bias.z * tile.w / (sl.max(facing.z, _MIN_COSINE) * deep)
         )
         share = 0.0
+        depth = 1.0 + point.z / deep
         if facing.z > 0.0:
-            share = self.lit_fraction(at, 1.0 + point.z / deep, slope, tile.xy, tile.z)
+            if self.has_directional_penumbras and source > 0.0:
+                share = self.soft_lit_fraction(
+                    at,
+                    depth,
+                    slope,
+                    tile.xy,
+                    tile.z,
+                    source * deep / tile.w,
+                    sl.vec2(0.0),
+                    2.0 * CASCADE_MARGIN * tile.z,
+                ).x
+            else:
+                share = self.lit_fraction(at, depth, slope, tile.xy, tile.z)
         return light * sl.mix(share, 1.0, sl.smoothstep(0.9, 1.0, edge))
 
     def shadow_map_texel(self, texel: int) -> sl.vec4:
@@ -335,11 +249,32 @@ class ShadowMapReader(ShadowFilterShader):
         plane = sl.min(sl.dot(normal, moved), -_MIN_COSINE * distance)
         tilt = rotate(rotation, normal)
         slope = sl.vec2(tilt.x, -tilt.y) * (self.local_shadow_table.bias.z * near / (plane * tile.w))
-        share = self.lit_fraction(at, near * nearness, slope, tile.xy, tile.z)
-        if tile.z <= _SMALL / 2.0:
-            # An edge is drawn at most half a texel off, and filters reach 1.5: beyond it, 2/3 of them may be
-            # lit.
-            share = sl.max(3.0 * share - 2.0, 0.0)
+        source = 0.0
+        if self.has_local_penumbras:
+            source = self.shadow_sources.load(sl.ivec2(slot_index % TABLE_WIDTH, slot_index // TABLE_WIDTH)).x
+        if self.has_local_penumbras and source > 0.0:
+            # A sphere beside the axis is an ellipse in the map, longer by 1 / cos of the angle away from it.
+            tangent = (at - tile.xy) / tile.w
+            soft = self.soft_lit_fraction(
+                at,
+                near * nearness,
+                slope,
+                tile.xy,
+                tile.z,
+                source * tile.w / near,
+                tangent / sl.sqrt(sl.sqrt(1.0 + sl.dot(tangent, tangent)) + 1.0),
+                2.0 * LOCAL_MARGIN * tile.z,
+            )
+            share = soft.x
+            if tile.z <= _SMALL / 2.0:
+                # As below, of filters that reach farther.
+                share = sl.max((soft.y * share - 1.0) / (soft.y - 1.0), 0.0)
+        else:
+            share = self.lit_fraction(at, near * nearness, slope, tile.xy, tile.z)
+            if tile.z <= _SMALL / 2.0:
+                # An edge is drawn at most half a texel off, and filters reach 1.5: beyond it, 2/3 of them may
+                # be lit.
+                share = sl.max(3.0 * share - 2.0, 0.0)
         return light * share
 
 
@@ -371,12 +306,3 @@ else:
         ShadowMapReader=ShadowMapReader,
         sl=sl,
     )
-
-
-FILTERS: Final[dict[ShadowFilter, type[ShadowFilterShader]]] = {
-    ShadowFilter.HARD: HardShadows,
-    ShadowFilter.HARDWARE: HardwareShadows,
-    ShadowFilter.SMOOTH: SmoothShadows,
-    ShadowFilter.POISSON: PoissonShadows,
-}
-"""The shader part of each filter."""

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from renderer import rules
 from rhi import refuse
 from rhi.errors.choices import Choice
+
+MAX_SAMPLES: Final = 1024
+"""The largest number of texels that `PCSS` searches, or compares."""
 
 
 class ShadowFilter(Choice):
@@ -21,6 +25,9 @@ class ShadowFilter(Choice):
     POISSON = "poisson"
     """12 texels of a Poisson disc, turned by another angle at each position: edges are noise instead of
     texels."""
+    PCSS = "pcss"
+    """As many texels as the penumbra is wide, at least those of `SMOOTH`: percentage-closer soft shadows, for
+    lights whose sources have a size (`angular_diameter`, `source_radius`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +47,8 @@ class ShadowSettings:
             frame.
         far_size: the greatest width in texels of the maps of far lights, which `budget` limits.
         bias: 1 moves compared points by what texel size and angle call for; 0 shows what that is for.
+        blocker_samples: texels of `PCSS` that are searched for what is between a point and the source.
+        penumbra_samples: texels of `PCSS` that a point in a penumbra is compared with.
         back_faces: whether the casters' back faces are drawn instead of their front faces.
     """
 
@@ -55,6 +64,8 @@ class ShadowSettings:
     far_size: int = 64
     bias: float = 1.0
     back_faces: bool = False
+    blocker_samples: int = 16
+    penumbra_samples: int = 32
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_SHADOWS)
@@ -82,6 +93,8 @@ class ShadowSettings:
             ),
             ("budget", self.budget >= 1, "1 or more"),
             ("far_size", self.far_size >= 0, "0 or more"),
+            ("blocker_samples", 1 <= self.blocker_samples <= MAX_SAMPLES, f"1 to {MAX_SAMPLES}"),
+            ("penumbra_samples", 1 <= self.penumbra_samples <= MAX_SAMPLES, f"1 to {MAX_SAMPLES}"),
             ("bias", 0.0 <= self.bias < float("inf"), "0 or more, finite"),
         ):
             if not fine:

@@ -144,6 +144,7 @@ CASES: Final[dict[str, Edit]] = {
             ("casts_shadow", True),
         )
     },
+    "directional angular_diameter": set_items(of_lights("directional"), "angular_diameter", 0.1),
     "no lights": replace_lights,
     "sky": set_attribute(lambda renderer: renderer.scene.lights, "sky", (0.3, 0.1, 0.2)),
     "ground": set_attribute(lambda renderer: renderer.scene.lights, "ground", [0.2, 0.1, 0.0]),

@@ -14,6 +14,7 @@ import numpy as np
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import INFINITE, get_extras
 from renderer.content.gltf.tracks import compose
+from renderer.light_kinds.arrays import WIDEST_SOURCE
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.attachments import orthonormalize_axes
@@ -163,6 +164,10 @@ class LightCollector:
             row["range"] = fields.real("range", min(max(faint, 1e-3), _FARTHEST), 1e-30)
             row["source_radius"] = (
                 0.0 if extras is None else extras.real("source_radius", 0.0, 0.0, row["range"])
+            )
+        else:
+            row["angular_diameter"] = (
+                0.0 if extras is None else extras.real("angular_diameter", 0.0, 0.0, WIDEST_SOURCE)
             )
         assert kind.gltf is not None
         row |= kind.gltf.read(fields)

@@ -419,6 +419,8 @@ class _GltfWriter:
                 extras: dict[str, Any] = {"casts_shadow": True} if light["casts_shadow"] else {}
                 if kind.has_range and light["source_radius"] > 0.0:
                     extras["source_radius"] = float(light["source_radius"])
+                if not kind.has_range and light["angular_diameter"] > 0.0:
+                    extras["angular_diameter"] = float(light["angular_diameter"])
                 if extras:
                     fields["extras"] = {KEY: extras}
                 self._lights.append(fields)

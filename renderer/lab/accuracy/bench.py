@@ -19,6 +19,7 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, PathFrame, Scene, StereoRig
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
+from renderer.shadows import ShadowFilter
 from renderer.stereo import eye_image_size
 from rhi import Device
 
@@ -88,10 +89,13 @@ class Bench:
             size = eye_image_size("side_by_side", size)
         if self.scene.simulated:
             self.scene.update(path_frame.seconds)
+        has_penumbras = self._reference_settings.shadows.filter is ShadowFilter.PCSS
         every = max(1, round(np.sqrt(size[0] * size[1] / self._traced_pixels)))
-        key = f"{_describe_view(self.scene, camera, size, self._rays)} {every}"
+        key = f"{_describe_view(self.scene, camera, size, self._rays)} {every} {has_penumbras}"
         if key not in _TRACED:
-            _TRACED[key] = RayTracer(self.scene).draw(camera, size, self._rays, every)
+            _TRACED[key] = RayTracer(self.scene, has_penumbras=has_penumbras).draw(
+                camera, size, self._rays, every
+            )
         return _TRACED[key]
 
 

@@ -163,6 +163,7 @@ def select_effective_reports(
             setting.requirement in (Requirement.SHADOWS, Requirement.SHADOW_CASTING_HEIGHT_FIELDS)
             and not casts
         )
+        lacks = lacks or (setting.requirement is Requirement.PENUMBRAS and not lights.has_wide_shadows)
         lacks = lacks or (
             setting.requirement is Requirement.AMBIENT_LIGHT and scene.ambient_occlusion is None
         )

@@ -55,6 +55,7 @@ class Requirement(Choice):
     """The part of a scene that a quality setting needs to matter."""
 
     SHADOWS = "a light that may cast shadows"
+    PENUMBRAS = "a light that may cast shadows, and whose source may have a size"
     TRANSPARENCY = "a transparent object"
     IMAGES = "an image"
     LOCAL_LIGHTS = "a point or spot light"
@@ -181,6 +182,16 @@ FINE_SHADOW_MAPS: Final = replace(
         "shadows.budget": 512,
     },
 )
+PENUMBRAS: Final = replace(
+    FINE_SHADOW_MAPS,
+    name="rays in float64 through the middle of each pixel, and from there to 288 points of each source",
+    changes={
+        **FINE_SHADOW_MAPS.changes,
+        "shadows.filter": ShadowFilter.PCSS,
+        "shadows.blocker_samples": 64,
+        "shadows.penumbra_samples": 256,
+    },
+)
 LIGHTS_IN_RANGE: Final = Reference("the lights that reach each pixel, in float64")
 VISIBLE_OBJECTS: Final = Reference("the objects of which a pixel is seen")
 FILTERED_SHADOWS: Final = replace(FINE_SHADOW_MAPS, name=RAY_TRACED.name, rays=4)
@@ -218,6 +229,13 @@ _shadows: Final = partial(
     reference=FINE_SHADOW_MAPS,
     base_settings=_LARGE_ATLAS,
     requirement=Requirement.SHADOWS,
+)
+_penumbras: Final = partial(
+    QualitySetting,
+    unit=ErrorUnit.LEVELS,
+    reference=PENUMBRAS,
+    base_settings={**_LARGE_ATLAS, "shadows.filter": ShadowFilter.PCSS},
+    requirement=Requirement.PENUMBRAS,
 )
 _inferred: Final = partial(
     QualitySetting, unit=ErrorUnit.LEVELS, reference=FORWARD_SHADING, base_settings=_INFERRED
@@ -359,6 +377,21 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             reference=FILTERED_SHADOWS,
             non_monotonic_reason="the reference has sharp edges, and a filter trades steps for blur: "
             "of these the eye sees steps",
+        ),
+        _penumbras(
+            "blocker_samples",
+            "texels of a map that are searched for what stands before a source",
+            "shadows.blocker_samples",
+            _same(4, 8, 16, 32),
+            "more of them change less than what one mean of all heights is off by",
+            non_monotonic_reason="beside thin casters a coarse search may come nearer by chance",
+        ),
+        _penumbras(
+            "penumbra_samples",
+            "texels of a map that a pixel in a penumbra is compared with",
+            "shadows.penumbra_samples",
+            _same(8, 16, 32, 64),
+            "steps are less than a level up to penumbras of some 30 texels",
         ),
         _shadows(
             "shadow_bias",

@@ -119,6 +119,10 @@ class SweepShard:
         return items[first:last]
 
 
+SUN_DIAMETER: Final = 0.0093
+"""The angle in radians that the sun fills."""
+
+
 def list_shards(setup: SweepSetup, name: str) -> list[SweepShard]:
     """The shards of a quality setting's sweep: two, or one if frames depend on earlier ones. They are the
     same on every machine, so that their results can be stored."""
@@ -332,6 +336,13 @@ def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
         case Requirement.SHADOWS:
             scene.lights.cast_shadows()
             has = len(scene.lights.directional) + len(scene.lights.point) + len(scene.lights.spot)
+        case Requirement.PENUMBRAS:
+            scene.lights.cast_shadows()
+            suns = scene.lights.directional
+            suns["angular_diameter"] = np.where(
+                suns["angular_diameter"] > 0.0, suns["angular_diameter"], SUN_DIAMETER
+            )
+            has = scene.lights.has_wide_shadows
         case Requirement.TRANSPARENCY:
             has = len(scene.list_transparent())
         case Requirement.IMAGES:

@@ -8,7 +8,7 @@ then counted, timed, drawn and tested as all others are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
@@ -34,6 +34,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.scene.cloth import ClothSimulation, Gust, Wind, make_cloth_grid
+from renderer.shadows import ShadowFilter
 from renderer.stereo import Stereo
 from renderer.techniques import Forward, FxaaTechnique
 from rhi import BlendFunction, Op
@@ -102,6 +103,12 @@ def _switch_light_field(
     """Set a field of all lights of these kinds to a value, or to 0."""
     for kind in kinds:
         getattr(renderer.scene.lights, kind)[name] = value if is_on else 0.0
+
+
+def _switch_penumbras(renderer: Renderer, _: int, is_on: bool) -> None:
+    shadow_filter = ShadowFilter.PCSS if is_on else ShadowFilter.SMOOTH
+    renderer.shadows.settings = replace(renderer.shadows.settings, filter=shadow_filter)
+    renderer.scene.lights.directional["angular_diameter"] = 0.05 if is_on else 0.0
 
 
 def _add_textured(builder: SceneBuilder) -> int:
@@ -261,6 +268,14 @@ EFFECT_STEPS: Final = (
             "sphere light", words=("sphere_cosine",), bindings=("source_radii",), resources=("source radii",)
         ),
         switch=partial(_switch_light_field, ("point",), "source_radius", 0.25),
+    ),
+    EffectStep(
+        "penumbras",
+        "shadows of the sun and of the sphere are as soft as these are large",
+        EffectPattern(
+            "penumbras", words=("weigh_blocker",), bindings=("shadow_sources",), resources=("shadow sources",)
+        ),
+        switch=_switch_penumbras,
     ),
     EffectStep(
         "texture",

@@ -141,6 +141,10 @@ def list_light_values() -> Inputs:
     yield "add_point.range", lambda x: scenes.Lights().add_point((0, 0, 0), x)
     yield "add_point.color", lambda x: scenes.Lights().add_point((0, 0, 0), 1.0, color=(1, x, 1))
     yield "add_point.intensity", lambda x: scenes.Lights().add_point((0, 0, 0), 1.0, intensity=x)
+    yield (
+        "add_directional.angular_diameter",
+        lambda x: scenes.Lights().add_directional((0, -1, 0), angular_diameter=x),
+    )
     yield "add_point.source_radius", lambda x: scenes.Lights().add_point((0, 0, 0), 1.0, source_radius=x)
     yield "add_spot.direction", lambda x: scenes.Lights().add_spot((0, 0, 0), (0, x, 0), 1.0, 0.1, 0.2)
     yield "add_spot.inner", lambda x: scenes.Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, x, 0.2)

@@ -17,6 +17,7 @@ from renderer.lab.exam import (
     light_culling_cases,
     limit_cases,
     occlusion_cases,
+    penumbra_cases,
     plan_cases,
     ray_traced_cases,
     shadow_cases,
@@ -39,6 +40,7 @@ _CASE_MODULES: Final = (
     ray_traced_cases,
     crack_cases,
     occlusion_cases,
+    penumbra_cases,
     deformation_cases,
 )
 MEASURES: Final = {

@@ -255,6 +255,12 @@ class FrameBindings:
         return None if maps is None else maps.local_shadow_maps
 
     @property
+    def shadow_sources(self) -> Texture | None:
+        """The radii of the sources of local lights whose penumbras are filtered."""
+        maps = self._shadow_maps
+        return None if maps is None else maps.shadow_sources
+
+    @property
     def shadow_compare(self) -> TextureBinding | None:
         """The atlas of shadow maps, sampled by comparison."""
         maps = self._shadow_maps

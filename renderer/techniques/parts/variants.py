@@ -15,6 +15,7 @@ from typing import Any, Final
 from renderer.frame import (
     DEPTH_FORMAT,
     LOCAL_LIGHTS,
+    PENUMBRA_EFFECTS,
     SHADOW_EFFECTS,
     BoundProgram,
     Effect,
@@ -26,7 +27,7 @@ from renderer.frame import (
 )
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.shaders.materials import IN_TABLE
-from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
+from renderer.shadows import ShadowMaps, ShadowReceiver, filter_shader
 from renderer.techniques.parts.frame_bindings import FOLLOW_CAMERA, FrameBindings
 from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
@@ -89,7 +90,9 @@ def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str
     if not effects.enabled.isdisjoint(SHADOW_EFFECTS) and any(
         issubclass(base, ShadowReceiver) for base in bases
     ):
-        bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
+        settings = frame.resources.workspace(ShadowMaps).settings
+        has_penumbras = not effects.enabled.isdisjoint(PENUMBRA_EFFECTS)
+        bases = (filter_shader(settings, has_penumbras=has_penumbras), *bases)
     sizes = None
     if images is not None:
         arrays = (len(images.colors), len(images.data)) if images.tables is None else (IN_TABLE, IN_TABLE)

@@ -171,7 +171,9 @@ def make_rich_scene():
     builder.add_objects([root, root], meshes, materials[1:3], casts_shadow=False)
     builder.add_objects(below, meshes[0], materials[3:])
     builder.hide(below)
-    builder.lights.add_directional((0.3, -0.7, 0.1), (0.1, 0.7, 0.3), 1.7, casts_shadow=True)
+    builder.lights.add_directional(
+        (0.3, -0.7, 0.1), (0.1, 0.7, 0.3), 1.7, casts_shadow=True, angular_diameter=0.0093
+    )
     builder.lights.add_points(rng.normal(size=(20, 3)) * 1e5, 7.3, rng.random((20, 3)), rng.random(20) * 90)
     builder.lights.add_spots(
         rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5

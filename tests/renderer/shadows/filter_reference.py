@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.shadows import ShadowFilter
-from renderer.shadows.receiver import DISC
+from renderer.shadows.filters import DISC
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def _list_texels(filter: ShadowFilter, at: Floats) -> tuple[Floats, Floats]:
         angle = 2 * np.pi * _fract(52.982918 * _fract(cell @ (0.06711056, 0.00583715)))
         turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], 1).reshape(-1, 2, 2)
         return np.floor(at + np.stack([turn @ tap for tap in DISC])), np.ones((len(DISC), len(at)))
-    width = 3.0 if filter is ShadowFilter.SMOOTH else 1.0
+    width = 3.0 if filter in (ShadowFilter.SMOOTH, ShadowFilter.PCSS) else 1.0
     first = np.floor(at - width / 2)
     texels = np.stack([first + step for step in product(range(int(width) + 1), repeat=2)])
     overlap = np.minimum(texels + 1.0, at + width / 2) - np.maximum(texels, at - width / 2)

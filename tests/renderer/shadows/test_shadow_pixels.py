@@ -32,8 +32,8 @@ from renderer.scene import (
     translation,
 )
 from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.shadows.filters import FILTERS, ShadowFilterShader
 from renderer.shadows.maps import FarDepth
-from renderer.shadows.receiver import FILTERS, ShadowFilterShader
 from renderer.techniques import TECHNIQUES, Deferred
 
 Pixels = NDArray[np.int64]

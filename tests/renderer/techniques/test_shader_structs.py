@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from renderer import shaders
-from renderer.scene import DIRECTIONAL, MATERIAL, RELATIVE_POINT, RELATIVE_SPOT, VERTEX
+from renderer.scene import MATERIAL, PACKED_DIRECTIONAL, RELATIVE_POINT, RELATIVE_SPOT, VERTEX
 from rhi.shading import Struct
 
 
@@ -22,7 +22,7 @@ def fields(dtype: np.dtype[Any]) -> dict[str, tuple[np.dtype[Any], int]]:
     ("struct", "dtype"),
     [
         (shaders.Material, MATERIAL),
-        (shaders.DirectionalLight, DIRECTIONAL),
+        (shaders.DirectionalLight, PACKED_DIRECTIONAL),
         (shaders.PointLight, RELATIVE_POINT),
         (shaders.SpotLight, RELATIVE_SPOT),
     ],

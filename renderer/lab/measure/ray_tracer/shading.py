@@ -21,6 +21,10 @@ _SMOOTHEST: Final = 0.1
 """The roughness below which the metallic-roughness model uses this value."""
 _RINGS: Final = 24
 """Rings of directions to a sphere light, each with twice as many directions."""
+_SHADOW_RINGS: Final = 12
+"""Rings of rays to a source with a size, each with twice as many rays."""
+_RAYS: Final = 1 << 13
+"""Rays to sources that are traced together."""
 _OCCLUSION_RAYS: Final = 512
 """Rays of ambient occlusion for each surface."""
 
@@ -29,9 +33,16 @@ class LitSurfaces:
     """The lights of a scene, and the shadows that its geometry casts."""
 
     def __init__(
-        self, scene: Scene, geometry: Geometry, tree: TriangleTree, *, has_shadows: bool = True
+        self,
+        scene: Scene,
+        geometry: Geometry,
+        tree: TriangleTree,
+        *,
+        has_shadows: bool = True,
+        has_penumbras: bool = False,
     ) -> None:
         self._scene, self._geometry, self._tree, self._has_shadows = scene, geometry, tree, has_shadows
+        self._has_penumbras = has_penumbras
 
     def light(self, surfaces: Surfaces) -> Floats:
         """The light (k, 3) that surfaces send to the eye, before fog."""
@@ -66,15 +77,20 @@ class LitSurfaces:
     def _reflect(
         self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, light: Any
     ) -> Floats:
-        """The light of one light, in the direction `to_light` at a distance, that surfaces reflect. Shadows
-        of a sphere light are those of its centre."""
+        """The light of one light, in the direction `to_light` at a distance, that surfaces reflect. Without
+        penumbras, shadows of a source are those of its centre."""
         radius = float(light["source_radius"]) if "source_radius" in light.dtype.names else 0.0
         sine = np.minimum(radius / np.broadcast_to(np.maximum(distance, 1e-9), strength.shape), 1.0)
         lit = np.flatnonzero((_dot(seen.normal, to_light) > -sine) & (strength > 0.0))
         color = np.zeros(seen.normal.shape)
         if len(lit) and light["casts_shadow"] and self._has_shadows:
             far = np.broadcast_to(distance, strength.shape)[lit]
-            lit = lit[~self._are_dark(seen.position[lit], seen.geometric_normal[lit], to_light[lit], far)]
+            source = sine[lit]
+            if "angular_diameter" in light.dtype.names:
+                source = np.full(len(lit), np.sin(0.5 * float(light["angular_diameter"])))
+            shares = self._measure_visibility(_take(seen, lit), to_light[lit], far, source)
+            lit, strength = lit[shares > 0.0], strength.copy()
+            strength[lit] *= shares[shares > 0.0]
         if len(lit):
             lit_surfaces = _take(seen, lit)
             arriving = light["color"].astype(np.float64) * strength[lit, None]
@@ -82,6 +98,32 @@ class LitSurfaces:
                 facing = np.maximum(_dot(lit_surfaces.normal, direction), 0.0)
                 color[lit] += reflect(lit_surfaces, direction) * arriving * (share * facing)[:, None]
         return color
+
+    def _measure_visibility(self, seen: Surfaces, to_light: Floats, distance: Floats, sine: Floats) -> Floats:
+        """The share (k,) of the light of sources that nothing blocks, by the cosine to the surface.
+
+        Args:
+            to_light, distance: to the middles of the sources, (k, 3) and (k,).
+            sine: (k,) of half the angles that sources fill.
+        """
+        if not self._has_penumbras or not sine.any():
+            is_dark = self._are_dark(seen.position, seen.geometric_normal, to_light, distance)
+            return np.where(is_dark, 0.0, 1.0)
+        directions = [direction for direction, _ in _list_directions(to_light, sine, _SHADOW_RINGS)]
+        arriving, all_light = np.zeros(len(sine)), np.zeros(len(sine))
+        together = max(_RAYS // len(sine), 1)
+        for begin in range(0, len(directions), together):
+            rays = np.stack(directions[begin : begin + together])
+            origins, normals = (
+                np.broadcast_to(array, rays.shape).reshape(-1, 3)
+                for array in (seen.position, seen.geometric_normal)
+            )
+            far = np.broadcast_to(distance, rays.shape[:2]).reshape(-1)
+            is_dark = self._are_dark(origins, normals, rays.reshape(-1, 3), far).reshape(rays.shape[:2])
+            light = np.maximum((rays * seen.normal).sum(axis=2), 0.0)  # all rays are of equal weight
+            all_light += light.sum(axis=0)
+            arriving += np.where(is_dark, 0.0, light).sum(axis=0)
+        return np.asarray(arriving / np.maximum(all_light, 1e-300))
 
     def _are_dark(
         self, position: Floats, geometric_normal: Floats, to_light: Floats, distance: Floats
@@ -161,7 +203,7 @@ def _reverse_digits(number: int, base: int) -> float:
     return value + 0.5 / _OCCLUSION_RAYS
 
 
-def _list_directions(to_light: Floats, sine: Floats) -> Iterator[tuple[Floats, Any]]:
+def _list_directions(to_light: Floats, sine: Floats, rings: int = _RINGS) -> Iterator[tuple[Floats, Any]]:
     """Yield directions (k, 3) that stand for equal solid angles of spheres with centres in the directions
     `to_light`, and the weights of their light: a part of the sphere's radiance, which is 1 / (π sine²) of a
     point light's."""
@@ -171,11 +213,11 @@ def _list_directions(to_light: Floats, sine: Floats) -> Iterator[tuple[Floats, A
     cosine = np.sqrt(1.0 - sine**2)
     aside = normalize(np.cross(to_light, np.eye(3)[np.abs(to_light).argmin(axis=1)]))
     up = np.cross(to_light, aside)
-    for i, turn in np.ndindex(_RINGS, 2 * _RINGS):
-        along = (1.0 - (1.0 - cosine) * (i + 0.5) / _RINGS)[:, None]
-        angle = np.pi * (turn + 0.5) / _RINGS
+    for i, turn in np.ndindex(rings, 2 * rings):
+        along = (1.0 - (1.0 - cosine) * (i + 0.5) / rings)[:, None]
+        angle = np.pi * (turn + 0.5) / rings
         around = aside * np.cos(angle) + up * np.sin(angle)
-        yield to_light * along + around * np.sqrt(1.0 - along**2), 1.0 / (1.0 + cosine) / _RINGS**2
+        yield to_light * along + around * np.sqrt(1.0 - along**2), 1.0 / (1.0 + cosine) / rings**2
 
 
 def reflect(surfaces: Surfaces, to_light: Floats) -> Floats:

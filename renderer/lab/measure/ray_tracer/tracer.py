@@ -25,9 +25,10 @@ class RayTracer:
 
     Attributes:
         has_shadows: whether lights that cast shadows do.
+        has_penumbras: whether shadows are of the whole source instead of its centre.
     """
 
-    def __init__(self, scene: Scene, *, has_shadows: bool = True) -> None:
+    def __init__(self, scene: Scene, *, has_shadows: bool = True, has_penumbras: bool = False) -> None:
         """Raises ValueError for a scene with bloom, or with material shaders."""
         if scene.bloom is not None:
             raise ValueError("bloom can't be rendered by single rays")
@@ -35,7 +36,9 @@ class RayTracer:
             raise ValueError("the reference ray tracer can't evaluate custom material shaders")
         self._scene, self._geometry = scene, Geometry(scene)
         self._tree = TriangleTree(self._geometry.corners)
-        self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)
+        self._lighting = LitSurfaces(
+            scene, self._geometry, self._tree, has_shadows=has_shadows, has_penumbras=has_penumbras
+        )
 
     def draw(
         self,
