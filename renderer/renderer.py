@@ -6,10 +6,11 @@ declares the passes of these effects, and their plan is kept for as long as the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 from time import perf_counter
 from typing import Any, Final, Self
 
@@ -26,6 +27,7 @@ from renderer.frame import (
     Frame,
     FrameEffects,
     Layer,
+    LightWatch,
     OcclusionSettings,
     Plan,
     SceneLayer,
@@ -37,11 +39,12 @@ from renderer.frame import (
     are_effects_same,
     collect_frame_effects,
     make_plan,
+    watch_lights,
 )
 from renderer.frame.scene_images import SceneImages
 from renderer.scene import Camera, Projection, Scene, Simulator
 from renderer.scene.catch_up import count_steps
-from renderer.scene.finite import check_finite, check_time
+from renderer.scene.finite import LONGEST_TIME, check_finite, check_time
 from renderer.shadows import ShadowFilter, ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, eye_image_size
 from renderer.techniques import AutoTechnique, Forward, Technique
@@ -66,6 +69,8 @@ class _SteadyFrame:
         effects: those of the frame.
         plan: the plan of these effects.
         values: the `Frame.values`.
+        watch: tells whether a frame has the same effects; None if the effects must be collected for that.
+        events: a label for each pass of the plan.
     """
 
     settings: tuple[object, ...]
@@ -73,6 +78,8 @@ class _SteadyFrame:
     effects: FrameEffects
     plan: Plan[Frame]
     values: dict[object, Any]
+    watch: LightWatch | None
+    events: Sequence[AbstractContextManager[None]]
 
 
 ANIMATION_LAG: Final = 0.5
@@ -403,8 +410,11 @@ class Renderer:
         """Draw a frame; return it and its effects."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
-        check_finite("render", position=camera.position, rotation=camera.rotation)
-        check_time("render", seconds)
+        total = np.add.reduce(camera.position) + np.add.reduce(camera.rotation, axis=None)
+        if not isfinite(total):  # one that isn't finite makes all of it so
+            check_finite("render", position=camera.position, rotation=camera.rotation)
+        if seconds.__class__ is not float or not -LONGEST_TIME <= seconds <= LONGEST_TIME:
+            check_time("render", seconds)
         steady = self._begin_steady(camera, seconds) or self._begin(camera, seconds)
         effects, plan, values = steady.effects, steady.plan, steady.values
         left = Frame(
@@ -417,8 +427,8 @@ class Renderer:
             values=values,
         )
         frames = [left]
-        self._run(plan, left)
-        if resources.hidden.is_tracking and left.statistics is not None:
+        self._run(plan, left, steady.events)
+        if resources.may_simulate and resources.hidden.is_tracking and left.statistics is not None:
             left.draw_result.record_hidden()
         if pair is not None:
             right = Frame(device, pair.view, resources, pair.targets, effects, left, self.precision)
@@ -428,7 +438,8 @@ class Renderer:
                 resources.look_from(1)
                 left.draw_result.fetch_lists()  # the right eye makes others
             with device.event(pair.view.name):
-                self._run(moved or plan, right)
+                plan = moved or plan
+                self._run(plan, right, self._label(plan))
         after = device.statistics
         for frame in frames:
             for layer in self.layers:
@@ -472,25 +483,30 @@ class Renderer:
             or steady.settings != self._settings()
         ):
             return None
-        camera = self._fit(camera)
-        projection = camera.projection
-        if projection is not steady.projection and (is_parallel(projection), projection.depth) != (
-            is_parallel(steady.projection),
-            steady.projection.depth,
+        if camera.projection is not steady.projection:
+            camera = self._fit(camera)
+            projection = camera.projection
+            if (is_parallel(projection), projection.depth) != (
+                is_parallel(steady.projection),
+                steady.projection.depth,
+            ):
+                return None
+        features, watch = self._recent_features, steady.watch
+        visible_features = features.choose_shader_features(camera, is_unchanged=True)
+        if not (
+            watch.shows_same(camera, visible_features, features.shows_objects)
+            if watch is not None
+            else are_effects_same(
+                steady.effects, scene, camera, visible_features, features.shows_objects, resources.reaching
+            )
         ):
-            return None
-        if not are_effects_same(
-            steady.effects,
-            scene,
-            camera,
-            self._recent_features.choose_shader_features(camera),
-            self._recent_features.shows_objects,
-            resources.reaching,
-        ):
-            self._recent_features.reconsider()
+            features.reconsider()
             return None
         self._view.aim(camera)
-        self._set_time(seconds)
+        if self._animation_step:
+            self._set_time(seconds)
+        else:
+            scene.seconds = seconds
         scene.skip_refresh()
         resources.follow(camera)
         self._steady = steady
@@ -517,12 +533,16 @@ class Renderer:
             self._last_plan = plan
             if not effects.has_shadow_casters:
                 resources.release(ShadowMaps)
-        steady = _SteadyFrame(self._settings(), around.projection, effects, plan, {})
-        if (
+        is_steady = (
             self._snapshot is not None
             and pair is None
             and not (effects.has_shadow_casters or any(texture.has_history for texture in plan.textures))
-        ):
+        )
+        watch = watch_lights(effects, self.scene, resources.reaching) if is_steady else None
+        steady = _SteadyFrame(
+            self._settings(), around.projection, effects, plan, {}, watch, self._label(plan)
+        )
+        if is_steady:
             self._steady = steady
         return steady
 
@@ -564,11 +584,15 @@ class Renderer:
         width, height = self._size
         return camera.with_aspect(width / height)
 
-    def _run(self, plan: Plan[Frame], frame: Frame) -> None:
-        """Run the passes of a plan."""
+    def _label(self, plan: Plan[Frame]) -> list[AbstractContextManager[None]]:
+        """Return the label of each pass of a plan."""
+        return [self.device.event(frame_pass.name) for frame_pass in plan.passes]
+
+    def _run(self, plan: Plan[Frame], frame: Frame, events: Sequence[AbstractContextManager[None]]) -> None:
+        """Run the passes of a plan, each with its label."""
         frame.targets.provide(plan.textures)
-        for frame_pass in plan.passes:
-            with self.device.event(frame_pass.name):
+        for frame_pass, event in zip(plan.passes, events, strict=True):
+            with event:
                 frame_pass.run(frame)
 
     def plan(self, camera: Camera) -> tuple[FrameEffects, Plan[Frame]]:

@@ -26,13 +26,9 @@ from typing import Any, Final
 import numpy as np
 
 import rhi
-from rhi.conformance.template import write_package
 from rhi.device.registry import BackendReport, default_precision
 from rhi.errors import RhiError, pages
 from rhi.errors.pipes import run_until_pipe_closes
-from rhi.testing.accuracy import report as accuracy
-from rhi.testing.projects import KINDS, write_project
-from rhi.trace import cli as trace_cli
 
 _MAX_SECTIONS: Final = 8  # that a search lists
 _REFERENCE: Final = (
@@ -64,9 +60,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     backend that renders works, else 1."""
     command_line = list(sys.argv[1:] if arguments is None else arguments)
     if command_line[:1] == ["trace"]:
-        return trace_cli.main(command_line[1:])
+        from rhi.trace import cli  # as for all commands: each imports what the others don't need
+
+        return cli.main(command_line[1:])
     if command_line[:1] == ["shading"]:
-        return accuracy.main(command_line[1:])
+        from rhi.testing.accuracy import report
+
+        return report.main(command_line[1:])
     if command_line[:1] == ["new"]:
         return _new(command_line[1:])
     if command_line[:1] == ["new-backend"]:
@@ -89,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _new(arguments: Sequence[str]) -> int:
     """Write a project to start from. Return 0, or 2 on an error."""
+    from rhi.testing.projects import KINDS, write_project
+
     kinds = "\n".join(f"  {kind:<8}{words}" for kind, (words, _) in KINDS.items())
     parser = argparse.ArgumentParser(
         prog="python -m rhi new",
@@ -123,6 +125,8 @@ def _write(make: Callable[[], Path], hint: str) -> int:
 
 def _new_backend(arguments: Sequence[str]) -> int:
     """Write a package to start a port from. Return 0, or 2 on an error."""
+    from rhi.conformance.template import write_package
+
     parser = argparse.ArgumentParser(
         prog="python -m rhi new-backend",
         description="Write a package that registers a new backend. Its methods raise NotImplementedError.",

@@ -36,9 +36,12 @@ def show_progress(items: Iterable[T], task: str, total: int | None = None) -> It
 
 class BuildLine(logging.Handler):
     """Shows how many kernels a first run has built in one line of the terminal, and clears the line at the
-    end."""
+    end. A warning stays above it."""
 
     def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno > logging.INFO:
+            print(f"\r\x1b[K{record.getMessage()}", file=sys.stderr, flush=True)
+            return
         done = isinstance(record.args, tuple) and record.args[:1] == record.args[1:]
         print("\r\x1b[K" + ("" if done else record.getMessage()), end="", file=sys.stderr, flush=True)
 

@@ -13,8 +13,10 @@ from renderer.frame.effects import Blending as Blending
 from renderer.frame.effects import BloomSettings as BloomSettings
 from renderer.frame.effects import Effect as Effect
 from renderer.frame.effects import FrameEffects as FrameEffects
+from renderer.frame.effects import LightWatch as LightWatch
 from renderer.frame.effects import are_effects_same as are_effects_same
 from renderer.frame.effects import collect_frame_effects as collect_frame_effects
+from renderer.frame.effects import watch_lights as watch_lights
 from renderer.frame.frame import Frame as Frame
 from renderer.frame.layer import Layer as Layer
 from renderer.frame.layer import SceneLayer as SceneLayer

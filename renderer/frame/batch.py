@@ -27,27 +27,31 @@ _STEP: Final = 32
 
 
 class BatchCommands:
-    """The commands that draw a batch, for one pass of a view after the other."""
+    """The commands that draw a batch, for one pass of a view after the other.
+
+    Attributes:
+        pass_index: the number of passes that this frame has drawn; 0 begins a frame.
+    """
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._passes: list[CommandCache] = []
-        self._next = 0
-
-    def begin_frame(self) -> None:
-        """Start again with the first pass."""
-        self._next = 0
+        self.pass_index = 0
 
     def next(self) -> CommandCache:
         """The commands of the next pass."""
-        if self._next == len(self._passes):
+        if self.pass_index == len(self._passes):
             self._passes.append(CommandCache(self._device, ""))
-        self._next += 1
-        return self._passes[self._next - 1]
+        self.pass_index += 1
+        return self._passes[self.pass_index - 1]
 
 
 class FrameBatch:
-    """The draw arguments of a frame that is one batch, in a buffer that is written only if they change."""
+    """The draw arguments of a frame that is one batch, in a buffer that is written only if they change.
+
+    Attributes:
+        last_order: the last call of `order` and its result; None begins a frame, whose objects have moved.
+    """
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -58,11 +62,7 @@ class FrameBatch:
         self._counts: list[int] = []
         self._starts: list[int] = []
         self._buffer: Buffer | None = None
-        self._parts: tuple[NDArray[np.int64], bytes, list[NDArray[np.int64]]] | None = None
-
-    def begin_frame(self) -> None:
-        """Forget the order of the last frame's objects."""
-        self._parts = None
+        self.last_order: tuple[NDArray[np.int64], bytes, list[NDArray[np.int64]]] | None = None
 
     def order(
         self,
@@ -71,9 +71,9 @@ class FrameBatch:
         arrange: Callable[[], list[NDArray[np.int64]]],
     ) -> list[NDArray[np.int64]]:
         """The result of `arrange` for these objects and direction of view, computed once per frame."""
-        key, cached = forward.tobytes(), self._parts
+        key, cached = forward.tobytes(), self.last_order
         if cached is None or cached[0] is not object_indices or cached[1] != key:
-            self._parts = cached = object_indices, key, arrange()
+            self.last_order = cached = object_indices, key, arrange()
         return cached[2]
 
     def execute(

@@ -217,32 +217,29 @@ class TechniqueDrawer:
         self._has_transparent = len(resources.transparent_indices) > 0
         self._scopes: ExitStack | None = None
         self._clears_list = False  # whether the first list clears the targets
+        bound = [part for program, bindings in programs for part in (program, *bindings.values())]
+        colors = color if isinstance(color, list) else (color,)
+        self._fixed_key = (*bound, *colors, depth, clear, clears, *self._states)
+
+    def begin_frame(self) -> None:
+        """Draw another frame with the same programs, bindings and targets. The scene, but for the camera, must be
+        as it was."""
+        self.draw_result = DrawResult(self._resources)
+        self.was_opened = self._has_all_in_view = self._clears_list = False
+        self._scopes = None
 
     @property
     def arrays(self) -> SceneArrays:
         """The scene's buffers, updated for every object that may be in view and isn't paused: the CPU
         learns too late which objects a device draws."""
-        self._simulate_in_view()
+        if self._resources.may_simulate:
+            self._simulate_in_view()
         return self._resources.scene_arrays(self._view.buffer)
 
     @property
     def key(self) -> tuple[object, ...]:
         """The values that the pass's commands depend on, besides the objects."""
-        color = self._color
-        programs: list[object] = []
-        for program, bindings in self._programs:
-            programs.append(program)
-            programs.extend(bindings.values())
-        return (
-            *programs,
-            *(color if isinstance(color, list) else (color,)),
-            self.depth,
-            self._clear,
-            self._clears,
-            *self._states,
-            self._resources.groups,
-            self.was_opened,
-        )
+        return (*self._fixed_key, self._resources.groups, self.was_opened)
 
     def widen(self, camera: Camera) -> Camera:
         """A camera that sees all that the frame's eyes see."""
@@ -302,12 +299,13 @@ class TechniqueDrawer:
         if self._scopes is not None:
             self.close()
         resources = self._resources
-        resources.simulate(object_indices)
+        if resources.may_simulate:
+            resources.simulate(object_indices)
         if self._has_transparent:
             object_indices = object_indices[self._record_transparent(object_indices)]
             if not len(object_indices):
                 return
-        self.draw_result.add_batch(object_indices)
+        self.draw_result._steps.append(object_indices)
         tessellated = resources.tessellated_indices
         others = object_indices
         if len(tessellated):
@@ -315,7 +313,9 @@ class TechniqueDrawer:
             tessellated, others = object_indices[is_tessellated], object_indices[~is_tessellated]
 
         def arrange() -> list[NDArray[np.int64]]:
-            ordered = self._sort(others)
+            ordered = others
+            if len(others) > 1:
+                ordered = others[self._farthest_depths(others).argsort(kind="stable")]
             if len(resources.groups) == 1:
                 return [ordered]
             return [ordered[resources.select_group(ordered, group)] for group in resources.groups]
@@ -417,19 +417,20 @@ class TechniqueDrawer:
 
     def _farthest_depths(self, object_indices: NDArray[np.int64]) -> NDArray[np.float64]:
         """Depth of the farthest corner of each object's box."""
-        objects, forward = self._resources.scene.objects, self._view.camera.forward
-        far: NDArray[np.float64] = (
-            np.where(forward > 0.0, objects.upper[object_indices], objects.lower[object_indices]) @ forward
-        )
+        objects = self._resources.scene.objects
+        x, y, z = self._view.camera.forward.tolist()
+        far: NDArray[np.float64] = (objects.upper if x > 0.0 else objects.lower)[:, 0][object_indices] * x
+        far += (objects.upper if y > 0.0 else objects.lower)[:, 1][object_indices] * y
+        far += (objects.upper if z > 0.0 else objects.lower)[:, 2][object_indices] * z
         return far
 
     def begin_list(self, draws: DeviceDrawList) -> None:
         """Record that a draw list is drawn. Any simulated object in view may be on it, so all are
         simulated but the paused ones."""
-        self._simulate_in_view()
-        if (
-            self.draw_result.is_on_cpu
-        ):  # transparent objects are on no list: all that aren't outside the view are drawn
+        if self._resources.may_simulate:
+            self._simulate_in_view()
+        if self._has_transparent and self.draw_result.is_on_cpu:
+            # Transparent objects are on no list: all that aren't outside the view are drawn.
             resources, camera = self._resources, self._view.camera
             self.draw_result.add_transparent(resources.select_in_view(camera, resources.transparent_indices))
         self.draw_result.add_list(draws)

@@ -18,7 +18,7 @@ from renderer import rules
 from renderer.frame.occlusion import DEFAULT_OCCLUSION, OCCLUSION, OcclusionSettings, is_occlusion_seen
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
-from renderer.frame.thin_air import is_fog_seen, is_haze_seen, is_sky_fogged
+from renderer.frame.thin_air import THIN_HAZE, is_fog_seen, is_haze_seen, is_sky_fogged
 from renderer.frame.transparent_layers import TransparentLayers
 from renderer.frame.visible_features import VisibleFeatures
 from renderer.light_kinds.kind import LocalLightKind
@@ -484,6 +484,48 @@ def are_effects_same(
     if (visible_features, shows_objects) != (last.visible_features, last.shows_objects):
         return False
     return _shows_same(last, *_look(scene, camera, last.sources, reaches))
+
+
+class LightWatch:
+    """Tells whether frames show the same effects as an earlier one, where of all effects only local lights
+    depend on the view: nothing is transparent, and the air is clear, or so dense that every view shows it."""
+
+    def __init__(self, effects: FrameEffects, reaches: Sequence[bool]) -> None:
+        """`reaches`: for each kind of local lights, whether any reaches an object, when the `effects` were
+        collected."""
+        self._features = effects.visible_features, effects.shows_objects
+        seen = []
+        self._positions, self._ranges = np.zeros((0, 3)), np.zeros(0)
+        for effect, (positions, ranges), reached in zip(
+            LOCAL_LIGHTS, effects.sources.local_lights, reaches, strict=True
+        ):
+            if reached:
+                seen.append(effects.in_view[effect] + len(self._positions))
+                self._positions = np.concatenate([self._positions, positions])
+                self._ranges = np.concatenate([self._ranges, ranges])
+        self._seen = np.concatenate([_NONE, *seen]).tobytes()
+
+    def shows_same(self, camera: Camera, visible_features: frozenset[str], shows_objects: bool) -> bool:
+        """Return whether a frame of the same scene and settings needs the same effects, as `are_effects_same`."""
+        if (visible_features, shows_objects) != self._features:
+            return False
+        seen = select_lights_in_view(camera.frustum.planes, self._positions, self._ranges)
+        return seen.tobytes() == self._seen
+
+
+def watch_lights(effects: FrameEffects, scene: Scene, reaches: Sequence[bool]) -> LightWatch | None:
+    """Return a watch for the frames after one with these `effects`; None if more than local lights depends on
+    the view."""
+    counts = effects.sources.counts
+    if (
+        len(scene.list_transparent())
+        or len(effects.sources.height_fields)
+        or counts[Effect.FOG]
+        or counts[Effect.AMBIENT_OCCLUSION]
+        or (counts[Effect.HAZE] and scene.haze < THIN_HAZE)
+    ):
+        return None
+    return LightWatch(effects, reaches)
 
 
 def _look(

@@ -71,8 +71,9 @@ class MirroredArray(Generic[T]):
         if len(changed) == len(rows):  # such as lights, when the eye has moved
             if array.dtype == self.buffer.dtype:
                 self.buffer.write(array)
-            else:
-                self._upload(self.buffer, rows, 0)
+            else:  # as `_upload`, without its call
+                base, shape = self.buffer.dtype.subdtype or (self.buffer.dtype, ())
+                self.buffer.write(np.frombuffer(rows, base).reshape(-1, *shape))
             self._rows[:] = rows
             return
         for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):

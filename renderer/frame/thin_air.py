@@ -25,7 +25,7 @@ _LEAST_LINEAR: Final = HALF_LEVEL / 12.92
 _BRIGHTEST_FOG: Final = 12.0
 """More light than any color of fog is seen as: at 12, tones reach white."""
 
-_THIN: Final = 1e-5
+THIN_HAZE: Final = 1e-5
 """The density per metre below which it is asked how far the view reaches. Denser air counts: most frames ask
 nothing."""
 
@@ -35,7 +35,7 @@ _MAX_EXPONENT: Final = 60.0
 
 def is_haze_seen(scene: Scene, camera: Camera) -> bool:
     """Return whether haze changes the color of any surface by more than half a level."""
-    if scene.haze >= _THIN:
+    if scene.haze >= THIN_HAZE:
         return True
     return bool(-np.expm1(-scene.haze * _farthest(scene, camera)) > _threshold(scene, _LEAST_LINEAR))
 
@@ -47,7 +47,7 @@ def is_fog_seen(scene: Scene, camera: Camera) -> bool:
     if fog is None:
         return False
     eye = float(camera.position[1])
-    if fog.density * np.exp(-min(fog.falloff * (eye - fog.base), _MAX_EXPONENT)) >= _THIN:
+    if fog.density * np.exp(-min(fog.falloff * (eye - fog.base), _MAX_EXPONENT)) >= THIN_HAZE:
         return True
     threshold = _threshold(scene, LEAST_LIGHT / _BRIGHTEST_FOG)
     start = _lowest_start(camera)

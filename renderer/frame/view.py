@@ -69,9 +69,9 @@ class View:
         """
         self.camera = camera
         self.around = around or camera
-        self.commands.begin_frame()
+        self.commands.pass_index = 0
         if self._owns_batch:
-            self.batch.begin_frame()
+            self.batch.last_order = None
         high, low = split_doubles(camera.position)
         matrix = camera.relative_view_projection
         self._constants.write(

@@ -102,9 +102,14 @@ class VisibleFeatures:
             self._object_in_view = int(visible[0])
         return bool(len(visible))
 
-    def choose_shader_features(self, camera: Camera) -> frozenset[str]:
-        """The features that a frame's shaders have: those of `collect`, or for a while more."""
-        self._refresh()
+    def choose_shader_features(self, camera: Camera, *, is_unchanged: bool = False) -> frozenset[str]:
+        """The features that a frame's shaders have: those of `collect`, or for a while more.
+
+        Args:
+            is_unchanged: whether the scene's materials are those of the last call.
+        """
+        if not is_unchanged:
+            self._refresh()
         self._frame += 1
         if not self.shows_objects or self._frame % _STRIDE == 1:
             self.shows_objects = self._look_for_objects(camera)

@@ -20,7 +20,7 @@ from rhi.errors import Rule, describe_value, refuse
 from rhi.errors.array_likes import to_real_array
 from rhi.math.arguments import read_floats
 
-_LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, and 0.1 ms be told apart
+LONGEST_TIME: Final = 1e12  # seconds: steps of a microsecond can be counted, and 0.1 ms be told apart
 
 
 def check_finite(call: str, **values: ArrayLike) -> None:
@@ -51,8 +51,8 @@ def check_time(call: str, seconds: float) -> None:
         check_finite(call, seconds=seconds)
         if np.ndim(seconds):
             refuse(rules.BAD_TIME, f"{call}: seconds", seconds, "a number")
-    if abs(seconds) > _LONGEST_TIME:
-        refuse(rules.BAD_TIME, f"{call}: seconds", seconds, f"{-_LONGEST_TIME:g} to {_LONGEST_TIME:g}")
+    if abs(seconds) > LONGEST_TIME:
+        refuse(rules.BAD_TIME, f"{call}: seconds", seconds, f"{-LONGEST_TIME:g} to {LONGEST_TIME:g}")
 
 
 class FiniteArrays:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import CodeType
 from typing import Any, Final, Protocol
 
@@ -27,6 +27,7 @@ from rhi.contract.descriptors import (
     ProgramDescriptor,
     VertexArrayDescriptor,
 )
+from rhi.errors.data_classes import dataclass
 
 
 class RecordedCommands(Protocol):

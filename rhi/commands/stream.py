@@ -12,7 +12,6 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from types import CodeType
 from typing import Any, Final, overload
@@ -27,6 +26,7 @@ from rhi.commands.text import describe_call
 from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
 from rhi.errors import RhiError, refuse
 from rhi.errors.call_sites import CallSite, make_call_site
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
 

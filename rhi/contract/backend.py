@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
@@ -46,6 +45,7 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import Format
 from rhi.contract.states import PlatformState, StateChange
+from rhi.errors.data_classes import dataclass
 
 FOREVER: Final = 3600.0
 """Timeout in seconds of a wait that has no limit; a device that takes longer counts as lost."""

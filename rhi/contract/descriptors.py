@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -18,6 +17,7 @@ from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
 from rhi.errors.arguments import FieldChecker
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""

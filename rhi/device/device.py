@@ -786,7 +786,8 @@ class Device(Encoder):
                 `condition-nested` for a condition inside another; nothing was executed then.
         """
         core = self._core
-        core.check_ready()
+        if core.closed or core._context is not None or get_ident() != core.thread:  # seldom
+            core.check_ready()
         if core.render_pass is not None and core.has_open_pass():
             core.refuse(rules.PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
@@ -939,7 +940,8 @@ class Device(Encoder):
             >>> device.present(image)
         """
         core = self._core
-        core.check_ready()
+        if core.closed or core._context is not None or get_ident() != core.thread:  # seldom
+            core.check_ready()
         if core.render_pass is not None and core.has_open_pass():
             core.refuse(rules.PASS_OPEN, "device.present", "an open render pass")
         scopes = core.scopes
@@ -950,13 +952,15 @@ class Device(Encoder):
                 ArgumentChecker("device.present", core.refuse).instance(
                     "image", image, Texture, "a Texture, or None"
                 )
-            core.check_usable(image, "device.present")
+            if image.destroyed or image.core is not core or core.locked:  # seldom
+                core.check_usable(image, "device.present")
         core.backend.present(image.id if image is not None else 0)
         self._timers.end_frame()
         self._frames.append(core.end_frame())
         if len(self._frames) > self._frames_in_flight:
             core.timeline.wait(self._frames.popleft())
-            core.timeline.collect()
+            if core.timeline._retired:
+                core.timeline.collect()
         if core._context is not None:
             core.hand_back()
         waited, core.timeline.waited = core.timeline.waited, 0.0

@@ -7,7 +7,6 @@ accepts either. All checks are made here, before a call reaches a backend.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +30,7 @@ from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors import rules
 from rhi.errors.arguments import ArgumentChecker, FieldChecker, to_integer
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 
 P = ParamSpec("P")

@@ -186,6 +186,7 @@ class RenderPass(Scope):
         scopes._data[index] = None
         scopes._index = index
         core.render_pass = None
+        core.has_drawn = True
         core.targets = NO_TARGETS
         core.target_kinds = core.target_channels = core.unblendable_targets = ()
         core.program = None

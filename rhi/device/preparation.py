@@ -11,7 +11,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import cast
 
 from rhi.contract.backend import SupportsPreparedKernels
@@ -24,6 +23,7 @@ from rhi.device.resources.meshes import Mesh
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import DEVICE_ARGUMENT, TEXTURE_SIZE
 

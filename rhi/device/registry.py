@@ -20,7 +20,6 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from threading import get_ident, main_thread
 from types import FrameType
@@ -33,6 +32,7 @@ from rhi.device.core.core import ENDING, FORKED, NO_THREAD, block_forever
 from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.data_classes import dataclass
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_FORKED, DEVICE_UNKNOWN
 from rhi.shading import Precision
 

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Final, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
@@ -36,6 +35,7 @@ from rhi.device.resources.meshes import (
 from rhi.device.resources.programs import Program, check_program
 from rhi.errors import RhiError
 from rhi.errors.arguments import ArgumentChecker, to_integer
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE
 from rhi.shading import Struct
@@ -284,6 +284,8 @@ class TransientMemory(DeviceObject):
         These are the vertex arrays of outgrown buffers and of instances. If there are very many, most belong
         to destroyed programs, and all are destroyed.
         """
+        if not self._vertex_arrays and not self._layouts:
+            return
         crowded = len(self._layouts) > MAX_LAYOUTS
         if crowded:
             self._layouts.clear()

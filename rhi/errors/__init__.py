@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any, Final, NoReturn
 
 from rhi.errors.call_sites import CallSite, find_call_site
+from rhi.errors.data_classes import dataclass
 
 _MAX_SHOWN_ERRORS: Final = 10
 """Largest number of errors in the text of a `ShaderError`."""

@@ -13,9 +13,11 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import CodeType, FrameType
 from typing import Final
+
+from rhi.errors.data_classes import dataclass
 
 MARK: Final = "__rhi_internal__"
 """The name among a module's globals that says that its frames are the library's, not the user's."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from html import escape
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Final
+
+from rhi.errors.data_classes import dataclass
 
 _PACKAGE: Final = Path(__file__).parents[1]
 _FOLDERS: Final = (_PACKAGE / "documentation", _PACKAGE.parent / "docs")

@@ -6,7 +6,7 @@ A camera is an immutable value, so what follows from it is computed once, in arr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 from functools import cached_property
 from math import cos, isfinite, sin
@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rhi.errors.data_classes import dataclass
 from rhi.errors.rules import CAMERA_VALUE
 from rhi.math.arguments import check_angles, check_camera, check_real, read_finite, read_floats
 from rhi.math.projections import Depth, Perspective, Projection
@@ -118,14 +119,17 @@ class Camera:
     @cached_property
     def forward(self) -> Floats:
         """The unit vector (3,) along which the camera looks."""
-        return freeze(-self.rotation[2])
+        forward: Floats = -self.rotation[2]
+        forward.setflags(write=False)
+        return forward
 
     @cached_property
     def view(self) -> Floats:
         """The matrix (4, 4) float64 from world space to view space."""
-        m = self._rotation_matrix()
-        m[:3, 3] = -(self.rotation @ self.position)
-        return freeze(m)
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = -(self.rotation @ self.position)
+        return freeze(matrix)
 
     @cached_property
     def view_projection(self) -> Floats:
@@ -151,13 +155,11 @@ class Camera:
     @cached_property
     def _relative_matrix(self) -> Floats:
         """`relative_view_projection` in float64."""
-        return self.projection.matrix @ self._rotation_matrix()
-
-    def _rotation_matrix(self) -> Floats:
-        m = np.zeros((4, 4))
-        m[:3, :3] = self.rotation
-        m[3, 3] = 1.0
-        return m
+        rotation: Floats = np.zeros((4, 4))
+        rotation[:3, :3] = self.rotation
+        rotation[3, 3] = 1.0
+        matrix: Floats = self.projection.matrix @ rotation
+        return matrix
 
     def with_projection(self, projection: Projection) -> Camera:
         """Return the same camera with another projection."""

@@ -8,7 +8,7 @@ near 0 and far 1, exists for comparison: it is less accurate. Matrices are row-m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from functools import cached_property
 from math import isfinite
@@ -16,6 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
+from rhi.errors.data_classes import dataclass
 from rhi.errors.rules import CAMERA_VALUE
 from rhi.math.arguments import check_camera, check_real, read_floats
 from rhi.math.transforms import Floats, freeze

@@ -9,12 +9,12 @@ or from lane code (`ShaderCode.lower_compute`), as OpenCL C and NumPy do.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from rhi.contract.descriptors import Stage, StageText, StageVarying
 from rhi.errors import ShaderError, refuse
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.data_classes import dataclass
 from rhi.errors.shared_caches import SHARED
 from rhi.shading.glsl.glsl_stages import write_stage
 from rhi.shading.ir import tree

@@ -16,7 +16,7 @@ from test_reused_renderer import EDITS, Random, make
 
 import rhi
 from renderer.content import load_scene
-from renderer.frame import Blending, BloomSettings, OcclusionSettings
+from renderer.frame import Blending, BloomSettings, Effect, OcclusionSettings
 from renderer.renderer import Renderer
 from renderer.scene import (
     AmbientOcclusion,
@@ -293,6 +293,21 @@ def test_frames_of_a_city_are_steady_once_shaders_have_the_features_in_view() ->
         for step in range(80):
             twins.draw(replace(camera, position=camera.position + np.array([0.02 * step, 0.0, 0.0])))
         assert twins.steady_frames > 60
+
+
+def test_lights_that_come_into_view_or_leave_it_are_noticed() -> None:
+    lit = set()
+    with Twins("forward", lambda: load_scene("night:blocks=3,detail=2,lights=3")) as twins:
+        camera = next(iter(twins.renderers[0].scene.views.values()))
+        for step in range(48):
+            angle = step * np.pi / 12.0
+            ahead = np.array([np.sin(angle), -0.3, np.cos(angle)])
+            twins.draw(Camera.look_at(camera.position, camera.position + ahead))
+            effects = twins.renderers[1]._effects
+            assert effects is not None
+            lit.add(effects.in_view[Effect.POINT_LIGHTS].tobytes())
+        assert twins.steady_frames > 8
+    assert len(lit) > 1
 
 
 @pytest.mark.parametrize("scene", ["hall:columns=6,flags=2,fountains=1", "terrain:cells=8,trees=0"])

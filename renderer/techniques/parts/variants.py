@@ -298,22 +298,31 @@ def draw_lit(
     frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1
 ) -> None:
     """Draw the visible objects lit; see `lit_pass`."""
-    key = draw_lit, samples
-    targets = frame.values.get(key)
-    if targets is None:
-        color, depth = name_samples(frame.effects.image.name, samples), name_samples("depth", samples)
-        targets = frame.values[key] = frame.targets[color], frame.targets[depth], frame.background
-    lit = make_scene_drawer(
-        frame,
-        *lighting.bases,
-        shader_bindings=lighting.bind(frame),
-        switches=lighting.switches,
-        color=targets[0],
-        depth=targets[1],
-        clear=targets[2],
+    key = draw_lit, samples, after_depth, id(lighting)  # the plan holds it
+    last: tuple[TechniqueDrawer, Program[...], object] | None = frame.values.get(key)
+    if last is not None and last[1].descriptor is last[2] and not last[1].destroyed:
+        last[0].begin_frame()
+        frame.draw_visible(last[0])
+        return
+    color, depth = name_samples(frame.effects.image.name, samples), name_samples("depth", samples)
+    shader_bindings = lighting.bind(frame)
+    programs = bind_programs(
+        frame, *lighting.bases, shader_bindings=shader_bindings, switches=lighting.switches
+    )
+    lit = TechniqueDrawer(
+        frame.device,
+        frame.resources,
+        frame.view,
+        programs,
+        color=frame.targets[color],
+        depth=frame.targets[depth],
+        clear=frame.background,
         # Not EQUAL: nothing is nearer than what was drawn, and a test of order lets rasterisers skip what is
         # hidden.
         states=(DepthWrite.OFF,) if after_depth else (),
         clears=not after_depth,
     )
+    program, bindings = programs[0]
+    if len(programs) == 1 and not shader_bindings and FOLLOW_CAMERA.isdisjoint(bindings):
+        frame.values[key] = lit, program, program.descriptor  # nothing of it changes with the camera
     frame.draw_visible(lit)

@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 
 import rhi.shading as sl
-from renderer.scene import Camera, Depth
+from renderer.scene import Camera, Depth, Projection
 from renderer.scene.arrays import Floats
 from renderer.visibility.command_cache import clear
 from renderer.visibility.gpu.farthest_depth import FAR, SCALE, DepthPyramid, depth_variant
@@ -42,6 +42,7 @@ from rhi import (
 )
 
 _GROUP: Final = 8
+_IDENTITY: Final[Floats] = np.eye(4)
 
 
 class Motion(sl.Struct):
@@ -129,7 +130,8 @@ class ReprojectedDepth:
         self._motion = device.uniform(Motion(matrix=np.eye(4), pixels=(1.0, 1.0), texels=(1, 1)))
         self._resources: _SizedResources | None = None
         self._camera: Camera | None = None  # the camera of the depth that is kept
-        self._last_matrix: Floats = np.eye(4)  # and its `_matrix`
+        self._inverted: Projection | None = None
+        self._inverse: Floats = _IDENTITY  # of the matrix of the projection `_inverted`
         self._is_valid = False  # whether that depth is of use for the present camera
 
     def aim(self, camera: Camera, size: tuple[int, int]) -> tuple[Floats, tuple[object, ...]]:
@@ -140,13 +142,16 @@ class ReprojectedDepth:
         """
         sized, last, direction = self._fit(size), self._camera, camera.projection.depth
         self._is_valid = last is not None and last.projection.depth is direction
-        matrix, last_matrix = _matrix(camera), self._last_matrix
+        matrix = _matrix(camera)
         if self._is_valid:
             assert last is not None
-            moved = np.eye(4)
+            if last.projection is not self._inverted:
+                self._inverted, self._inverse = last.projection, np.linalg.inv(last.projection.matrix)
+            moved = _IDENTITY.copy()  # turned by the last camera's inverse rotation, its transpose
+            moved[:3, :3] = last.rotation.T
             moved[:3, 3] = last.position - camera.position
-            self._motion.write(sized.motion(matrix @ moved @ np.linalg.inv(last_matrix)))
-        self._camera, self._last_matrix = camera, matrix
+            self._motion.write(sized.motion(matrix @ moved @ self._inverse))
+        self._camera = camera
         return sized.to_texels @ matrix, (sized, self._is_valid)
 
     def store(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
@@ -229,6 +234,6 @@ class _SizedResources:
 
 def _matrix(camera: Camera) -> Floats:
     """Return the matrix (4, 4) float64 from the eye's axes to clip space."""
-    turned = np.eye(4)
+    turned = _IDENTITY.copy()
     turned[:3, :3] = camera.rotation
     return camera.projection.matrix @ turned

@@ -8,8 +8,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from renderer.scene import Camera, Depth, Scene
@@ -63,7 +61,9 @@ class TwoPassCulling(DeviceCulling):
 
     def _count(self) -> VisibilityStatistics:
         count = self._occludees.count
-        return replace(super()._count(), box_draws=2, boxes=2 * count)
+        return VisibilityStatistics(
+            objects=count, visible=count, batches=2, objects_tested=count, box_draws=2, boxes=2 * count
+        )
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -10,7 +10,9 @@
 - `Optimisation.begin` begins the optimisation earlier, even before the kernel exists.
 - `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers
   whose cache isn't a folder (`rhi.backends.cl.pocl.kernel_cache`) always do the latter.
-- The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
+- The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported. When
+  the calling thread has waited for a second it says so at level WARNING, which Python shows without any
+  configuration, so that a first frame isn't silent; then after each four times as long.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -42,6 +45,8 @@ if TYPE_CHECKING:
 LOGGER: Final = logging.getLogger("rhi.kernels")
 HOT: Final = 0.02
 """Seconds of a kernel's launches after which it is optimised: one frame that is slow, or many that aren't."""
+LONG_WAIT: Final = 1.0
+"""Seconds of builds in the calling thread after which a warning says what it waits for."""
 _MAX_COMPILERS: Final = 4
 _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
@@ -186,6 +191,7 @@ class Builds:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)  # there is a job, or the device is closed
         self._begun = self._done = 0
+        self._waited, self._next_warning = 0.0, LONG_WAIT  # seconds of builds in the calling thread
         self._waiting = 0
         self._closed = False
         self.built = self.quick_work = 0
@@ -231,11 +237,28 @@ class Builds:
         count = len(request.kernels) if stored is None else 0
         self.built += stored is None
         self._count(count, 0)
+        began = perf_counter()
         try:
             program = build_cached(self._context.context, self._cache, request, stored)
             return self._make_evictable(program, request)
         finally:
             self._count(0, count)
+            if stored is None:
+                self._note_wait(perf_counter() - began)
+
+    def _note_wait(self, seconds: float) -> None:
+        """Add `seconds` to the time that the calling thread has waited for builds, and warn if that was long."""
+        self._waited += seconds
+        if self._waited < self._next_warning:
+            return
+        while self._waited >= self._next_warning:
+            self._next_warning *= 4.0
+        LOGGER.warning(
+            "the program has waited %.1f s for OpenCL kernels: %d programs built so far. They are kept on disk, so "
+            "that the next start doesn't wait",
+            self._waited,
+            self.built,
+        )
 
     def _make_evictable(self, program: cl.Program, request: Request) -> EvictableProgram:
         return self._context.make_evictable(program, request, _ARGUMENTS if request.kernels else None)

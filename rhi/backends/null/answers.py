@@ -12,13 +12,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from rhi.commands.recorder import ForwardingBackend
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id
+from rhi.errors.data_classes import dataclass
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from dataclasses import dataclass
 from types import CodeType
 from typing import Any
 
@@ -21,6 +20,7 @@ from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id, ProgramDescriptor, QueryKind
 from rhi.errors import DeviceError, ShaderError
+from rhi.errors.data_classes import dataclass
 from rhi.errors.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
 
 FRAME_SECONDS = 1 / 60

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -37,6 +36,7 @@ from rhi.commands.recorder import CommandMethods
 from rhi.contract import descriptors
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import Id
+from rhi.errors.data_classes import dataclass
 
 COMMAND_NANOSECONDS: Final = 1000
 QUEUED_BYTES: Final = 1 << 24
@@ -64,6 +64,19 @@ class ExecutionStatistics:
     undecided_draws: int
     dispatches: int
     nanoseconds: int
+
+
+_INLINE: Final = (
+    Op.BIND_PROGRAM,
+    Op.DISPATCH,
+    Op.PUSH_LABEL,
+    Op.POP_LABEL,
+    Op.WRITE_BUFFER,
+    Op.SET_STATES,
+    Op.SIGNAL,
+)
+"""The commands that `NullBackend._run` executes itself, besides bindings: as the executors of
+`_list_executors`, which a simulation calls, but without their calls."""
 
 
 class NullBackend(CommandMethods):
@@ -232,7 +245,10 @@ class NullBackend(CommandMethods):
         entries = queue.copy()
         queue.clear()
         self._queued_bytes = 0
-        execute, slots = self._execute, self._state.slots
+        execute, state, shaders = self._execute, self._state, self._shaders
+        slots = state.slots
+        bind_program, dispatch, push, pop, write, change, signal = map(int, _INLINE)
+        memory = self._buffers.memory
         position, end = 0, len(entries)
         try:
             while position < end:
@@ -242,6 +258,28 @@ class NullBackend(CommandMethods):
                 kind = BOUND_KINDS[op]
                 if kind is not None:  # bindings are most of the commands
                     slots[kind, entries[start]] = tuple(entries[start + 1 : position])
+                    continue
+                if op == bind_program:  # these are most of what is left: they run no Python function
+                    state.program = entries[start]
+                    continue
+                if op == write:
+                    buffer, offset, data = entries[start:position]
+                    memory[buffer][offset : offset + len(data)] = np.frombuffer(data, np.uint8)
+                    continue
+                if op == signal:
+                    self._fence = entries[start]
+                    continue
+                if op == change:
+                    state.states.update(entries[start])
+                    continue
+                if op == push:
+                    state.labels = (*state.labels, entries[start])
+                    continue
+                if op == pop:
+                    state.labels = state.labels[:-1]
+                    continue
+                if op == dispatch and not shaders.runs:
+                    self._dispatches += 1
                     continue
                 executor = execute[op]
                 if executor is not None:
@@ -316,7 +354,7 @@ class NullBackend(CommandMethods):
 
     def _end_pass(self) -> None:
         descriptor = self._state.render_pass
-        if descriptor is not None:
+        if descriptor is not None and descriptor.colors:
             self._textures.end_pass(descriptor)
         self._state.render_pass = None
 
@@ -360,14 +398,19 @@ class NullBackend(CommandMethods):
         resolved = read_indirect_draws(
             self._buffers, buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )
-        if self._follows_draws:
+        # Both parts of the condition are asked for at once, without a call, since they are seldom true.
+        may_follow = self._queries._samples is not None or self._state.program in self._shaders.stand_ins
+        if may_follow and self._follows_draws:
             for count, instances, first, base_vertex, base_instance in resolved.tolist():
                 self._follow_draw(
                     vertex_array, primitive, first, count, instances, base_vertex, base_instance
                 )
         else:
             draws_vertices = np.logical_or.reduce((resolved["count"] > 0) & (resolved["instances"] > 0))
-            self._count_unfollowed(len(resolved), bool(draws_vertices))
+            outcome = self._state.outcome  # as `_count_unfollowed`, without its call
+            self._draws[outcome] += len(resolved)
+            if draws_vertices and outcome is not DrawOutcome.DROPPED:
+                self._queries.add_unknown()
         executed = resolved[:0] if self._state.outcome is DrawOutcome.DROPPED else resolved
         self._indirect_draws.append(ExecutedIndirectDraws(vertex_array, primitive, executed))
 

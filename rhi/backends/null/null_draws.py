@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.null.null_buffers import Buffers
 from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Id, Primitive
+from rhi.errors.data_classes import dataclass
 
 
 @dataclass(frozen=True, slots=True)

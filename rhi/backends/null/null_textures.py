@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from rhi.contract.descriptors import (
     ALL_LAYERS,
-    Attachment,
-    DepthAttachment,
     Id,
     PassDescriptor,
     Region,
@@ -72,12 +70,6 @@ def _fill(texels: NDArray[np.generic], value: NDArray[np.generic]) -> None:
     """Fill a layer (height, width, channels), or several, with a texel."""
     texels[0] = value
     texels[1:] = texels[0]  # row by row: NumPy repeats a few bytes much more slowly than a row
-
-
-def _layers_of(levels: Sequence[NDArray[Any]], attachment: Attachment | DepthAttachment) -> NDArray[Any]:
-    """Return the texels that an attachment names: (height, width, channels), with all layers one axis more."""
-    level = levels[attachment.level]
-    return level if attachment.layer == ALL_LAYERS else level[attachment.layer]
 
 
 class Textures:
@@ -148,11 +140,24 @@ class Textures:
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         """Clear the attachments of a pass."""
-        for attachment in descriptor.colors:
-            if attachment.clear is not None:
-                self._clear_color(attachment)
-        if descriptor.depth is not None:
-            self._clear_depth(descriptor.depth)
+        for color in descriptor.colors:
+            if color.clear is not None:
+                texture = self.textures[color.texture]
+                format = texture.descriptor.format
+                values = np.array(color.clear, np.float64)[: format.channels]
+                level = texture.levels[color.level]
+                texels = level if color.layer == ALL_LAYERS else level[color.layer]
+                _fill(texels, _encode_once(format, values.tobytes()))
+        depth = descriptor.depth
+        if depth is not None:
+            texture = self.textures[depth.texture]
+            layers = slice(None) if depth.layer == ALL_LAYERS else depth.layer
+            if depth.clear is not None:
+                value = np.array([depth.clear], np.float64)
+                texels = texture.levels[depth.level][layers]
+                _fill(texels, _encode_once(texture.descriptor.format, value.tobytes()))
+            if depth.clear_stencil is not None and texture.stencil:
+                texture.stencil[depth.level][layers] = depth.clear_stencil & 0xFF
 
     def end_pass(self, descriptor: PassDescriptor) -> None:
         """Resolve the attachments of a pass."""
@@ -160,20 +165,3 @@ class Textures:
             if attachment.resolve:
                 source = self.textures[attachment.texture].levels[attachment.level]
                 self.textures[attachment.resolve].levels[0][0] = source[attachment.layer]
-
-    def _clear_color(self, attachment: Attachment) -> None:
-        texture = self.textures[attachment.texture]
-        format = texture.descriptor.format
-        values = np.array(attachment.clear, np.float64)[: format.channels]
-        _fill(_layers_of(texture.levels, attachment), _encode_once(format, values.tobytes()))
-
-    def _clear_depth(self, attachment: DepthAttachment) -> None:
-        texture = self.textures[attachment.texture]
-        if attachment.clear is not None:
-            value = np.array([attachment.clear], np.float64)
-            _fill(
-                _layers_of(texture.levels, attachment),
-                _encode_once(texture.descriptor.format, value.tobytes()),
-            )
-        if attachment.clear_stencil is not None and texture.stencil:
-            _layers_of(texture.stencil, attachment)[...] = attachment.clear_stencil & 0xFF

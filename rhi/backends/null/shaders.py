@@ -33,11 +33,12 @@ class Shaders:
 
     Attributes:
         stand_ins: the stand-ins, by program.
+        runs: whether dispatches do anything.
     """
 
     def __init__(self, buffers: Buffers, textures: Textures, state: ExecutionState) -> None:
         self.stand_ins: Mapping[Id, StandIn] = {}
-        self._runs = False
+        self.runs = False
         self._buffers = buffers
         self._textures = textures
         self._state = state
@@ -45,7 +46,7 @@ class Shaders:
 
     def run(self, stand_ins: Mapping[Id, StandIn]) -> None:
         """Execute dispatches from now on, with these stand-ins."""
-        self._runs = True
+        self.runs = True
         self.stand_ins = dict(stand_ins)
 
     def draw(self, draw: Draw) -> None:
@@ -57,7 +58,7 @@ class Shaders:
         program = self._state.program
         if program in self.stand_ins:
             self.stand_ins[program](self._bound(program), None)
-        elif self._runs and 0 not in groups:
+        elif self.runs and 0 not in groups:
             memory = {
                 name: bound.reshape(-1).view(np.uint32) if isinstance(bound, np.ndarray) else bound
                 for name, bound in self._bound(program).items()

@@ -12,7 +12,6 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from threading import get_ident
 from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
@@ -33,11 +32,13 @@ from rhi.contract.queries import list_draws
 from rhi.contract.states import AlphaTest, Scissor, StateChange
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
+from rhi.device.core.ring import Ring
 from rhi.device.core.scopes import Scope
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.errors import DeviceError, Rule, rules
 from rhi.errors.call_sites import find_call_site
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 
 D = TypeVar("D")
@@ -151,6 +152,7 @@ class Core(DeviceObject):
         unblendable_targets: the indices of those that draws can't blend with.
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
         draw_counters: by program's id, a function that returns its number of draws since the last call.
+        has_drawn: whether a pass has ended since `draw_counters` were added to `draws`.
         locked: resources with an open lock; while there are any, every draw checks everything.
         lock_blocks: weak references to the blocks of those locks.
         created: ids of the resources that the open `creation` block has created so far.
@@ -174,6 +176,7 @@ class Core(DeviceObject):
         "draw_counters",
         "draws",
         "frame_rings",
+        "has_drawn",
         "lock_blocks",
         "locked",
         "open_query",
@@ -210,6 +213,7 @@ class Core(DeviceObject):
             states.validator = self
         self.counters = Statistics()
         self.draws = 0
+        self.has_drawn = False
         self.dispatches = 0
         self.upload_bytes = 0
         self.closed = False
@@ -412,6 +416,7 @@ class Core(DeviceObject):
     def leave_pass(self) -> None:
         """Note that no pass is open."""
         self.render_pass = None
+        self.has_drawn = True
         self.targets = NO_TARGETS
         self.target_kinds = self.target_channels = self.unblendable_targets = ()
         self.program = None
@@ -552,14 +557,18 @@ class Core(DeviceObject):
         it."""
         value = self.timeline.signal()
         for ring in self.frame_rings:
-            ring.mark(value)
-        self.timeline.collect()
+            if ring.__class__ is not Ring or ring._head != ring._tail or ring._outgrown:
+                ring.mark(value)
+        if self.timeline._retired:
+            self.timeline.collect()
         return value
 
     def statistics(self) -> Statistics:
         """Return a snapshot of the counters."""
-        for collect in self.draw_counters.values():
-            self.draws += collect()
+        if self.has_drawn or self.render_pass is not None:  # seldom in frames of command buffers alone
+            self.has_drawn = False
+            for collect in self.draw_counters.values():
+                self.draws += collect()
         counters, states = self.counters, self.states
         return Statistics(  # `dataclasses.replace` takes five times as long
             self.draws,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from typing import Any, Final
 
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id, TextureDescriptor
+from rhi.errors.data_classes import dataclass
 
 KINDS: Final = {
     BufferUsage.STATIC: "buffers",

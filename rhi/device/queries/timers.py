@@ -11,7 +11,7 @@ only labels, otherwise a new tree begins.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import field
 from threading import get_ident
 from time import perf_counter
 from typing import Final, TypeAlias, cast
@@ -22,6 +22,7 @@ from rhi.contract.interrupts import DeferredInterrupts
 from rhi.device.core.core import Core, find_optional_part
 from rhi.device.core.scopes import Scope
 from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 
 
@@ -137,6 +138,10 @@ class Timers(DeviceObject):
 
     def end_frame(self) -> None:
         """Close the frame's tree, and read the frames whose timestamps are available."""
+        if not (self._open or self._pending or self._frames):  # no times were taken: nothing to wait for
+            if self._roots:
+                self.latest, self._roots, self._count = self._roots, [], 0
+            return
         if not self._open and self._roots:
             self._frames.append((self._roots, self._pending))
             self._roots = []
@@ -227,7 +232,8 @@ class EventScope(Scope):
     def __enter__(self) -> None:
         core = self._core
         if core.render_pass is None:  # as `check_scope`, without its call
-            core.check_ready()
+            if core.closed or core._context is not None or get_ident() != core.thread or core.records:
+                core.check_ready()  # seldom
         else:
             core.check_command()
         if self.node is None:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from functools import partial
+from threading import get_ident
 from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -163,13 +164,14 @@ class Buffer(ArrayExchange, Resource):
         """
         if (  # the usual case, in a quarter of the calls that `_match` and `_range` take
             data.__class__ is np.ndarray
-            and has_layout(data, self.dtype)
+            and (data.dtype == self.dtype or has_layout(data, self.dtype))
             and data.flags.c_contiguous
             and first.__class__ is int
             and 0 <= first <= self.count - data.nbytes // self.dtype.itemsize
         ):
             core = self.core
-            core.check_ready()
+            if core.closed or core._context is not None or get_ident() != core.thread:  # seldom
+                core.check_ready()
             if self.destroyed or core.locked:
                 core.check_usable(self, "Buffer.write")
             if size := data.nbytes:
@@ -375,10 +377,11 @@ class UniformBuffer(UniformRange[T], Resource):
         """
         core, call = self.owner.core, "UniformBuffer.write"
         if value.__class__ is self.type and isinstance(value, Struct) and not fields:
-            core.check_ready()
+            if core.closed or core._context is not None or get_ident() != core.thread:  # seldom
+                core.check_ready()
             if self.owner.destroyed or core.locked:
                 core.check_usable(self.owner, call)
-            data = value.to_bytes()
+            data = value.__dict__.get("_bytes") or value.to_bytes()
             core.upload_bytes += len(data)
             core.backend.write_buffer(self.buffer, 0, data)
             return
@@ -473,7 +476,7 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
     def __init__(self, owner: Buffer, element: Any, dtype: np.dtype[Any]) -> None:
         count = owner.size // dtype.itemsize
         super().__init__(owner.id, 0, count * dtype.itemsize, element, count, owner)
-        self.dtype = dtype
+        self.dtype = owner.dtype if owner.dtype == dtype else dtype  # the same object is compared faster
 
     def __repr__(self) -> str:
         return f"StorageBuffer({self.owner.label!r}, {self.count} × {_name(self.type)})"
@@ -513,7 +516,7 @@ class StorageBuffer(StorageRange[T], ArrayExchange, Resource):
         owner, dtype = self.owner, self.dtype
         if owner.dtype != dtype:
             self._refuse_type()
-        if values.__class__ is not np.ndarray or not has_layout(values, dtype):
+        if values.__class__ is not np.ndarray or not (values.dtype == dtype or has_layout(values, dtype)):
             values = match_layout(owner.core, values, dtype, "StorageBuffer.write", self.type)
         owner.write(values, first)
 

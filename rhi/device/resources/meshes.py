@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Final, NamedTuple, Self, TypeAlias, cast
 from weakref import WeakSet
 
@@ -38,6 +38,7 @@ from rhi.device.resources.buffers import Buffer, StorageBuffer
 from rhi.device.resources.lifetime import Resource
 from rhi.errors import Rule
 from rhi.errors.arguments import ArgumentChecker, to_integer
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from weakref import ref
@@ -45,6 +45,7 @@ from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors import rules
 from rhi.errors.arguments import ArgumentChecker, FieldChecker
+from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import FLOAT, HostType, StructType
 from rhi.errors import refuse
+from rhi.errors.data_classes import dataclass
 from rhi.errors.shared_caches import SHARED
 from rhi.shading.compile import compiled_code
 from rhi.shading.evaluation.compute import assemble, bound_words, scalars_of

@@ -7,9 +7,9 @@ Buffers are told apart by their names: what a program writes isn't bound a secon
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir import nodes, tree
 from rhi.shading.ir.tree import Expression, Function, Statement
 from rhi.shading.language.builtins import SideEffect

@@ -4,10 +4,11 @@ hold."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from rhi.contract.descriptors import Attribute, Binding, FragmentOutput
 from rhi.contract.layout import HostType
+from rhi.errors.data_classes import dataclass
 from rhi.shading.language.annotations import Role
 
 

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir import nodes
 
 

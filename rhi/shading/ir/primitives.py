@@ -12,9 +12,9 @@ The table holds operators. Built-ins that act by component have their spellings 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
+from rhi.errors.data_classes import dataclass
 from rhi.shading.language.builtins import BUILTINS, Builtin, Precision
 
 

@@ -14,12 +14,13 @@ from __future__ import annotations
 import ast
 import operator
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Final, TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import StructType
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir import nodes
 from rhi.shading.language.builtins import Builtin, Overload, SideEffect
 from rhi.shading.language.function import Native

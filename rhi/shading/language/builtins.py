@@ -25,13 +25,14 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Final, NoReturn, TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT
 from rhi.errors import refuse
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 from rhi.shading.language import rules
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS, VOID, Type, converts
 

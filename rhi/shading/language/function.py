@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 from rhi.errors import refuse
+from rhi.errors.data_classes import dataclass
 from rhi.shading.language import rules
 from rhi.shading.language.source import locals_of, resolve_annotations, source_of
 from rhi.shading.language.types import LANGUAGE_NAMES

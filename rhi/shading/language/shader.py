@@ -15,7 +15,6 @@ import math
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import FunctionType, MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, get_origin, overload
 
@@ -27,6 +26,7 @@ from rhi.contract.layout import INT, ArrayType, HostType, is_host_shareable
 from rhi.errors import ShaderError, ShaderErrors, refuse
 from rhi.errors.call_sites import find_call_site
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform

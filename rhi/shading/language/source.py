@@ -21,13 +21,13 @@ import linecache
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from types import FrameType, FunctionType
 from typing import Any, ClassVar, Final, NoReturn
 
 from rhi.errors import Rule, ShaderError
 from rhi.errors.call_sites import CallSite
+from rhi.errors.data_classes import dataclass
 from rhi.errors.shared_caches import SHARED
 from rhi.shading.language import rules
 from rhi.shading.language.tips import FOREIGN

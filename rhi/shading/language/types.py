@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
@@ -23,6 +22,7 @@ from rhi.contract.layout import (
     StructType,
     VectorType,
 )
+from rhi.errors.data_classes import dataclass
 
 LANGUAGE_NAMES: Final[set[str]] = set()
 """The names that shaders import from `rhi.shading`. Each module adds its own names when it is imported."""

@@ -18,11 +18,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Final, NoReturn, TypeAlias, TypeVar
 
 from rhi.contract.layout import BOOL, ScalarType
 from rhi.errors import Rule
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir import lanes, nodes, tree
 from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.lowering.lvalues import Home, Slot

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 from rhi.contract.layout import (
@@ -23,6 +23,7 @@ from rhi.contract.layout import (
     VectorType,
     memory_layout,
 )
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir.lanes import Literal, MemoryRegion, Value, Variable, apply, number
 from rhi.shading.lowering.components import leaf_kinds, words_of
 

@@ -6,9 +6,10 @@ all its uses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from rhi.contract.layout import INT
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Local
 

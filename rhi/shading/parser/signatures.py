@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
 from types import FunctionType
 from typing import Any, NoReturn, get_args, get_origin
 
 from rhi.contract.layout import ArrayType
+from rhi.errors.data_classes import dataclass
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform

@@ -10,9 +10,10 @@ this analysis errs on the side of agreement.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import UnionType
 
+from rhi.errors.data_classes import dataclass
 from rhi.shading.ir import tree
 from rhi.shading.ir.nodes import within
 from rhi.shading.ir.tree import Block, Expression, Operator, Statement

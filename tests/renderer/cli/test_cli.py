@@ -79,6 +79,8 @@ def test_a_terminal_shows_how_far_a_first_run_is_with_building_kernels(
     assert terminal.getvalue() == "\r\x1b[Kbuilding kernels, 1 of 3"
     logger.info("building kernels, %d of %d", 3, 3)
     assert terminal.getvalue().endswith("\r\x1b[K")
+    logger.warning("the program has waited")
+    assert terminal.getvalue().endswith("\r\x1b[Kthe program has waited\n")
 
 
 def test_elsewhere_nothing_is_shown_of_building_kernels(capsys: pytest.CaptureFixture[str]) -> None:

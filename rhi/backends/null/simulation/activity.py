@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from rhi.errors import DeviceError
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 from rhi.errors.rules import PLOT_LIBRARY
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from rhi.commands.ops import Op
 from rhi.contract.descriptors import Primitive
+from rhi.errors.data_classes import dataclass
 
 
 class CommandWork(NamedTuple):

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -46,6 +46,7 @@ from rhi.contract.descriptors import (
 from rhi.contract.states import ColorWrite, DepthTest, DepthWrite, StencilTest
 from rhi.errors.call_sites import CallSite
 from rhi.errors.choices import Choice
+from rhi.errors.data_classes import dataclass
 
 
 class HazardKind(Choice):

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from textwrap import indent
 from types import CodeType
@@ -38,6 +38,7 @@ from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import Id
 from rhi.errors import refuse
 from rhi.errors.call_sites import find_user_frame
+from rhi.errors.data_classes import dataclass
 from rhi.errors.rules import DEVICE_ARGUMENT
 
 Site: TypeAlias = tuple[CodeType | None, int]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import select
 import signal
 import subprocess
@@ -469,3 +470,28 @@ def test_a_lock_that_is_held_leaves_no_alarm_behind(tmp_path: Path) -> None:
         lock.close()
     finally:
         signal.signal(signal.SIGALRM, before)
+
+
+def test_a_long_wait_for_kernels_is_a_warning(caplog: pytest.LogCaptureFixture, device: Device) -> None:
+    owner = get_builds(device)
+    owner._waited, owner._next_warning = 0.0, builds.LONG_WAIT
+    caplog.clear()
+    counts = []
+    for seconds in (0.9, 0.2, 2.0, 1.0, 30.0, 1.0):
+        owner._note_wait(builds.LONG_WAIT * seconds)
+        counts.append(len(caplog.records))
+    assert counts == [0, 1, 1, 2, 3, 3]
+    assert {record.levelname for record in caplog.records} == {"WARNING"}
+    assert "waited 34.1 s for OpenCL kernels" in caplog.messages[-1]
+
+
+def test_a_build_in_the_calling_thread_is_a_wait_and_a_program_from_the_cache_is_none(
+    caplog: pytest.LogCaptureFixture, device: Device
+) -> None:
+    owner = get_builds(device)
+    request = owner.request(f"kernel void raster(global int *memory) {{ memory[0] = {os.getpid()}; }}", ())
+    for warnings in (1, 0):
+        owner._waited, owner._next_warning = 0.0, 1e-9
+        caplog.clear()
+        owner.compile(request)
+        assert len(caplog.records) == warnings
