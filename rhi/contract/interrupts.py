@@ -55,7 +55,7 @@ class DeferredInterrupts:
             for number, _ in self._handlers:
                 signal(number, hold)
         except BaseException:  # a signal came just before
-            self._restore()
+            self.__exit__(None, None, None)
             raise
 
     def _select(self) -> tuple[tuple[int, Handler], ...]:
@@ -90,26 +90,26 @@ class DeferredInterrupts:
     def _raises_at_once(self, number: int, came: list[tuple[int, FrameType | None]]) -> bool:
         return any(number == earlier for earlier, _ in came)
 
-    def _restore(self) -> None:
-        for number, handler in self._handlers:
-            signal(number, handler)
-
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        for number, handler in self._handlers:
-            signal(number, handler)
-        came, self._came = self._came, None
-        if came is not None:
-            self._call_handlers(came)
+        try:
+            for number, handler in self._handlers:
+                signal(number, handler)
+            if self._came:
+                self._call_handlers(self._came)
+        except (
+            BaseException
+        ):  # of a handler, perhaps of a signal that came just now: the others have their turn
+            self.__exit__(None, None, None)
+            raise
 
     def _call_handlers(self, came: list[tuple[int, FrameType | None]]) -> None:
-        """Call the handlers of all signals that came. No variable holds what they raise: such a cycle would
-        keep the interrupted frames alive, and with them memory that drivers were given."""
-        number, frame = came.pop(0)
-        try:
+        """Call the handlers of all signals that came, and forget each just before. No variable holds what they
+        raise: such a cycle would keep the interrupted frames alive, and with them memory that drivers were
+        given."""
+        while came:
+            number, frame = came[0]
+            del came[0]
             dict(self._handlers)[number](number, frame)
-        finally:
-            if came:
-                self._call_handlers(came)
 
 
 class DeferredSignals(DeferredInterrupts):

@@ -22,6 +22,10 @@ ARGUMENTS: Final = 24
 METHODS: Final = 4
 HELPERS: Final = 4
 """Methods that only the others call."""
+MAX_LINES: Final = 150
+"""Lines of a method, with those of the methods that it calls each time it calls them, beyond which it calls no
+more. Drivers put called methods in place of the calls; without a limit, one of a hundred programs had 5,000
+lines then, and took minutes to compile."""
 _DISCARDED: Final = -1
 _CONSTANTS: Final = (2, 3, 5, 7, 11)
 
@@ -120,6 +124,8 @@ class Writer:
         self._names = 0
         self._kinds: list[str] = []
         self._calls = 0
+        self._sizes: list[int] = []  # lines of each method, with those that it calls
+        self._called_lines = self._first_line = 0
         self._array = ""
 
     def write(self) -> str:
@@ -138,6 +144,7 @@ class Writer:
         self._kinds.append(self._random.choice(kinds))
         self._callable = range(min(number, HELPERS))
         self._calls, self._array = 0, ""
+        self._called_lines, self._first_line = 0, len(self._lines)
         self._add(4, f"def f{number}(self, x: int, i: int) -> {self._kinds[-1]}:")
         if self._kinds[-1] == "None":
             self._add(8, f"self.log[i] = self.log[i] + {number + 1}")
@@ -148,6 +155,11 @@ class Writer:
             self._add(8, self._return())
         if self._random.random() < 0.3:
             self._write_dead(8, False)
+        self._sizes.append(self._count_lines())
+
+    def _count_lines(self) -> int:
+        """Lines of the method so far, with those of the methods that it calls."""
+        return len(self._lines) - self._first_line + self._called_lines
 
     def _add(self, indent: int, text: str) -> None:
         self._lines.append(" " * indent + text)
@@ -161,10 +173,14 @@ class Writer:
 
     def _pick_helper(self) -> int | None:
         """Return a method that may be called here; None if there is none, or calls enough are written."""
-        if not self._callable or self._calls >= 4:
+        room = MAX_LINES - self._count_lines()
+        helpers = [number for number in self._callable if self._sizes[number] <= room]
+        if not helpers or self._calls >= 4:
             return None
         self._calls += 1
-        return self._random.choice(self._callable)
+        helper = self._random.choice(helpers)
+        self._called_lines += self._sizes[helper]
+        return helper
 
     def _operand(self) -> str:
         forms = ["x", "(x + {})", "(x * {})", "(7 - x)", "(x // {})", "(x % {})"]

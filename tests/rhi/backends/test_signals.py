@@ -4,16 +4,20 @@ device."""
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import ctrl_c_frames
 import pytest
 
 import rhi
+from rhi.contract import interrupts
 from rhi.contract.interrupts import DeferredInterrupts, DeferredSignals
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGALRM, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2]
@@ -219,18 +223,77 @@ def test_frames_go_on_after_thousands_of_timeouts(backend: str) -> None:
     assert interrupt_frames(backend, os.getpid(), 2000) > 100
 
 
+# -- signals while handlers are put back -------------------------------------------------------------------
+
+
+@pytest.fixture
+def presses(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """The handlers that were called, in order. Ctrl-C comes when its own handler has just been put back, before
+    those of other signals are."""
+    called: list[str] = []
+    numbers = [signal.SIGINT, signal.SIGALRM, signal.SIGUSR1]
+    before = {number: signal.getsignal(number) for number in numbers}
+
+    def interrupt(number: int, frame: Any) -> None:
+        called.append(signal.Signals(number).name)
+        raise KeyboardInterrupt
+
+    def note(number: int, frame: Any) -> None:
+        called.append(signal.Signals(number).name)
+
+    set_handler: Any = vars(interrupts)["signal"]
+
+    def set_and_press(number: int, handler: Any) -> None:
+        set_handler(number, handler)
+        if handler is interrupt and "SIGINT" not in called:
+            signal.raise_signal(signal.SIGINT)
+
+    for number in numbers:
+        signal.signal(number, interrupt if number == signal.SIGINT else note)
+    monkeypatch.setattr(interrupts, "signal", set_and_press)
+    yield called
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("kind", [DeferredInterrupts, DeferredSignals])
+def test_an_interrupt_at_the_end_of_a_block_leaves_no_handler_held(kind: type, presses: list[str]) -> None:
+    handlers = signal.getsignal(signal.SIGALRM), signal.getsignal(signal.SIGUSR1)
+    with pytest.raises(KeyboardInterrupt), kind():
+        pass
+    assert (signal.getsignal(signal.SIGALRM), signal.getsignal(signal.SIGUSR1)) == handlers
+    assert presses == ["SIGINT"]
+
+
+@pytest.mark.parametrize("kind", [DeferredInterrupts, DeferredSignals])
+def test_an_interrupt_at_the_end_of_a_block_hides_no_signal_that_waits(
+    kind: type, presses: list[str]
+) -> None:
+    with pytest.raises(KeyboardInterrupt), kind():
+        signal.raise_signal(signal.SIGALRM)
+        signal.raise_signal(signal.SIGUSR1)
+    assert presses == ["SIGINT", "SIGALRM", "SIGUSR1"]
+
+
 # -- Ctrl-C ------------------------------------------------------------------------------------------------
 
 
-def press_in_frames(backend: str, seed: int, times: int, cache: str) -> tuple[int, int, int]:
+def press_in_frames(backend: str, seed: int, times: int, folder: Path | None = None) -> tuple[int, int, int]:
     """Press Ctrl-C once in or soon after each frame of a program; all others are right.
+
+    Args:
+        folder: an empty folder for compiled shaders, which each frame has new ones of; None for the usual
+            folder, and the same shaders in all frames.
 
     Returns:
         How many interrupts were raised in a frame, how many after it, and how many came in a destructor, where
         Python prints them.
     """
+    cache = "warm" if folder is None else "cold"
     command = [sys.executable, "-W", "ignore", ctrl_c_frames.__file__, backend, str(seed), str(times), cache]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=7200, check=False)
+    folders = {} if folder is None else dict.fromkeys(("RHI_CACHE", "MESA_SHADER_CACHE_DIR"), str(folder))
+    environment = {**os.environ, **folders}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=7200, check=False, env=environment)
     assert done.returncode == 0, done.stderr[-3000:]
     raised, late, lost = map(int, done.stdout.split()[-3:])
     return raised, late, lost
@@ -240,17 +303,71 @@ def press_in_frames(backend: str, seed: int, times: int, cache: str) -> tuple[in
 def test_frames_go_on_after_ctrl_c(backend: str) -> None:
     if not has(backend):
         pytest.skip(f"no device on {backend}")
-    raised, late, lost = press_in_frames(backend, os.getpid(), 15, "warm")
+    raised, late, lost = press_in_frames(backend, os.getpid(), 15)
     assert raised + late + lost == 15
     assert raised + late > 0
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("backend", ["gl", "cl", "wgpu", "null"])
-@pytest.mark.parametrize(("cache", "times"), [("warm", 1700), ("cold", 100)])
-def test_frames_go_on_after_thousands_of_ctrl_c(backend: str, cache: str, times: int) -> None:
+@pytest.mark.parametrize(("is_cold", "times"), [(False, 1700), (True, 200)], ids=["warm", "cold"])
+def test_frames_go_on_after_thousands_of_ctrl_c(
+    backend: str, is_cold: bool, times: int, tmp_path: Path
+) -> None:
     if not has(backend):
         pytest.skip(f"no device on {backend}")
-    raised, _, lost = press_in_frames(backend, os.getpid(), times, cache)
+    raised, _, lost = press_in_frames(backend, os.getpid(), times, tmp_path if is_cold else None)
     assert raised > times // 10
     assert lost < times // 10
+
+
+_STARTED = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import numpy as np
+import rhi
+import rhi.shading as sl
+
+text = '''
+from rhi.shading import Shader, Storage, StorageRW, global_id
+class Double(Shader):
+    work_group = (4,)
+    source: Storage[float]
+    out: StorageRW[float]
+    def compute(self) -> None:
+        self.out[global_id().x] = self.source[global_id().x] * 2.0
+'''
+with rhi.create_device("cl") as device:
+    source, out = device.storage(float, np.arange(8, dtype=np.float32)), device.storage(float, 8)
+    device.dispatch(device.program(sl.from_source(text)), 2, source=source, out=out)
+    print(out.read().tolist() == [2.0 * i for i in range(8)])
+"""
+
+
+@pytest.mark.nightly
+def test_a_process_draws_after_another_was_interrupted_at_its_start(tmp_path: Path) -> None:
+    """From the first import to the close of the device, with an empty cache, which the next process takes
+    over."""
+    if not has("cl"):
+        pytest.skip("no device on cl")
+    generator, command = random.Random(os.getpid()), [sys.executable, "-W", "ignore", "-c", _STARTED]
+
+    def start(folder: Path) -> subprocess.Popen[str]:
+        pipe, environment = subprocess.PIPE, {**os.environ, "RHI_CACHE": str(folder)}
+        return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment)
+
+    def finish(process: subprocess.Popen[str]) -> str:
+        output, errors = process.communicate(timeout=300)
+        assert process.returncode in (0, 1, -signal.SIGINT), errors[-3000:]
+        return output.strip() if process.returncode == 0 else "KeyboardInterrupt"
+
+    began = time.perf_counter()
+    assert finish(start(tmp_path / "first")) == "True"
+    duration, outcomes = time.perf_counter() - began, []
+    for number in range(15):
+        process = start(tmp_path / str(number))
+        time.sleep(generator.uniform(0.0, duration))
+        process.send_signal(signal.SIGINT)
+        outcomes.append(finish(process))
+        assert finish(start(tmp_path / str(number))) == "True", number
+    assert outcomes.count("KeyboardInterrupt") > 3
