@@ -30,9 +30,10 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any, Final
 
 import rhi
@@ -44,12 +45,15 @@ from renderer.cli.output import OutputError, note, prepare_chart, report_omissio
 from renderer.cli.subcommand import Subcommand
 from renderer.lab.accuracy import (
     FLICKER_WEIGHT,
+    FRONT_PIXELS,
     QUALITY_SETTINGS,
+    TRACED_PIXELS,
     CheckedChoice,
     ParetoPoint,
     SettingReport,
     SweepSetup,
     choose,
+    keep_references,
     leave_to_trials,
     list_jobs,
     load_or_compute_pareto_front,
@@ -57,11 +61,15 @@ from renderer.lab.accuracy import (
     select_effective_reports,
 )
 from renderer.lab.measure import format_table
+from renderer.lab.measure.disturbance import DISTURBED
+from renderer.scene import Scene
 from renderer.settings import to_json
 from renderer.viewer.frame_budget import BudgetStep, save_steps
 from rhi import RhiError, refuse
 from rhi_screen.executors import KINDS, make_executor
 
+_SWEEP_ROUNDS: Final = 1
+"""The most rounds of a sweep that only begins a choice: the front is timed again."""
 _OPTIONS: Final = (
     options.SCENE,
     option(
@@ -134,20 +142,27 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.plot is not None:
         prepare_chart(arguments.plot)
     setup = _make_setup(arguments)
-    is_bounded = arguments.budget_ms is not None or arguments.max_error is not None
     settings_path = (arguments.output or Path()) / "settings.json"
-    if is_bounded:
+    if _is_bounded(arguments):
         remove_old_settings(settings_path, arguments.settings)
+    with keep_references(_jobs_folder(arguments)):
+        _measure(arguments, setup, scene)
+
+
+def _measure(arguments: argparse.Namespace, setup: SweepSetup, scene: Scene) -> None:
+    """Sweep the quality settings, choose settings if there is a bound, and write and print the results."""
     reports = _sweep(arguments, setup)
     measured = [report for report in reports if report.rows]
     if not measured:
         refuse(rules.NO_QUALITY_SETTINGS, "accuracy", ", ".join(report.setting for report in reports))
     points = list[ParetoPoint]()
+    is_bounded, settings_path = _is_bounded(arguments), (arguments.output or Path()) / "settings.json"
     if is_bounded or (
         arguments.output is not None and select_effective_reports(scene, setup.settings, measured)
     ):
         progress = partial(show_progress, task="combine quality settings")
         points = load_or_compute_pareto_front(setup, measured, _jobs_folder(arguments), progress)
+        note_disturbance(points)
     choice: CheckedChoice | None = None
     refusal: RhiError | None = None
     if is_bounded:
@@ -166,6 +181,20 @@ def _run(arguments: argparse.Namespace) -> None:
         raise refusal
 
 
+def _is_bounded(arguments: argparse.Namespace) -> bool:
+    return arguments.budget_ms is not None or arguments.max_error is not None
+
+
+def note_disturbance(points: Sequence[ParetoPoint]) -> None:
+    """Say so if other programs had the processors while combinations were timed."""
+    slowdown = median(point.slowdown for point in points)
+    if slowdown >= DISTURBED:
+        note(
+            f"the machine is busy: waiting for a processor made frames take {slowdown:.1f} times as long;"
+            " times are corrected for it"
+        )
+
+
 def _make_setup(arguments: argparse.Namespace) -> SweepSetup:
     """The scene, frames, device and settings of a sweep. Opens the device, so that a missing one is refused
     now."""
@@ -180,6 +209,8 @@ def _make_setup(arguments: argparse.Namespace) -> SweepSetup:
         rounds=arguments.rounds,
         settings=load_settings(arguments),
         flicker_weight=arguments.flicker,
+        # The sweep only begins a choice: it shares the traced pixels of the front.
+        traced_pixels=FRONT_PIXELS if _is_bounded(arguments) else TRACED_PIXELS,
     )
 
 
@@ -190,6 +221,8 @@ def _jobs_folder(arguments: argparse.Namespace) -> Path | None:
 
 def _sweep(arguments: argparse.Namespace, setup: SweepSetup) -> list[SettingReport]:
     """Measure the quality settings that were named, or all, and say on stderr which are left out."""
+    if _is_bounded(arguments):
+        setup = replace(setup, rounds=min(setup.rounds, _SWEEP_ROUNDS))
     jobs = list_jobs(setup, dict.fromkeys(arguments.quality_setting or QUALITY_SETTINGS))
     with make_executor(arguments.executor) as executor:
         reports = run_jobs(

@@ -47,6 +47,7 @@ ON_CL: Final = dict.fromkeys(
 OWN: Final[dict[str, tuple[str, ...]]] = {
     **ON_CL,
     "engines": ("--only", "gl,cl", "--scene", "city:blocks=2"),
+    "equal_error": ("--scene", "city:blocks=2", "--backend", "gl", "--views", "1"),
     "growth": ("--backend", "null"),
     "memory": ("--backend", "null"),
     "occlusion": (*ON_CL["occlusion"], "--scene", "city:blocks=4"),

@@ -1,6 +1,9 @@
 """The cost of accuracy in time: quality settings, the error and the time of their values, and the choice
 between them."""
 
+from renderer.lab.accuracy.bench import TRACED_PIXELS as TRACED_PIXELS
+from renderer.lab.accuracy.bench import keep_references as keep_references
+from renderer.lab.accuracy.choice import FRONT_PIXELS as FRONT_PIXELS
 from renderer.lab.accuracy.choice import CheckedChoice as CheckedChoice
 from renderer.lab.accuracy.choice import ParetoPoint as ParetoPoint
 from renderer.lab.accuracy.choice import choose as choose

@@ -7,8 +7,11 @@ fast at any image size.
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from hashlib import sha256
+from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
@@ -25,6 +28,8 @@ from rhi import Device
 
 TRACED_PIXELS: Final = 6000
 """About how many pixels of an image are traced for the errors of a single quality setting."""
+_TRACER_VERSION: Final = 1
+"""Part of the name of a stored image. Raise it with any change of what the ray tracer renders."""
 
 
 class Bench:
@@ -93,14 +98,46 @@ class Bench:
         every = max(1, round(np.sqrt(size[0] * size[1] / self._traced_pixels)))
         key = f"{_describe_view(self.scene, camera, size, self._rays)} {every} {has_penumbras}"
         if key not in _TRACED:
-            _TRACED[key] = RayTracer(self.scene, has_penumbras=has_penumbras).draw(
-                camera, size, self._rays, every
-            )
+            tracer = RayTracer(self.scene, has_penumbras=has_penumbras)
+            _TRACED[key] = _load_or_trace(key, lambda: tracer.draw(camera, size, self._rays, every))
         return _TRACED[key]
 
 
 _TRACED: Final[dict[str, Floats]] = {}
 """Ray-traced images of this process, by a hash of all that they depend on."""
+_FOLDERS: Final[list[Path]] = []
+"""Folders that store ray-traced images; the last one is used."""
+
+
+@contextmanager
+def keep_references(folder: Path | None) -> Iterator[None]:
+    """Store the ray-traced images of this process in a folder, and read those that it has; None stores none."""
+    if folder is None:
+        yield
+        return
+    _FOLDERS.append(folder)
+    try:
+        yield
+    finally:
+        _FOLDERS.pop()
+
+
+def _load_or_trace(key: str, trace: Callable[[], Floats]) -> Floats:
+    """The ray-traced image of a key: read from the folder, or traced and stored there."""
+    if not _FOLDERS:
+        return trace()
+    name = sha256(f"{key} {_TRACER_VERSION}".encode()).hexdigest()[:24]
+    path = _FOLDERS[-1] / f"reference-{name}.npy"
+    try:
+        return np.asarray(np.load(path, allow_pickle=False), np.float64)
+    except (OSError, ValueError, EOFError):  # missing or damaged
+        image = trace()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(f".{os.getpid()}.part")
+    with beside.open("wb") as file:
+        np.save(file, image)
+    beside.replace(path)
+    return image
 
 
 def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: int) -> str:

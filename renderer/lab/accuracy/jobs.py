@@ -27,7 +27,7 @@ from renderer.lab.accuracy.quality_settings import QUALITY_SETTINGS, ErrorUnit, 
 from renderer.settings import to_json
 from rhi_screen.executors import as_completed
 
-_VERSION: Final = 5
+_VERSION: Final = 6
 """Part of each job's hash. Raise it with any change of what is measured or stored."""
 
 

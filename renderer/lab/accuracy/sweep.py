@@ -31,7 +31,7 @@ import rhi
 from renderer.content import GENERATORS, change_options, load_scene, parse_camera, parse_camera_path
 from renderer.content.fountains import FountainSimulation
 from renderer.inspection.frame_cost import settle
-from renderer.lab.accuracy.bench import Bench, can_ray_trace, read_image_levels
+from renderer.lab.accuracy.bench import TRACED_PIXELS, Bench, can_ray_trace, read_image_levels
 from renderer.lab.accuracy.float64 import Float64Image, shade_in_float64
 from renderer.lab.accuracy.image_errors import (
     compute_flicker,
@@ -90,6 +90,7 @@ class SweepSetup:
         settings: the settings that quality settings change.
         first, last: the frames of a path among which views are spread; `last` may be None for its end.
         flicker_weight: how many levels of error a level of flicker counts for when settings are chosen.
+        traced_pixels: about how many pixels of an image are ray-traced.
     """
 
     scene: str
@@ -102,6 +103,7 @@ class SweepSetup:
     first: int = 0
     last: int | None = None
     flicker_weight: float = FLICKER_WEIGHT
+    traced_pixels: int = TRACED_PIXELS
 
 
 @dataclass(frozen=True, slots=True)
@@ -524,6 +526,7 @@ class SettingBench(Bench):
             setting.reference.scale,
             rig,
             setting.reference.rays,
+            setup.traced_pixels,
         )
         with ExitStack() as self._opened:  # closed if one of them can't be opened
             scenes = {value: self._load(setup, value) for value in values}

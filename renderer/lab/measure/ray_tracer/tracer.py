@@ -63,12 +63,12 @@ class RayTracer:
             for coordinates in np.meshgrid(*(np.arange(side)[every // 2 :: every] for side in size))
         )
         pixel_positions = np.stack([x, y], axis=1)
-        light = np.zeros((len(pixel_positions), 3))
         rng = np.random.default_rng(0)
-        for row in range(rays):
-            for column in range(rays):
-                part = rng.uniform(size=pixel_positions.shape) if rays > 1 else at
-                light += self.trace(camera, size, pixel_positions + (np.array([column, row]) + part) / rays)
+        positions = np.empty((len(pixel_positions), rays**2, 2))  # the rays of a pixel beside each other
+        for number, (row, column) in enumerate(np.ndindex(rays, rays)):
+            part = rng.uniform(size=pixel_positions.shape) if rays > 1 else at
+            positions[:, number] = pixel_positions + (np.array([column, row]) + part) / rays
+        light = self.trace(camera, size, positions.reshape(-1, 2)).reshape(-1, rays**2, 3).sum(axis=1)
         image = np.full((height, width, 3), np.nan)
         image[y, x] = 255.0 * encode_srgb(light / rays**2)
         return image

@@ -2,8 +2,8 @@
 
 Triangles are put in an order in which each half, quarter and so on is on one side of the other. Four
 neighbours make a leaf and eight nodes the next one above, so that the tree is nothing but an array of boxes
-for each level. Pairs of a ray and a node go down it level by level, all rays together; those whose ray misses
-the box are left out.
+for each level. Pairs of a bundle of neighbouring rays and a node go down it level by level, all together;
+those whose rays all miss the box are left out. At the leaves each ray goes on alone.
 """
 
 from __future__ import annotations
@@ -22,6 +22,10 @@ _LEAF: Final = 4
 _WIDTH: Final = 8
 _CHUNK: Final = 1 << 13
 """Rays that traverse the tree together: some hundred pairs each fit into a cache."""
+_BUNDLE: Final = 16
+"""The most consecutive rays that descend the tree together, up to its leaves."""
+_TURN: Final = 0.05
+"""The change of direction from ray to ray, as a fraction, at which a bundle ends."""
 _EDGE: Final = 1e-12
 """The fraction by which triangles are enlarged, so that no ray falls between two."""
 
@@ -56,6 +60,8 @@ class TriangleTree:
         self._levels = [_group(lower.T, upper.T, _LEAF)]
         while self._levels[-1][0].shape[1] > _WIDTH:
             self._levels.append(_group(*self._levels[-1], _WIDTH))
+        lower, upper = self._levels[0]
+        self._leaf_size = float(np.median((upper - lower).max(axis=0)))
 
     def intersect(self, origins: Floats, directions: Floats, first: Floats, last: Floats) -> Hits:
         """All hits of rays (n, 3) with triangles at distances from `first` to `last` (n,)."""
@@ -76,26 +82,74 @@ class TriangleTree:
         starts, slopes = origins[begin:end].T.copy(), directions[begin:end].T.copy()
         first, last = first[begin:end], last[begin:end]
         inverse = 1.0 / np.where(slopes == 0.0, 1e-290, slopes)
-        top = self._levels[-1][0].shape[1]
-        ray, node = np.repeat(rays - begin, top), np.tile(np.arange(top), len(rays))
-        for level, (lower, upper) in enumerate(reversed(self._levels), 1):
-            enters, leaves = first[ray], last[ray]
-            for axis in range(3):
-                start, slope = starts[axis][ray], inverse[axis][ray]
-                to_lower, to_upper = (lower[axis][node] - start) * slope, (upper[axis][node] - start) * slope
-                np.maximum(enters, np.minimum(to_lower, to_upper), out=enters)
-                np.minimum(leaves, np.maximum(to_lower, to_upper), out=leaves)
-            entered = np.flatnonzero(enters <= leaves + _EDGE * np.abs(leaves))
-            width = _LEAF if level == len(self._levels) else _WIDTH
-            count = (
-                self._origin.shape[1] if level == len(self._levels) else self._levels[-level - 1][0].shape[1]
-            )
-            ray = np.repeat(ray[entered], width)
-            node = (node[entered][:, None] * width + np.arange(width)).reshape(-1)
-            if len(node) and node.max() >= count:
-                ray, node = ray[node < count], node[node < count]
-        hits = self._intersect(ray, node, starts, slopes, first, last)
+        begins = self._divide_into_bundles(starts, slopes)
+        bundle, node = self._enter_leaves(begins, starts, inverse, first, last)
+        counts = np.diff(begins, append=len(rays))[bundle]
+        ray = np.repeat(begins[bundle] - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
+        node = np.repeat(node, counts)
+        lower, upper = self._levels[0]
+        enters, leaves = first[ray], last[ray]
+        for axis in range(3):
+            start, slope = starts[axis][ray], inverse[axis][ray]
+            to_lower, to_upper = (lower[axis][node] - start) * slope, (upper[axis][node] - start) * slope
+            np.maximum(enters, np.minimum(to_lower, to_upper), out=enters)
+            np.minimum(leaves, np.maximum(to_lower, to_upper), out=leaves)
+        entered = np.flatnonzero(enters <= leaves + _EDGE * np.abs(leaves))
+        triangle = _list_children(node[entered], _LEAF)
+        ray = np.repeat(ray[entered], _LEAF)
+        exists = triangle < self._origin.shape[1]
+        hits = self._intersect(ray[exists], triangle[exists], starts, slopes, first, last)
         return Hits(hits.ray + begin, hits.triangle, hits.distance, hits.second, hits.third)
+
+    def _divide_into_bundles(self, starts: Floats, slopes: Floats) -> Indices:
+        """The first ray of each bundle: of at most `_BUNDLE` rays that begin and point alike.
+
+        Args:
+            starts, slopes: the rays' origins and directions, (3, n).
+        """
+        apart = np.abs(np.diff(starts, axis=1)).max(axis=0) > self._leaf_size
+        apart |= np.abs(np.diff(slopes, axis=1)).max(axis=0) > _TURN * np.abs(slopes[:, 1:]).max(axis=0)
+        is_first = np.ones(starts.shape[1], bool)
+        is_first[1:] = apart
+        is_first[::_BUNDLE] = True
+        return np.flatnonzero(is_first)
+
+    def _enter_leaves(
+        self, begins: Indices, starts: Floats, inverse: Floats, first: Floats, last: Floats
+    ) -> tuple[Indices, Indices]:
+        """The pairs of a bundle of rays and a leaf whose box some of them may enter.
+
+        Interval arithmetic: a bundle meets a slab no earlier and no later than any combination of the least and
+        greatest start and slope of its rays.
+
+        Args:
+            begins: the first ray of each bundle.
+            starts, inverse: the rays' origins, and the inverses of their directions, (3, n).
+        """
+        if not len(begins):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        least_start, least_slope = (np.minimum.reduceat(array, begins, axis=1) for array in (starts, inverse))
+        most_start, most_slope = (np.maximum.reduceat(array, begins, axis=1) for array in (starts, inverse))
+        earliest, latest = np.minimum.reduceat(first, begins), np.maximum.reduceat(last, begins)
+        top = self._levels[-1][0].shape[1]
+        bundle, node = np.repeat(np.arange(len(begins)), top), np.tile(np.arange(top), len(begins))
+        for level in range(len(self._levels) - 1, -1, -1):
+            lower, upper = self._levels[level]
+            enters, leaves = earliest[bundle], latest[bundle]
+            for axis in range(3):
+                near = lower[axis][node] - most_start[axis][bundle]
+                far = upper[axis][node] - least_start[axis][bundle]
+                low, high = least_slope[axis][bundle], most_slope[axis][bundle]
+                times = near * low, near * high, far * low, far * high
+                np.maximum(enters, np.minimum.reduce(times), out=enters)
+                np.minimum(leaves, np.maximum.reduce(times), out=leaves)
+            entered = np.flatnonzero(enters <= leaves + _EDGE * np.abs(leaves))
+            bundle, node = bundle[entered], node[entered]
+            if level:
+                bundle, node = np.repeat(bundle, _WIDTH), _list_children(node, _WIDTH)
+                exists = node < self._levels[level - 1][0].shape[1]
+                bundle, node = bundle[exists], node[exists]
+        return bundle, node
 
     def _intersect(
         self,
@@ -140,6 +194,11 @@ class TriangleTree:
         blocked = np.zeros(len(origins), bool)
         blocked[hits.ray[blocks(hits)]] = True
         return blocked
+
+
+def _list_children(nodes: Indices, width: int) -> Indices:
+    """The indices of `width` children of each node, whether they exist or not."""
+    return np.asarray((nodes[:, None] * width + np.arange(width)).reshape(-1))
 
 
 def _group(lower: Floats, upper: Floats, width: int) -> tuple[Floats, Floats]:

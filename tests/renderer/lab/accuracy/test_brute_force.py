@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from time import process_time
+from typing import Final
 
 import numpy as np
 import pytest
+from busy_kit import busy_processes
 
+import rhi
 from renderer.content import load_scene
-from renderer.lab.accuracy import SweepSetup, compute_pareto_front, sweep_setting
-from renderer.lab.accuracy.choice import CombinationBench, combine, make_plain
+from renderer.lab.accuracy import (
+    FRONT_PIXELS,
+    ParetoPoint,
+    SettingReport,
+    SweepSetup,
+    compute_pareto_front,
+    sweep_setting,
+)
+from renderer.lab.accuracy.choice import CombinationBench, combine, make_plain, order_by_speed
 from renderer.lab.accuracy.sweep import list_views
 from renderer.settings import RenderSettings
 from tests.renderer.conftest import open_device
@@ -39,6 +51,99 @@ _MORE = 1.1
 """Times the least error."""
 
 
+def sweep_values(setup: SweepSetup, values: Mapping[str, Sequence[str]]) -> list[SettingReport]:
+    """Sweep some values of quality settings."""
+    sweeps = {setting: sweep_setting(setup, setting) for setting in values}
+    return [
+        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in values[setting]))
+        for setting, sweep in sweeps.items()
+    ]
+
+
+FEW: Final = {
+    "city:blocks=2,shadows=1": {
+        "shadow_size": ("256", "1024", "2048"),
+        "texture_filter": ("bilinear, no mip levels", "trilinear"),
+        "samples": ("1", "4"),
+    },
+    "hall:columns=4,rows=2,shadows=1,lights=8": {
+        "scale": ("0.5", "1.0", "2.0"),
+        "local_shadow_size": ("64", "256", "512"),
+    },
+    "night:blocks=2,shadows=1,lights=8": {
+        "scale": ("0.5", "1.0", "2.0"),
+        "shadow_size": ("256", "1024", "2048"),
+    },
+}
+
+
+@contextmanager
+def count_frames(counts: list[int]) -> Iterator[None]:
+    """Append the number of frames that each bench of combinations draws."""
+    with pytest.MonkeyPatch.context() as patch:
+        close = CombinationBench.__exit__
+
+        def count_and_close(bench: CombinationBench, *error: object) -> None:
+            counts.append(bench.frames_drawn)
+            close(bench, *error)
+
+        patch.setattr(CombinationBench, "__exit__", count_and_close)
+        yield
+
+
+def list_bounds(points: Sequence[ParetoPoint]) -> list[float]:
+    """Bounds between the errors of a front, far from each of them."""
+    errors = sorted({point.error for point in points})
+    gaps = sorted(pairwise(errors), key=lambda pair: pair[0] - pair[1])[:2]
+    return [0.5 * (low + high) for low, high in gaps] + [2.0 * errors[-1]]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", FEW)
+def test_a_race_chooses_as_complete_comparisons_do_with_fewer_frames(name: str, gl: rhi.Device) -> None:
+    setup = SweepSetup(name, backend="gl", size=(96, 54), views=3, rounds=7, traced_pixels=FRONT_PIXELS)
+    reports = sweep_values(setup, FEW[name])
+    counts: list[int] = []
+    with count_frames(counts):
+        raced = compute_pareto_front(setup, reports)
+        complete = compute_pareto_front(setup, reports, races=False)
+    assert counts[0] < counts[1]
+    for bound in list_bounds(complete):
+        selected, expected = (
+            order_by_speed([point for point in points if point.error <= bound])[0]
+            for points in (raced, complete)
+        )
+        assert is_as_good(selected, expected), (selected, expected)
+
+
+def is_as_good(point: ParetoPoint, expected: ParetoPoint) -> bool:
+    """True for the same settings, and for others that are as fast and as accurate up to what a race ignores."""
+    same = point.values == expected.values
+    return same or (point.ratio <= 1.05 * expected.ratio and point.error <= 1.02 * expected.error)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", FEW)
+def test_a_choice_beside_busy_processes_is_that_of_a_quiet_machine(name: str, gl: rhi.Device) -> None:
+    """Beside two processes that compute all the time."""
+    setup = SweepSetup(name, backend="gl", size=(96, 54), views=3, rounds=7, traced_pixels=FRONT_PIXELS)
+    fronts = []
+    for busy in (0, 2):
+        with busy_processes(busy):
+            fronts.append(compute_pareto_front(setup, sweep_values(setup, FEW[name])))
+    for bound in list_bounds(fronts[0]):
+        quiet, busy_choice = (
+            order_by_speed([point for point in points if point.error <= bound])[0] for points in fronts
+        )
+        assert is_as_good(busy_choice, quiet), (busy_choice, quiet)
+    most, busy_most = (
+        next(point for point in points if point.error == min(other.error for other in points))
+        for points in fronts
+    )
+    assert busy_most.values == most.values
+    assert busy_most.milliseconds == pytest.approx(most.milliseconds, rel=0.35)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("backend", ["gl", "cl"])
 @pytest.mark.parametrize("name", SCENES)
@@ -50,11 +155,7 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, b
     values = SCENES[name]
     with open_device(backend):
         pass
-    sweeps = {setting: sweep_setting(setup, setting) for setting in values}
-    reports = [
-        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in values[setting]))
-        for setting, sweep in sweeps.items()
-    ]
+    reports = sweep_values(setup, values)
     front = compute_pareto_front(setup, reports)
     base, scene = make_plain(setup.settings), load_scene(setup.scene)
     everything = {

@@ -38,6 +38,24 @@ def test_rays_meet_the_triangles_that_each_of_them_says(count: int) -> None:
     assert met > 20
 
 
+def test_neighbouring_rays_meet_the_triangles_that_each_of_them_meets_alone() -> None:
+    """They descend the tree as bundles, from origins beside each other and in about the same direction."""
+    rng = np.random.default_rng(5)
+    corners = rng.uniform(-1, 1, (300, 1, 3)) + rng.normal(size=(300, 3, 3)) * 0.1
+    across = np.abs(np.arange(320) * 0.06 % 3.6 - 1.8) - 0.9  # there and back, in short steps
+    origins = np.stack([np.full(320, -3.0), across - 0.9, np.linspace(-1.5, 0.3, 320)], axis=1)
+    directions = np.array([1.0, 0.3, 0.2]) + rng.normal(size=(320, 3)) * 0.005
+    tree, first, last = TriangleTree(corners), np.zeros(320), np.full(320, np.inf)
+    hits = tree.intersect(origins, directions, first, last)
+    pairs = set(zip(hits.ray.tolist(), hits.triangle.tolist(), strict=True))
+    alone = set()
+    for ray in range(320):
+        single = tree.intersect(*(array[ray : ray + 1] for array in (origins, directions, first, last)))
+        alone |= {(ray, triangle) for triangle in single.triangle.tolist()}
+    assert len(pairs) > 100
+    assert pairs == alone
+
+
 def test_a_ray_begins_and_ends_at_its_distances() -> None:
     triangles = np.array([[(-1.0, -1.0, z), (3.0, -1.0, z), (-1.0, 3.0, z)] for z in (-1.0, -2.0, -3.0)])
     tree, ahead = TriangleTree(triangles), np.array([(0.0, 0.0, -1.0)])
