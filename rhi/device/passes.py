@@ -203,7 +203,9 @@ def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | Non
 
 def _as_render_target(core: Core, value: object) -> TextureTarget:
     if isinstance(value, TextureTarget) and isinstance(value.texture, Texture):
-        level, layer = value.texture._check("device.render_pass", value.level, value.layer or 0, core)
+        level, layer = value.texture._check(
+            "device.render_pass", value.level, 0 if value.layer is None else value.layer, core
+        )
         return TextureTarget(value.texture, level, None if value.layer is None else layer)
     if isinstance(value, Texture):
         layers = value.requested.layers

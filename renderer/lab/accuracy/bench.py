@@ -98,8 +98,12 @@ class Bench:
         every = max(1, round(np.sqrt(size[0] * size[1] / self._traced_pixels)))
         key = f"{_describe_view(self.scene, camera, size, self._rays)} {every} {has_penumbras}"
         if key not in _TRACED:
-            tracer = RayTracer(self.scene, has_penumbras=has_penumbras)
-            _TRACED[key] = _load_or_trace(key, lambda: tracer.draw(camera, size, self._rays, every))
+
+            def trace() -> Floats:
+                tracer = RayTracer(self.scene, has_penumbras=has_penumbras)
+                return tracer.draw(camera, size, self._rays, every)
+
+            _TRACED[key] = _load_or_trace(key, trace)
         return _TRACED[key]
 
 
@@ -142,7 +146,7 @@ def _load_or_trace(key: str, trace: Callable[[], Floats]) -> Floats:
 
 def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: int) -> str:
     """A hash of all that a ray-traced image depends on."""
-    lights, meshes, objects = scene.lights, scene.meshes, scene.objects
+    lights, meshes, objects = scene.lights.without_hidden(), scene.meshes, scene.objects
     arrays = (
         scene.materials,
         scene.textures,

@@ -49,7 +49,7 @@ from renderer.lab.accuracy.quality_settings import (
     QualitySetting,
     Requirement,
 )
-from renderer.lab.accuracy.race import MAX_TRIED, Trial, search
+from renderer.lab.accuracy.race import MAX_TRIED, SettingsTrial, search
 from renderer.lab.accuracy.sweep import FLICKER_WEIGHT, SettingReport, SweepSetup, find_next_frame, list_views
 from renderer.lab.measure.disturbance import Instant
 from renderer.lab.measure.measurement import Interval
@@ -322,8 +322,8 @@ class CombinationBench(Bench):
         values: dict[str, str],
         settings: RenderSettings,
         frames: Sequence[PathFrame],
-        is_beaten: Callable[[Trial], bool] = lambda trial: False,
-    ) -> tuple[Trial, list[FrameError]]:
+        is_beaten: Callable[[SettingsTrial], bool] = lambda trial: False,
+    ) -> tuple[SettingsTrial, list[FrameError]]:
         """Draw a combination view by view until it is beaten, and return its errors of the views so far."""
         self.draw(self.exchange(settings), settings, frames[-1])  # creates what the settings need
         errors: list[FrameError] = []
@@ -337,7 +337,7 @@ class CombinationBench(Bench):
                 self.draw(self.exchange(settings), settings, frame)
                 seconds.append(process_time() - began)
             totals = tuple(frame_error.total for frame_error in errors)
-            trial = Trial(values, totals, np.array(seconds), len(errors) == len(frames))
+            trial = SettingsTrial(values, totals, np.array(seconds), len(errors) == len(frames))
             if is_beaten(trial):
                 return replace(trial, is_complete=False), errors
         return trial, errors
@@ -373,7 +373,7 @@ class CombinationBench(Bench):
 
     def time(
         self,
-        trials: Sequence[Trial],
+        trials: Sequence[SettingsTrial],
         combinations: Sequence[RenderSettings],
         frames: Sequence[PathFrame],
         progress: Callable[[range], Iterable[int]],
@@ -399,7 +399,7 @@ class CombinationBench(Bench):
             if number + 1 >= _MIN_ROUNDS:
                 seconds = [np.array([instant.processor for instant in series]) for series in times]
                 timed = [
-                    Trial(trial.values, trial.errors, series)
+                    SettingsTrial(trial.values, trial.errors, series)
                     for trial, series in zip(trials, seconds, strict=True)
                 ]
                 active = [
@@ -433,7 +433,7 @@ def compute_pareto_front(
         views = list(frames)
         lost: dict[tuple[str, ...], list[FrameError]] = {}
 
-        def measure(values: dict[str, str], front: Sequence[Trial]) -> Trial:
+        def measure(values: dict[str, str], front: Sequence[SettingsTrial]) -> SettingsTrial:
             next(tried, None)
             trial, errors = bench.try_combination(
                 values,

@@ -32,7 +32,7 @@ _MIN_FRAMES: Final = 3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Trial:
+class SettingsTrial:
     """A combination of values in the views that it was drawn in.
 
     Attributes:
@@ -57,7 +57,7 @@ class Trial:
         """The order of trials by accuracy, whatever their times are."""
         return self.error, tuple(self.values.values())
 
-    def beats(self, other: Trial) -> bool:
+    def beats(self, other: SettingsTrial) -> bool:
         """True if this complete trial is as accurate as the other's views, and the other surely saves less than
         `MIN_GAIN` of its time."""
         if self.rank >= other.rank:
@@ -75,9 +75,9 @@ def is_surely_slower(seconds: Floats, others: Floats) -> bool:
     return bool(centre - _DEVIATIONS * 1.2533 * noise / np.sqrt(len(ratios)) >= np.log(1.0 - MIN_GAIN))
 
 
-def select_front(trials: Iterable[Trial]) -> list[Trial]:
+def select_front(trials: Iterable[SettingsTrial]) -> list[SettingsTrial]:
     """The complete trials that no more accurate one of them beats, the most accurate first."""
-    front: list[Trial] = []
+    front: list[SettingsTrial] = []
     complete = [trial for trial in trials if trial.is_complete]
     for trial in sorted(complete, key=lambda trial: trial.rank):
         if not any(other.beats(trial) for other in front):
@@ -88,9 +88,9 @@ def select_front(trials: Iterable[Trial]) -> list[Trial]:
 def search(
     values_by_setting: Mapping[str, Sequence[str]],
     start: Iterable[dict[str, str]],
-    measure: Callable[[dict[str, str], Sequence[Trial]], Trial],
+    measure: Callable[[dict[str, str], Sequence[SettingsTrial]], SettingsTrial],
     max_tried: int = MAX_TRIED,
-) -> list[Trial]:
+) -> list[SettingsTrial]:
     """Search the combinations of values that no tried one beats; the most accurate first.
 
     Args:
@@ -99,8 +99,8 @@ def search(
         measure: draws a combination, until one of the present front beats it.
         max_tried: the most combinations to try.
     """
-    measured: dict[tuple[str, ...], Trial] = {}
-    front: list[Trial] = []
+    measured: dict[tuple[str, ...], SettingsTrial] = {}
+    front: list[SettingsTrial] = []
     untried = [tuple(combination[name] for name in values_by_setting) for combination in start]
     while untried and len(measured) < max_tried:
         for key in untried[: max_tried - len(measured)]:

@@ -53,7 +53,7 @@ def read_waiting_seconds() -> float:
     try:
         for task in _TASKS.iterdir():
             try:
-                nanoseconds += int((task / "schedstat").read_text().split()[1])
+                nanoseconds += int((task / "schedstat").read_text(encoding="ascii").split()[1])
             except (OSError, ValueError, IndexError):
                 continue  # the thread has ended
     except OSError:

@@ -146,7 +146,8 @@ class ReprojectedDepth:
         if self._is_valid:
             assert last is not None
             if last.projection is not self._inverted:
-                self._inverted, self._inverse = last.projection, np.linalg.inv(last.projection.matrix)
+                self._inverse = np.asarray(np.linalg.inv(last.projection.matrix), np.float64)
+                self._inverted = last.projection
             moved = _IDENTITY.copy()  # turned by the last camera's inverse rotation, its transpose
             moved[:3, :3] = last.rotation.T
             moved[:3, 3] = last.position - camera.position

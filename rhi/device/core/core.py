@@ -557,7 +557,7 @@ class Core(DeviceObject):
         it."""
         value = self.timeline.signal()
         for ring in self.frame_rings:
-            if ring.__class__ is not Ring or ring._head != ring._tail or ring._outgrown:
+            if not isinstance(ring, Ring) or ring._head != ring._tail or ring._outgrown:
                 ring.mark(value)
         if self.timeline._retired:
             self.timeline.collect()

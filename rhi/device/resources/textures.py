@@ -190,7 +190,7 @@ class Texture(TextureBinding, ArrayExchange, Resource):
             [255, 255, 255, 255]
         """
         layer = ArgumentChecker("Texture.at", self.core.refuse).integer_or_none("layer", layer)
-        level, first = self._check("Texture.at", level, layer or 0)
+        level, first = self._check("Texture.at", level, 0 if layer is None else layer)
         self.core.require("Texture.at", limits.plain_faults(self.requested))
         return TextureTarget(self, level, None if layer is None else first)
 

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from renderer.lab.accuracy.race import MIN_GAIN, Trial, is_surely_slower, search, select_front
+from renderer.lab.accuracy.race import MIN_GAIN, SettingsTrial, is_surely_slower, search, select_front
 
 VALUES = {"size": ("0.5", "1", "2", "4"), "filter": ("1", "2", "4"), "smooth": ("off", "on")}
 
@@ -26,13 +26,13 @@ def measure_together(values: dict[str, str]) -> tuple[float, float]:
     return error, size * size * (1.0 + 0.5 * filters) + (0.2 if smooth else 0.0)
 
 
-def make_trial(error: float, *seconds: float, name: str = "") -> Trial:
-    return Trial({"size": name or f"{error:g}"}, (error,), np.array(seconds))
+def make_trial(error: float, *seconds: float, name: str = "") -> SettingsTrial:
+    return SettingsTrial({"size": name or f"{error:g}"}, (error,), np.array(seconds))
 
 
-def try_all_views(values: dict[str, str], front: Sequence[Trial]) -> Trial:
+def try_all_views(values: dict[str, str], front: Sequence[SettingsTrial]) -> SettingsTrial:
     error, seconds = measure_together(values)
-    return Trial(values, (error, 0.9 * error), np.full(8, seconds))
+    return SettingsTrial(values, (error, 0.9 * error), np.full(8, seconds))
 
 
 class Racer:
@@ -41,13 +41,13 @@ class Racer:
     def __init__(self) -> None:
         self.views = 0
 
-    def __call__(self, values: dict[str, str], front: Sequence[Trial]) -> Trial:
+    def __call__(self, values: dict[str, str], front: Sequence[SettingsTrial]) -> SettingsTrial:
         whole = try_all_views(values, front)
         for count in (1, 2):
             self.views += 1
-            trial = Trial(values, whole.errors[:count], whole.seconds[: 4 * count], count == 2)
+            trial = SettingsTrial(values, whole.errors[:count], whole.seconds[: 4 * count], count == 2)
             if any(other.beats(trial) for other in front):
-                return Trial(values, trial.errors, trial.seconds, is_complete=False)
+                return SettingsTrial(values, trial.errors, trial.seconds, is_complete=False)
         return trial
 
 
@@ -76,7 +76,7 @@ def test_a_race_selects_the_same_settings_as_complete_comparisons_and_draws_fewe
 def test_a_search_ends_after_a_number_of_combinations() -> None:
     tried: list[tuple[str, ...]] = []
 
-    def measure(values: dict[str, str], front: Sequence[Trial]) -> Trial:
+    def measure(values: dict[str, str], front: Sequence[SettingsTrial]) -> SettingsTrial:
         tried.append(tuple(values.values()))
         return try_all_views(values, front)
 
@@ -107,9 +107,9 @@ def test_a_disturbed_frame_decides_nothing() -> None:
 
 
 def test_a_less_accurate_combination_is_beaten_only_by_those_as_accurate_in_its_views_so_far() -> None:
-    exact = Trial({}, (3.0, 1.0), np.ones(6))
-    worse = Trial({}, (3.5,), np.full(3, 1.4), is_complete=False)
-    unknown = Trial({}, (2.5,), np.full(3, 1.4), is_complete=False)  # may stay below 3
+    exact = SettingsTrial({}, (3.0, 1.0), np.ones(6))
+    worse = SettingsTrial({}, (3.5,), np.full(3, 1.4), is_complete=False)
+    unknown = SettingsTrial({}, (2.5,), np.full(3, 1.4), is_complete=False)  # may stay below 3
     assert exact.beats(worse)
     assert not exact.beats(unknown)
 
