@@ -38,6 +38,7 @@ class Trio(Struct):
     pair: Pair
     third: int
 """
+# A fragment stage stores 0 at first, so that a lean shader has the binding `log` whatever its methods store.
 STAGES: Final = {
     "compute": """
 class Stage(Shader):
@@ -70,6 +71,7 @@ class Stage(FullScreen):
 
     def fragment(self) -> ivec4:
         at = ivec2(fragment_coordinate().xy)
+        self.log[at.y * {arguments} + at.x] += 0
         return ivec4(self.select(at.y, at.x, at.y * {arguments} + at.x), 1, 2, 3)
 """,
     "depth": """
@@ -84,6 +86,7 @@ class Stage(FullScreen):
 
     def fragment(self) -> Written:
         at = ivec2(fragment_coordinate().xy)
+        self.log[at.y * {arguments} + at.x] += 0
         if at.y % 2 == 0:
             x = self.select(at.y, at.x, at.y * {arguments} + at.x)
             return Written(first=ivec4(x, 1, 2, 3), second=uvec2(uint(x), 7), depth=float(x) / 128.0)
