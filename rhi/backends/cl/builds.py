@@ -254,7 +254,7 @@ class Builds:
         while self._waited >= self._next_warning:
             self._next_warning *= 4.0
         LOGGER.warning(
-            "the program has waited %.1f s for OpenCL kernels: %d programs built so far. They are kept on disk, so "
+            "the program has waited %.1f s for OpenCL kernels (programs built so far: %d). They are kept on disk, so "
             "that the next start doesn't wait",
             self._waited,
             self.built,
