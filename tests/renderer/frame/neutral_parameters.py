@@ -171,6 +171,7 @@ SCENE_PARTS: dict[str, str] = {
     "reserved": "`spread_objects`",
     "background": "is seen wherever nothing else is",
     "name": "is a text",
+    "attachments": "move lights and views, which are in the world when a frame begins",
     "views": "choose a camera, and aren't drawn",
     "paths": "choose a camera, and aren't drawn",
     "omissions": "are a report",

@@ -27,7 +27,7 @@ class Listener(CommandMethods):
 
     def __init__(self):
         self.calls = []
-        self.capabilities = object()
+        self.capabilities = create_backend().capabilities
 
     def completed(self):
         return 5

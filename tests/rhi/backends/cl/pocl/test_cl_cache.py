@@ -21,7 +21,7 @@ from rhi.backends.cl.pocl.kernel_cache import KernelCache
 from rhi.contract import trust
 
 DRAW = """
-import hashlib, os, sys, threading, warnings
+import hashlib, logging, os, sys, threading, warnings
 import numpy as np
 import pyopencl as cl
 import rhi
@@ -29,6 +29,7 @@ from rhi.backends.cl import cl_context
 from rhi.backends.cl import builds
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
+logging.getLogger("rhi.kernels").setLevel(logging.ERROR)  # a busy machine waits longer than a second
 
 warnings.simplefilter("always")
 builds.HOT = int(sys.argv[1])
