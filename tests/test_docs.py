@@ -96,3 +96,20 @@ def test_the_examples_of_the_readme_pass_mypy_strict(
     program.write_text("\n".join(EXAMPLES[ROOT / "README.md"]))
     out, _ = mypy_strict(program)
     assert [line for line in out.splitlines() if program.name in line] == []
+
+
+def test_the_summary_of_the_five_works_counts_the_rows_of_its_tables() -> None:
+    page = (ROOT / "docs" / "decisions" / "coverage.md").read_text(encoding="utf-8")
+    summary, *sections = re.split(r"^## ", page, flags=re.MULTILINE)
+    states = ("yes", "partly", "no", "left out")
+    counted = []
+    for section in sections:
+        rows = [line for line in section.splitlines() if re.match(r"\| (?!where|-)", line)]
+        counted.append([len(rows), *(sum(f"| {state} |" in row for row in rows) for state in states)])
+    counted.append([sum(column) for column in zip(*counted, strict=True)])
+    written = [
+        [int(number) for number in re.findall(r"\| (\d+)", line)]
+        for line in summary.splitlines()
+        if re.search(r"\| \d", line)
+    ]
+    assert written == counted

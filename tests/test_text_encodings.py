@@ -70,7 +70,9 @@ def test_calls_in_the_encoding_of_the_locale_are_found(text: str, count: int) ->
 
 
 PROGRAM = """
+import logging
 import rhi, rhi.shading as sl
+logging.getLogger("rhi.kernels").setLevel(logging.ERROR)  # else a slow machine says that it builds kernels
 class Red(sl.FullScreen):
     def fragment(self) -> sl.vec4:
         '''Draws × in red, as §.'''

@@ -247,9 +247,10 @@ def test_devices_are_opened_and_closed_without_open_files_or_threads_left(backen
 
 
 MANY = """
-import gc, sys
+import gc, logging, sys
 from harness_kit import DeviceHarness, draw
 import rhi
+logging.getLogger("rhi.kernels").setLevel(logging.ERROR)
 
 def resident():
     lines = open("/proc/self/smaps_rollup").read().splitlines()
