@@ -11,6 +11,7 @@ No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadow
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -111,10 +112,14 @@ class Lights(AllLightArrays):
         """The lights that aren't at hidden nodes: these, or a copy without the others."""
         if not self.hidden:
             return self
+        return self._select({name: ~hidden for name, hidden in self.hidden.items()})
+
+    def _select(self, selected: Mapping[str, NDArray[np.bool_]]) -> Lights:
+        """Return a copy with the lights that are `selected`, by the name of their kind; other kinds keep all."""
         left = copy(self)
         left.hidden = {}
-        for name, hidden in self.hidden.items():
-            setattr(left, name, getattr(self, name)[~hidden])
+        for name, is_kept in selected.items():
+            setattr(left, name, getattr(self, name)[is_kept])
         left.refresh()
         return left
 
@@ -133,12 +138,7 @@ class Lights(AllLightArrays):
             self._leave_out_faint(shining, LEAST_LIGHT / response)
         if all(shines.all() for shines in shining.values()):
             return self
-        left = copy(self)
-        left.hidden = {}
-        for name, shines in shining.items():
-            setattr(left, name, getattr(self, name)[shines])
-        left.refresh()
-        return left
+        return self._select(shining)
 
     def _leave_out_faint(self, shining: dict[str, NDArray[np.bool_]], limit: float) -> None:
         """Mark the faintest lights of all kinds as dark, as many as together give an irradiance of at most

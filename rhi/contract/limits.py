@@ -756,11 +756,13 @@ def _layer_faults(
         for texture, target in zip(textures, targets, strict=True)
     }
     if len(kinds) > 1 or len(counts) > 1 or any(target.layer != ALL_LAYERS for target in targets):
-        given = ", ".join(
+        attachments = ", ".join(
             f"{'all layers' if target.layer == ALL_LAYERS else f'layer {target.layer}'} of {show_texture(texture)}"
             for texture, target in zip(textures, targets, strict=True)
         )
-        yield Fault(rules.PASS_TARGET, given, "all layers of all targets, as many, of one kind of texture")
+        yield Fault(
+            rules.PASS_TARGET, attachments, "all layers of all targets, as many, of one kind of texture"
+        )
 
 
 @lru_cache(1024)

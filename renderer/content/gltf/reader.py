@@ -1,8 +1,8 @@
 """glTF 2.0 files as scenes.
 
 A file is read in this order: materials with their images, meshes, nodes with objects, cameras and lights,
-animations. What is broken is refused in one line that names the anchor in the file
-(`renderer.content.gltf.document`). What is whole but has no anchor in a scene is left out and listed
+animations. What is broken is refused in one line that names the place in the file
+(`renderer.content.gltf.document`). What is whole but has no place in a scene is left out and listed
 (`Scene.omissions`).
 
 Meshes have the order of their accessors, nodes that of their depth and then of the file, objects that of
@@ -35,6 +35,7 @@ from renderer.content.gltf.primitives import Primitives
 from renderer.content.gltf.tracks import ROTATION, SCALE, TRANSLATION, WEIGHTS
 from renderer.content.limits import Budget
 from renderer.scene.arrays import Floats
+from renderer.scene.attachments import orthonormalize_axes
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
 from renderer.scene.unique_names import UniqueNames
@@ -303,12 +304,11 @@ class _GltfReader:
         for number, node, world, (transform, followed) in used:
             try:
                 camera = read_camera(cameras[number], transform)
-                has_direction = read_camera(cameras[number], world) is not None
             except ValidationError as error:  # the rest of the file can still be seen
                 problem = error.given.removeprefix(f"{self._file.path}: ")
                 self._omissions.add(f"a camera that can't be read ({problem})", cameras[number].where)
                 continue
-            if camera is None or not has_direction:
+            if camera is None or orthonormalize_axes(world) is None:
                 self._omissions.add("cameras without a direction", node.fields.where)
                 continue
             name = node.fields.text("name", "") or cameras[number].text("name", "") or f"camera {number}"
