@@ -14,7 +14,9 @@ import rhi
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
-EXAMPLES = {page: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL) for page in PAGES}
+EXAMPLES = {
+    page: re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL) for page in PAGES
+}
 
 
 @cache
@@ -30,7 +32,7 @@ def test_the_examples_of_a_page_run_one_after_the_other(
         pytest.skip("no backend that renders works here")
     monkeypatch.chdir(tmp_path)  # for what an example writes
     program = tmp_path / "example.py"
-    program.write_text("\n".join(EXAMPLES[page]))
+    program.write_text("\n".join(EXAMPLES[page]), encoding="utf-8")
     runpy.run_path(str(program), run_name="example")
 
 
@@ -40,7 +42,7 @@ def test_the_first_example_of_the_readme_has_at_most_30_lines() -> None:
 
 
 def test_examples_of_shaders_do_not_replace_built_ins_of_python() -> None:
-    programs = {path: path.read_text() for path in (ROOT / "examples").rglob("*.py")}
+    programs = {path: path.read_text(encoding="utf-8") for path in (ROOT / "examples").rglob("*.py")}
     programs |= {page: "\n".join(texts) for page, texts in EXAMPLES.items()}
     replaced = r"from rhi\.shading import (\*|\(?[\w,\s]*\b(abs|min|max)\b)"
     assert [str(path) for path, text in programs.items() if re.search(replaced, text)] == []
@@ -80,7 +82,7 @@ def test_a_link_to_a_missing_heading_is_found(tmp_path: Path) -> None:
 
 
 def test_frames_are_shown_and_compressed() -> None:
-    pages = "".join(page.read_text() for page in PAGES)
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     sizes = {path: path.stat().st_size for path in (ROOT / "docs" / "images").rglob("*.*")}
     assert [str(path) for path in sizes if path.name not in pages] == []
     assert [str(path) for path, size in sizes.items() if size > 450_000] == []
@@ -93,7 +95,7 @@ def test_the_examples_of_the_readme_pass_mypy_strict(
     mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
 ) -> None:
     program = tmp_path / "readme.py"
-    program.write_text("\n".join(EXAMPLES[ROOT / "README.md"]))
+    program.write_text("\n".join(EXAMPLES[ROOT / "README.md"]), encoding="utf-8")
     out, _ = mypy_strict(program)
     assert [line for line in out.splitlines() if program.name in line] == []
 

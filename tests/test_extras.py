@@ -73,7 +73,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         str(folder),
         str(folder / "project"),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8")
     if done.returncode:
         pytest.skip(f"no wheel can be made here: {done.stderr[-300:]}")
     return next(folder.glob("*.whl"))
@@ -85,7 +85,11 @@ def install(wheel: Path, extra: str, folder: Path) -> str:
     python = str(folder / "bin" / "python")
     name = f"{wheel}[{extra}]" if extra else str(wheel)
     done = subprocess.run(
-        [python, "-m", "pip", "install", "-q", name], capture_output=True, text=True, check=False
+        [python, "-m", "pip", "install", "-q", name],
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
     if done.returncode and "No matching distribution" not in done.stderr.replace("\n", " "):
         pytest.fail(done.stderr[-2000:])
@@ -97,11 +101,17 @@ def install(wheel: Path, extra: str, folder: Path) -> str:
 @pytest.mark.parametrize("extra", PROGRAMS)
 def test_the_programs_of_an_extra_run(extra: str, wheel: Path, tmp_path: Path) -> None:
     assert set(
-        re.findall(r"^(\w+) = \[", (ROOT / "pyproject.toml").read_text().partition("optional-dep")[2], re.M)
+        re.findall(
+            r"^(\w+) = \[",
+            (ROOT / "pyproject.toml").read_text(encoding="utf-8").partition("optional-dep")[2],
+            re.M,
+        )
     ) >= {name for name in PROGRAMS if name}
     python = install(wheel, extra, tmp_path / "environment")
     for program in PROGRAMS[extra]:
-        done = subprocess.run([python, *program], cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [python, *program], cwd=tmp_path, capture_output=True, text=True, check=False, encoding="utf-8"
+        )
         assert done.returncode == 0, (program, done.stdout[-1000:], done.stderr[-2000:])
 
 
@@ -141,7 +151,9 @@ def test_the_page_of_an_installed_viewer_is_its_users_only(browser: Any, wheel: 
         "--backend",
         "cl",
     ]
-    viewer = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    viewer = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env={**os.environ}, encoding="utf-8"
+    )
     attacker = ThreadingHTTPServer(("127.0.0.1", 0), Attacker)
     threading.Thread(target=attacker.serve_forever, daemon=True).start()
     try:

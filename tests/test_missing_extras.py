@@ -33,6 +33,7 @@ def run(hidden: str, *command: str) -> tuple[int, str, str]:
         text=True,
         check=False,
         timeout=100,
+        encoding="utf-8",
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -78,6 +79,7 @@ def test_the_kit_runs_as_a_module() -> None:
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 5, done.stderr  # no test was collected
 
@@ -93,7 +95,7 @@ with rhi.create_device("null", simulation=Simulation()) as device:
 
 def test_a_timelines_plot_needs_matplotlib(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
-    file.write_text(PLOT)
+    file.write_text(PLOT, encoding="utf-8")
     code, _, err = run("matplotlib", str(file))
     assert code == 1
     lines = err.rstrip().splitlines()

@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[1]
-CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
-PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
-README = (ROOT / "README.md").read_text()
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 FILE = re.compile(r"`((?:[\w.<>]+/)+[\w<>]+\.\w+)`")
 
 
@@ -81,7 +81,7 @@ def test_the_commands_of_the_page_name_files_that_exist() -> None:
 
 def test_each_command_of_the_workflow_names_existing_files_and_runs_on_a_system_that_has_it() -> None:
     yaml = pytest.importorskip("yaml")
-    jobs = yaml.safe_load((ROOT / ".github/workflows/checks.yml").read_text())["jobs"]
+    jobs = yaml.safe_load((ROOT / ".github/workflows/checks.yml").read_text(encoding="utf-8"))["jobs"]
     commands = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in jobs.items()}
     assert {"./demo.sh", "./test.sh"} <= set(commands["linux"])
     assert jobs["without-drivers"]["strategy"]["matrix"]["system"] == ["windows-latest", "macos-latest"]
@@ -98,8 +98,8 @@ def test_each_command_of_the_workflow_names_existing_files_and_runs_on_a_system_
 
 def test_the_checks_before_a_commit_are_those_of_the_test_command() -> None:
     yaml = pytest.importorskip("yaml")
-    (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
-    tested = (ROOT / "test.sh").read_text()
+    (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
+    tested = (ROOT / "test.sh").read_text(encoding="utf-8")
     for hook in repository["hooks"]:
         words = shlex.split(hook["entry"])
         assert missing_files(words) == []
@@ -107,11 +107,13 @@ def test_the_checks_before_a_commit_are_those_of_the_test_command() -> None:
 
 
 def test_editors_wrap_lines_where_the_formatters_do() -> None:
-    text = (ROOT / ".editorconfig").read_text()
+    text = (ROOT / ".editorconfig").read_text(encoding="utf-8")
     length = PROJECT["tool"]["ruff"]["line-length"]
     for files in ("*.{py,pyi}", "*.md"):
         assert f"[{files}]\nmax_line_length = {length}\n" in text
-    opencl_length = re.search(r"^ColumnLimit: (\d+)$", (ROOT / ".clang-format").read_text(), re.MULTILINE)
+    opencl_length = re.search(
+        r"^ColumnLimit: (\d+)$", (ROOT / ".clang-format").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert opencl_length is not None
     assert f"[*.cl]\nmax_line_length = {opencl_length[1]}\n" in text
 
@@ -120,7 +122,7 @@ def test_editors_wrap_lines_where_the_formatters_do() -> None:
 
 
 def test_the_changelog_has_the_version_and_falling_dates() -> None:
-    text = (ROOT / "CHANGELOG.md").read_text()
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     versions = re.findall(r"^## (\d+\.\d+\.\d+), (not released yet|\d{4}-\d\d-\d\d)$", text, re.MULTILINE)
     assert len(versions) == len(re.findall(r"^## ", text, re.MULTILINE))
     assert versions[0][0] == PROJECT["project"]["version"]
@@ -158,7 +160,7 @@ def test_the_source_distribution_passes_a_part_of_its_own_tests(tmp_path: Path) 
     with tarfile.open(archive) as packed:
         packed.extractall(tmp_path, filter="data")
     folder = archive.with_name(archive.name.removesuffix(".tar.gz"))
-    written = (folder / "PKG-INFO").read_text()
+    written = (folder / "PKG-INFO").read_text(encoding="utf-8")
     assert "Project-URL: Changelog, https://forge.example/someone/rhi/blob/" in written
     assert "License-Expression: MIT" in written
     tests = ["tests/test_structure.py", "tests/test_project.py", "tests/test_docs.py", "tests/rhi/contract"]
@@ -169,6 +171,7 @@ def test_the_source_distribution_passes_a_part_of_its_own_tests(tmp_path: Path) 
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stdout[-4000:]
     counted = [sys.executable, "scripts/count_lines.py"]

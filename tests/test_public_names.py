@@ -82,7 +82,9 @@ def test_type_checkers_resolve_the_names_of_a_derived_list(
 ) -> None:
     def check(names: list[str]) -> list[str]:
         file = tmp_path / "uses.py"
-        file.write_text("".join(f"from {module.__name__} import {name} as {name}\n" for name in names))
+        file.write_text(
+            "".join(f"from {module.__name__} import {name} as {name}\n" for name in names), encoding="utf-8"
+        )
         return [line for line in mypy_strict(file)[0].splitlines() if "uses.py" in line]
 
     assert check(module.__all__) == []

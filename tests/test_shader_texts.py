@@ -124,11 +124,12 @@ def test_the_language_writes_the_recorded_texts() -> None:
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     again = "python scripts/dump_shaders.py -o tests/shader_texts.txt"
     assert run.returncode == 0, (
         f"these texts changed; if they are meant to, `{again}`:\n{run.stdout}\n{run.stderr}"
     )
     (compared,) = re.findall(r"^(\d+) compared", run.stderr, re.MULTILINE)
-    recorded = sum(len(row) for row in read_dump(RECORDED_TEXTS.read_text()).values())
+    recorded = sum(len(row) for row in read_dump(RECORDED_TEXTS.read_text(encoding="utf-8")).values())
     assert int(compared) > recorded / 2, f"most shaders say something else than the record: `{again}`"

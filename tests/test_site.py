@@ -45,7 +45,7 @@ def test_each_page_is_in_the_navigation_once(tmp_path: Path) -> None:
     pages = sorted(
         page.relative_to(tmp_path / "docs").as_posix() for page in (tmp_path / "docs").rglob("*.md")
     )
-    navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
     assert sorted(re.findall(r"\S+\.md", navigation)) == pages
     assert {*EXTRA_PAGES.values(), *(f"reference/{module}.md" for module in MODULES)} <= set(pages)
 
@@ -60,7 +60,7 @@ def list_linked(kind: str) -> set[str]:
 
 
 def test_the_navigation_and_the_list_of_all_pages_have_the_same_four_kinds_of_page() -> None:
-    navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
     parts = dict(zip(KINDS, re.split(r"^  - [\w-]+:\n", navigation, flags=re.MULTILINE)[1:], strict=True))
     assert re.findall(r"^  - ([\w-]+):\n", navigation, re.MULTILINE) == KINDS
     listed = re.findall(r"^## (.*)$", (ROOT / "docs/contents.md").read_text(encoding="utf-8"), re.MULTILINE)
@@ -73,9 +73,11 @@ def test_the_navigation_and_the_list_of_all_pages_have_the_same_four_kinds_of_pa
 
 def test_links_to_files_outside_of_the_pages_lead_to_copies(tmp_path: Path) -> None:
     collect_pages(tmp_path / "docs")
-    assert "](files/examples/programs/triangle.py.txt)" in (tmp_path / "docs/gallery.md").read_text()
+    assert "](files/examples/programs/triangle.py.txt)" in (tmp_path / "docs/gallery.md").read_text(
+        encoding="utf-8"
+    )
     assert (tmp_path / "docs/files/examples/programs/triangle.py.txt").exists()
-    assert "](measurements/performance.md)" in (tmp_path / "docs/index.md").read_text()
+    assert "](measurements/performance.md)" in (tmp_path / "docs/index.md").read_text(encoding="utf-8")
 
 
 def test_links_lead_from_folder_to_folder(tmp_path: Path) -> None:
@@ -91,7 +93,7 @@ def test_former_addresses_lead_to_the_present_ones(tmp_path: Path) -> None:
     for page in (tmp_path / "docs").rglob("*.md"):  # as the generator does
         address = tmp_path / "site" / page.relative_to(tmp_path / "docs").with_suffix("")
         address.mkdir(parents=True)
-        (address / "index.html").write_text("")
+        (address / "index.html").write_text("", encoding="utf-8")
     pages = {page.parent for page in (tmp_path / "site").rglob("index.html")}
     assert not pages & {tmp_path / "site" / former for former in REDIRECTS}, "a page would be overwritten"
     write_redirects(tmp_path / "site")
@@ -142,7 +144,7 @@ def list_broken(site: Path) -> list[str]:
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
     (tmp_path / "a.html").write_text(
-        '<p id="here"><a href="#here">1</a><a href="#there">2</a><a href="b.html">3</a>'
+        '<p id="here"><a href="#here">1</a><a href="#there">2</a><a href="b.html">3</a>', encoding="utf-8"
     )
     assert list_broken(tmp_path) == ["a.html: #there", "a.html: b.html"]
 
@@ -242,14 +244,16 @@ def test_filters_are_radio_buttons_with_labels_and_cards_are_links_with_texts() 
 
 def test_the_first_page_and_the_gallery_have_the_cards(tmp_path: Path) -> None:
     collect_pages(tmp_path / "docs", live=True)
-    first, gallery = ((tmp_path / "docs" / name).read_text() for name in ("index.md", "gallery.md"))
+    first, gallery = (
+        (tmp_path / "docs" / name).read_text(encoding="utf-8") for name in ("index.md", "gallery.md")
+    )
     assert 0 < first.index("## Gallery") < first.index('<a href="gallery/#triangle">')
     assert '<img src="images/gallery/triangle.webp"' in first
     assert gallery.index('<a href="#triangle">') < gallery.index("## Triangle")
     assert '<img src="images/gallery/triangle.webp"' in gallery
     assert 'class="rhi-card-live"' in first
     collect_pages(tmp_path / "still")
-    assert 'class="rhi-card-live"' not in (tmp_path / "still" / "index.md").read_text()
+    assert 'class="rhi-card-live"' not in (tmp_path / "still" / "index.md").read_text(encoding="utf-8")
 
 
 # -- edit links and versions -------------------------------------------------------------------------------
@@ -258,9 +262,9 @@ def test_the_first_page_and_the_gallery_have_the_cards(tmp_path: Path) -> None:
 def test_pages_have_an_edit_link_only_if_there_is_a_home(tmp_path: Path) -> None:
     configuration = tmp_path / "mkdocs.yml"
     write_configuration(configuration, home=None, versions=False)
-    assert configuration.read_text() == (ROOT / "mkdocs.yml").read_text()
+    assert configuration.read_text(encoding="utf-8") == (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     write_configuration(configuration, home="https://example.org/me/rhi/", versions=False)
-    text = configuration.read_text()
+    text = configuration.read_text(encoding="utf-8")
     assert "content.action.edit" in text
     assert "repo_url: https://example.org/me/rhi\nedit_uri: edit/main/docs/\n" in text
 
@@ -270,9 +274,9 @@ def test_edit_links_lead_to_the_files_of_pages_and_the_reference_has_none(tmp_pa
     for page in ("scene", "index", "numpy-backend", "reference/rhi"):
         (tmp_path / page).mkdir(parents=True)
         link = f'<p><a href="{home}/edit/main/docs/{page}.md" rel="edit">\n<svg></svg></a></p>'
-        (tmp_path / page / "index.html").write_text(link)
+        (tmp_path / page / "index.html").write_text(link, encoding="utf-8")
     correct_edit_links(tmp_path, home)
-    texts = {page.parent.name: page.read_text() for page in tmp_path.rglob("index.html")}
+    texts = {page.parent.name: page.read_text(encoding="utf-8") for page in tmp_path.rglob("index.html")}
     assert f"{home}/edit/main/docs/scene.md" in texts["scene"]
     assert f"{home}/edit/main/README.md" in texts["index"]
     assert f"{home}/edit/main/examples/numpy_backend/README.md" in texts["numpy-backend"]
@@ -283,9 +287,9 @@ def test_versions_are_listed_with_the_newest_first_and_the_first_page_leads_to_i
     site, releases = tmp_path / "site", tmp_path / "releases"
     site.mkdir()
     for version in ("0.9.0", "0.10.0", "0.2.0", "0.9.0"):
-        (site / "search.json").write_text(version)
+        (site / "search.json").write_text(version, encoding="utf-8")
         add_version(releases, version, site)
-    rows = json.loads((releases / "versions.json").read_text())
+    rows = json.loads((releases / "versions.json").read_text(encoding="utf-8"))
     assert [row["version"] for row in rows] == ["0.10.0", "0.9.0", "0.2.0"]
     assert [row["aliases"] for row in rows] == [["latest"], [], []]
     assert Links(releases / "index.html").links == ["0.10.0/"]
@@ -383,7 +387,7 @@ def test_the_site_is_built_without_a_warning_and_its_links_and_search_resolve() 
     site = built_site()
     assert list_broken(site) == []
     for module in MODULES:
-        reference = (site / "reference" / module / "index.html").read_text()
+        reference = (site / "reference" / module / "index.html").read_text(encoding="utf-8")
         assert [name for name in list_classes_and_functions(module) if f'id="{name}"' not in reference] == []
         machinery = re.findall(
             r'id="rhi[^"]*\.(__(?!init|call|enter|exit|len|getitem|iter|await|version)\w+)"', reference
@@ -393,6 +397,6 @@ def test_the_site_is_built_without_a_warning_and_its_links_and_search_resolve() 
         assert str(ROOT) not in reference
         text = html.unescape(re.sub(r"<[^>]+>", "", reference))
         assert re.findall(r"\w+: Union\b(?!\[)", text) == []
-    searched = json.dumps(json.loads((site / "search.json").read_text()))
+    searched = json.dumps(json.loads((site / "search.json").read_text(encoding="utf-8")))
     assert "draw_many" in searched
     assert "Deferred+" in searched

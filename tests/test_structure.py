@@ -173,7 +173,7 @@ def list_homonyms(sources: dict[str, str]) -> dict[str, list[str]]:
 
 def test_a_class_name_means_one_thing() -> None:
     sources = {
-        str(path.relative_to(ROOT)): path.read_text()
+        str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
         for package in PACKAGES
         for path in (ROOT / package).rglob("*.py")
         if not path.is_relative_to(ROOT / "rhi/conformance")
@@ -210,7 +210,7 @@ def list_wrong_imports(folder: Path, leaves: set[str]) -> list[str]:
         for number, floor in enumerate(FLOORS):
             if package in floor:
                 allowed |= leaves.union(*FLOORS[number + 1 :])
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("renderer.techniques."):
                 used = (node.module or "").split(".")[2]
                 wrong += [f"{path.name}: {used}"] if used not in allowed else []
@@ -236,7 +236,9 @@ def test_a_technique_that_imports_another_is_found(tmp_path: Path) -> None:
     (tmp_path / "parts").mkdir()
     imports = {"deferred": "forward", "parts/depth": "deferred", "forward": "parts.depth", "table": "forward"}
     for name, imported in {**imports, "auto": "technique_settings", "resource_capture": "auto"}.items():
-        (tmp_path / f"{name}.py").write_text(f"from renderer.techniques.{imported} import Thing\n")
+        (tmp_path / f"{name}.py").write_text(
+            f"from renderer.techniques.{imported} import Thing\n", encoding="utf-8"
+        )
     wrong_imports = list_wrong_imports(tmp_path, {"deferred", "forward"})
     assert wrong_imports == [
         "auto.py: technique_settings",
@@ -333,7 +335,7 @@ def test_an_import_that_needs_another_folder_is_detected(tmp_path: Path) -> None
 
 def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> None:
     for path in sorted((ROOT / "examples/numpy_backend/rhi_numpy").glob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             for name in names:
@@ -343,10 +345,12 @@ def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> N
 
 
 def test_each_package_that_an_extra_installs_is_used() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     needed = [*project["dependencies"], *project["optional-dependencies"]["renderer"]]
     imported = "\n".join(
-        path.read_text() for folder in ("rhi", "renderer") for path in (ROOT / folder).rglob("*.py")
+        path.read_text(encoding="utf-8")
+        for folder in ("rhi", "renderer")
+        for path in (ROOT / folder).rglob("*.py")
     )
     for requirement in needed:
         name = re.split(r"[^\w-]", requirement)[0].replace("-", "_")

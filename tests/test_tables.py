@@ -59,7 +59,7 @@ def test_each_mark_of_the_pages_has_a_figure() -> None:
     marks = [
         (page.relative_to(ROOT).as_posix(), name)
         for page in (ROOT / "docs").rglob("*.md")
-        for name in re.findall(r"^<!-- table: (.*) -->$", page.read_text(), re.MULTILINE)
+        for name in re.findall(r"^<!-- table: (.*) -->$", page.read_text(encoding="utf-8"), re.MULTILINE)
     ]
     assert sorted(marks) == sorted((figure.page, name) for name, figure in TABLES.items())
     assert len(marks) >= 3
@@ -69,7 +69,7 @@ def test_each_mark_of_the_pages_has_a_figure() -> None:
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_that_does_not_depend_on_time_equals_the_output_of_its_command(name: str) -> None:
     figure = TABLES[name]
-    text = (ROOT / figure.page).read_text()
+    text = (ROOT / figure.page).read_text(encoding="utf-8")
     computed = replace_cells(text, name, figure.columns, figure.compute())
     assert list(list_differences(text, computed, figure.tolerance)) == []
 

@@ -13,7 +13,7 @@ import pytest
 from nightly_reasons import CHEAPER_TEST
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("rhi", "rhi_screen", "renderer", "examples", "scripts", "benchmarks")
+FOLDERS = ("rhi", "rhi_pytest", "rhi_screen", "renderer", "examples", "scripts", "benchmarks", "tests")
 _LINES_OF_TEXT = {"read_text": 0, "write_text": 1}
 """By method, the number of arguments before the encoding."""
 _PROCESSES = {"run", "Popen", "check_output", "check_call"}

@@ -96,7 +96,7 @@ def list_files(*patterns: str) -> list[Path]:
             path for pattern in patterns for path in ROOT.rglob(pattern) if ".venv" not in path.parts
         )
     listed = subprocess.run(
-        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True, encoding="utf-8"
     )
     return [ROOT / name for name in listed.stdout.split() if (ROOT / name).exists()]
 

@@ -14,7 +14,7 @@ from typing import Final
 import pytest
 
 ROOT: Final = Path(__file__).parents[2]
-FILES: Final = {path.stem: path.read_text() for path in (ROOT / "benchmarks").glob("*.py")}
+FILES: Final = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "benchmarks").glob("*.py")}
 PROGRAMS: Final = sorted(name for name, text in FILES.items() if "__main__" in text)
 
 SMALLEST: Final = {
@@ -78,7 +78,14 @@ def run(name: str, *arguments: str) -> str:
     command = [sys.executable, f"benchmarks/{name}.py", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "RHI_KERNELS": "quick"}
     done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False
+        command,
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -18,7 +18,7 @@ COMMANDS: Final = FOLDER / "frame_commands.py"
 FILES: Final = sorted(
     path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy" and path != COMMANDS
 )  # their own tests run them
-PROGRAMS: Final = [path for path in FILES if '__name__ == "__main__"' in path.read_text()]
+PROGRAMS: Final = [path for path in FILES if '__name__ == "__main__"' in path.read_text(encoding="utf-8")]
 SMALL: Final = ("--size", "32x18")
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2")}
 """What examples are given that have no option `--size`."""
@@ -31,7 +31,14 @@ def run(path: Path, *arguments: str) -> str:
     folder = Path(arguments[arguments.index("--output") + 1]).parent
     command = [sys.executable, shutil.copy(path, folder), *arguments]
     done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -51,7 +58,13 @@ def test_the_example_of_a_frames_commands_fails_if_the_engine_is_broken(tmp_path
         path.write_text(program, encoding="utf-8")
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            [sys.executable, path], env=environment, capture_output=True, text=True, timeout=300, check=False
+            [sys.executable, path],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+            encoding="utf-8",
         )
         outcomes.append(
             (done.returncode, "all assertions hold" in done.stdout, "AssertionError" in done.stderr)

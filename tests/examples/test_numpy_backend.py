@@ -33,7 +33,7 @@ def on_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_its_entry_point_is_the_function() -> None:
-    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text())
+    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))
     assert project["project"]["entry-points"]["rhi.backends"] == {"numpy": FUNCTION}
 
 

@@ -80,7 +80,7 @@ def test_each_example_needs_only_installed_packages() -> None:
     imported = {
         name.partition(".")[0]
         for program in PROGRAMS
-        for node in ast.walk(ast.parse((FOLDER / f"{program}.py").read_text()))
+        for node in ast.walk(ast.parse((FOLDER / f"{program}.py").read_text(encoding="utf-8")))
         for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [])
         + ([alias.name for alias in node.names] if isinstance(node, ast.Import) else [])
     }
@@ -97,7 +97,7 @@ def test_each_example_needs_only_installed_packages() -> None:
 
 
 def test_each_is_on_the_page_and_in_the_table() -> None:
-    page = (FOLDER.parents[1] / "docs" / "gallery.md").read_text()
+    page = (FOLDER.parents[1] / "docs" / "gallery.md").read_text(encoding="utf-8")
     assert sorted(COSTS) == PROGRAMS
     assert [
         name for name in PROGRAMS if f"programs/{name}.py" not in page or f"gallery/{name}.webp" not in page
@@ -106,7 +106,7 @@ def test_each_is_on_the_page_and_in_the_table() -> None:
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_program_has_less_than_120_lines(name: str) -> None:
-    lines = (FOLDER / f"{name}.py").read_text().splitlines()
+    lines = (FOLDER / f"{name}.py").read_text(encoding="utf-8").splitlines()
     assert sum(bool(line.strip()) for line in lines) < 120
 
 
@@ -228,6 +228,6 @@ def test_the_tests_of_the_engine_and_of_the_batch_pass() -> None:
         "gl",
         *programs,
     ]
-    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=FOLDER)
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=FOLDER, encoding="utf-8")
     assert run.returncode == 0, run.stdout
     assert run.stdout.startswith("......")

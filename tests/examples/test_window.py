@@ -84,6 +84,7 @@ def run(display: Display, *arguments: str) -> str:
         text=True,
         timeout=300,
         check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
@@ -123,6 +124,7 @@ def test_without_a_display_the_example_says_so_in_one_line() -> None:
         text=True,
         timeout=300,
         check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 1
     (line,) = done.stderr.strip().splitlines()

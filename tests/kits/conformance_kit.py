@@ -32,6 +32,7 @@ def take_the_kit(backend: str, folder: Path, *groups: str, **environment: str) -
         check=False,
         cwd=folder,
         env=os.environ | {"PYTHONPATH": paths, "PYTEST_ADDOPTS": "", **environment},
+        encoding="utf-8",
     )
     assert run.returncode in (0, 1), run.stdout + run.stderr
     return run.returncode, run.stdout

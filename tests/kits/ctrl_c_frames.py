@@ -75,7 +75,9 @@ class Presser:
 
     def __init__(self) -> None:
         command = [sys.executable, "-c", _PRESSER]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, text=True, start_new_session=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, text=True, start_new_session=True, encoding="utf-8"
+        )
         self.came: list[traceback.StackSummary] = []
         self.pressed = 0
         signal.signal(signal.SIGINT, self._interrupt)

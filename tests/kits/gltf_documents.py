@@ -86,7 +86,7 @@ class GltfDocument:
             if self.data:
                 (path.parent / "data.bin").write_bytes(self.data)
                 values["buffers"][0]["uri"] = "data.bin"
-            path.write_text(json.dumps(values))
+            path.write_text(json.dumps(values), encoding="utf-8")
         return str(path)
 
 

@@ -74,7 +74,8 @@ class ProgramWatch:
         for name in ("gs", "gswin32c", "gswin64c", "djpeg", "cjpeg", "ppmquant", "ppmtogif", "xv"):
             program = folder / name
             program.write_text(
-                f'#!/bin/sh\necho "{name} $@" >> {self._log}\n[ "$1" = --version ] && echo 10.0\n'
+                f'#!/bin/sh\necho "{name} $@" >> {self._log}\n[ "$1" = --version ] && echo 10.0\n',
+                encoding="utf-8",
             )
             program.chmod(0o755)
         monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
@@ -82,4 +83,4 @@ class ProgramWatch:
     @property
     def calls(self) -> list[str]:
         """The command lines so far."""
-        return self._log.read_text().splitlines() if self._log.exists() else []
+        return self._log.read_text(encoding="utf-8").splitlines() if self._log.exists() else []

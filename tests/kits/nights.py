@@ -434,6 +434,7 @@ def _git(*arguments: str) -> str | None:
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     return done.stdout if done.returncode == 0 else None
 

@@ -89,7 +89,13 @@ def _install(folder: Path) -> None:
             shutil.copy(LOCK_FOLDER / name, scratch)
         command = ["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"]
         done = subprocess.run(
-            command, cwd=scratch, capture_output=True, text=True, timeout=_MAX_SECONDS, check=False
+            command,
+            cwd=scratch,
+            capture_output=True,
+            text=True,
+            timeout=_MAX_SECONDS,
+            check=False,
+            encoding="utf-8",
         )
         if done.returncode:
             pytest.skip(f"npm can't install the packages: {done.stderr.strip()[-300:]}")

@@ -116,7 +116,12 @@ def check_with_clang(texts: Mapping[str, str]) -> dict[str, str]:
     refusals = {}
     for name, text in texts.items():
         done = subprocess.run(
-            [tool, *CLANG_OPTIONS, *_UNUSED, "-"], input=text, capture_output=True, text=True, check=False
+            [tool, *CLANG_OPTIONS, *_UNUSED, "-"],
+            input=text,
+            capture_output=True,
+            text=True,
+            check=False,
+            encoding="utf-8",
         )
         if done.returncode or done.stderr:
             refusals[name] = done.stderr
@@ -209,7 +214,9 @@ def _require_tool(name: str) -> str:
 
 
 def _run(command: list[str], environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=False, encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

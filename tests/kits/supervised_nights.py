@@ -259,7 +259,13 @@ def read_backtrace(core: Path) -> str:
     command = [gdb, "-nx", "-batch", "-ex", "thread apply all backtrace 40", sys.executable, str(core)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_BACKTRACE, check=False
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_LONGEST_BACKTRACE,
+            check=False,
+            encoding="utf-8",
         )
     except subprocess.TimeoutExpired:
         return f"{core}: gdb took longer than {_LONGEST_BACKTRACE:.0f} s"

@@ -172,7 +172,9 @@ def rewrite(path: Path, members: Callable[[dict[str, bytes]], None]) -> Path:
     changed = path.with_name("changed.zip")
     with zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as file:
         for name, data in contents.items():
-            file.writestr(name, data)
+            member = zipfile.ZipInfo()
+            member.filename = name  # as it is: Windows would change its backslashes
+            file.writestr(member, data, zipfile.ZIP_DEFLATED)
     return changed
 
 

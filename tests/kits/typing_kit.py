@@ -19,7 +19,7 @@ def check_mistakes(
     for number, (old, new, _) in enumerate(mistakes):
         assert source.count(old) >= 1, old
         paths.append(folder / f"mistake_{number}.py")
-        paths[-1].write_text(source.replace(old, new, 1))
+        paths[-1].write_text(source.replace(old, new, 1), encoding="utf-8")
     rows = mypy("--hide-error-context", right, *paths)[0].splitlines()
     assert [row for row in rows if "mistake_" not in row] == []
     for number, (old, new, says) in enumerate(mistakes):

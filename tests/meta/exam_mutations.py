@@ -57,7 +57,7 @@ class Mutant(MetaPathFinder):
         text = Path(spec.origin).read_text(encoding="utf-8")
         assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
         broken = self.folder / Path(spec.origin).name
-        broken.write_text(text.replace(self.mutation.old, self.mutation.new))
+        broken.write_text(text.replace(self.mutation.old, self.mutation.new), encoding="utf-8")
         return importlib.util.spec_from_file_location(
             fullname, broken, loader=SourceFileLoader(fullname, str(broken))
         )

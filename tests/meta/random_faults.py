@@ -327,7 +327,7 @@ def choose_faults(root: Path, packages: Iterable[str], count: int, seed: int) ->
         if file.endswith((".py", ".cl")) and any(
             file.startswith((f"{folder}/", f"{folder}.")) for folder in folders
         ):
-            for fault in list_faults(file, (root / file).read_text()):
+            for fault in list_faults(file, (root / file).read_text(encoding="utf-8")):
                 by_line.setdefault((file, fault.line), []).append(fault)
     generator = random.Random(seed)
     lines = generator.sample(sorted(by_line), min(count, len(by_line)))
@@ -391,6 +391,7 @@ class Copy:
             text=True,
             errors="replace",
             start_new_session=True,
+            encoding="utf-8",
         ) as process:
             try:
                 output, _ = process.communicate(timeout=_PATIENCE[1])
@@ -403,8 +404,8 @@ class Copy:
     def make_fault(self, fault: Fault) -> Callable[[], object]:
         """Write a fault, and return what takes it out again."""
         file = self.root / fault.file
-        text = file.read_text()
-        file.write_text(fault.apply(text))
+        text = file.read_text(encoding="utf-8")
+        file.write_text(fault.apply(text), encoding="utf-8")
         return functools.partial(file.write_text, text)
 
 

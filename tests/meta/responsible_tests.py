@@ -76,6 +76,7 @@ def list_files(root: Path) -> list[str]:
         capture_output=True,
         text=True,
         check=True,
+        encoding="utf-8",
     )
     return sorted(file for file in set(listed.stdout.split("\0")) if file and (root / file).is_file())
 
@@ -122,7 +123,7 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path, *, inside: bool =
     module = path.with_suffix("").as_posix().replace("/", ".")
     package = ".".join(path.with_suffix("").parts[:2])
     named = re.compile(rf"\b{re.escape(package)}\b")
-    tree = ast.parse((root / path).read_text())
+    tree = ast.parse((root / path).read_text(encoding="utf-8"))
     names = [
         re.escape(definition.name)
         for definition in tree.body
@@ -152,7 +153,9 @@ def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
         path.with_suffix("").as_posix().replace("/", "."),
     )
     defined = re.findall(
-        r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)", (root / path).read_text(), re.MULTILINE
+        r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)",
+        (root / path).read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     names = rf"\b(?:{'|'.join(defined)})\b"
     listed = rf"(?:[^(\n]*?|\([^()]*?){names}"
@@ -178,7 +181,7 @@ def list_changed_files(root: Path, base: str | None = None) -> list[str]:
 
     def run_git(*arguments: str) -> str:
         return subprocess.run(
-            ["git", *arguments], cwd=root, capture_output=True, text=True, check=True
+            ["git", *arguments], cwd=root, capture_output=True, text=True, check=True, encoding="utf-8"
         ).stdout.strip()
 
     if base is None:

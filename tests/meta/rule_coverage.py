@@ -120,7 +120,7 @@ class Coverage:
         rules = collect_rules()
         for path in sorted(package.rglob("*.py")):
             if path.relative_to(package).parts[0] not in LEFT_OUT:
-                for function, check in collect_checks(ast.parse(path.read_text()), rules):
+                for function, check in collect_checks(ast.parse(path.read_text(encoding="utf-8")), rules):
                     self.checks[str(path), function].append(check)
         self._checks_of_code: dict[CodeType, list[Check] | None] = {}
 

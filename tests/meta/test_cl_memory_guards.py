@@ -166,6 +166,7 @@ def run_guarded(*modules: str) -> None:
         capture_output=True,
         text=True,
         env=os.environ | {"PYTHONPATH": path},
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stdout[-4000:]
 

@@ -14,7 +14,11 @@ import pytest
 def test_each_fault_of_a_backend_is_detected_and_a_backend_without_passes() -> None:
     """In one process of its own: this one may hold devices."""
     run = subprocess.run(
-        [sys.executable, faulty_backends.__file__], capture_output=True, text=True, check=False
+        [sys.executable, faulty_backends.__file__],
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
     assert run.returncode == 0, run.stderr
     failures: dict[str, list[str]] = json.loads(run.stdout)

@@ -33,7 +33,11 @@ def test_a_backend_without_any_one_method_fails() -> None:
     except rhi.DeviceError as error:
         pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
     run = subprocess.run(
-        [sys.executable, incomplete_backends.__file__], capture_output=True, text=True, check=False
+        [sys.executable, incomplete_backends.__file__],
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
     assert run.returncode == 0, run.stderr
     failures: dict[str, list[str]] = json.loads(run.stdout)

@@ -35,7 +35,11 @@ def test_the_text_that_a_mutation_replaces_occurs_once() -> None:
 def test_each_mutation_is_detected_by_its_case() -> None:
     """In processes of their own: this one has imported what they break."""
     run = subprocess.run(
-        [sys.executable, exam_mutations.__file__], capture_output=True, text=True, check=False
+        [sys.executable, exam_mutations.__file__],
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
     assert run.returncode == 0, run.stderr
     results = [json.loads(line) for line in run.stdout.splitlines()]

@@ -16,7 +16,11 @@ from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING
 @pytest.mark.nightly
 def test_useless_devices_pass_the_cases_that_do_not_depend_on_their_fault() -> None:
     run = subprocess.run(
-        [sys.executable, useless_devices.__file__], capture_output=True, text=True, check=True
+        [sys.executable, useless_devices.__file__],
+        capture_output=True,
+        text=True,
+        check=True,
+        encoding="utf-8",
     )
     passed_by_device = json.loads(run.stdout)
     control = passed_by_device.pop("none of these faults")

@@ -112,13 +112,13 @@ def test_a_line_that_was_cut_off_is_left_out() -> None:
 
 def test_the_record_is_merged_by_a_command(tmp_path: Path) -> None:
     for name, test in [("first", "b.py::test_b"), ("second", "a.py::test_a")]:
-        (tmp_path / name).write_text(format_record({test: row(test)}))
+        (tmp_path / name).write_text(format_record({test: row(test)}), encoding="utf-8")
     record = tmp_path / "record.tsv"
     assert main(["--record", str(record), "merge", str(tmp_path / "first"), str(tmp_path / "second")]) == 0
     assert list(read_record(record)) == ["a.py::test_a", "b.py::test_b"]
-    before = record.read_text()
+    before = record.read_text(encoding="utf-8")
     assert main(["--record", str(record), "merge", str(tmp_path / "second")]) == 0
-    assert record.read_text() == before
+    assert record.read_text(encoding="utf-8") == before
 
 
 def test_tests_without_a_recent_pass_are_overdue() -> None:
@@ -234,7 +234,7 @@ def test_a_run_records_every_outcome(folder: pytest.Pytester) -> None:
     assert outcomes.pop("test_fails") == ("failed", "-")
     assert outcomes.pop("test_skips") == ("skipped", "-")
     assert set(outcomes.values()) == {("passed", "aaaa")}
-    assert path.read_text() == format_record(record)
+    assert path.read_text(encoding="utf-8") == format_record(record)
 
 
 def test_the_next_night_begins_with_the_failure_and_rotates_seeds(folder: pytest.Pytester) -> None:
@@ -263,8 +263,8 @@ def test_tests_of_several_folders_with_plugins_of_their_own_run(pytester: pytest
     """As those of the project and of the conformance kit: pytest then leaves plugins out by folder."""
     for name in ("first", "second"):
         folder = pytester.mkdir(name)
-        (folder / "conftest.py").write_text("def pytest_runtest_logreport(report): pass")
-        (folder / f"test_{name}.py").write_text(TESTS)
+        (folder / "conftest.py").write_text("def pytest_runtest_logreport(report): pass", encoding="utf-8")
+        (folder / f"test_{name}.py").write_text(TESTS, encoding="utf-8")
     pytester.makeini("[pytest]\nmarkers = nightly: takes long")
     assert len(run(pytester, Night(pytester.path / "record.tsv", "a"))) == 18
 
@@ -307,7 +307,9 @@ def test_a_test_longer_than_the_remaining_budget_waits_and_a_shorter_test_runs(
 ) -> None:
     path = folder.path / "record.tsv"
     long = "test_some.py::test_passes[2]"
-    path.write_text(format_record({long: row(long, seconds=900.0, ran="2000-01-01T00:00:00Z")}))
+    path.write_text(
+        format_record({long: row(long, seconds=900.0, ran="2000-01-01T00:00:00Z")}), encoding="utf-8"
+    )
     night = Night(path, "a", budget=600.0)
     assert len(run(folder, night)) == 8
     assert night.left == [long]
@@ -357,7 +359,7 @@ def test_fixtures_of_a_file_are_set_up_once_though_a_test_is_left_out(pytester: 
     )
     path = pytester.path / "record.tsv"
     long = "test_shared.py::test_shares[1]"
-    path.write_text(format_record({long: row(long, seconds=900.0)}))
+    path.write_text(format_record({long: row(long, seconds=900.0)}), encoding="utf-8")
     run(pytester, Night(path, "a", budget=600.0))
     record = read_record(path)
     assert [outcome_row.outcome for outcome_row in record.values() if outcome_row.passed != "-"] == [
@@ -376,7 +378,12 @@ from nights import Night
 sys.exit(pytest.main({list(arguments)!r}, plugins=[Night(Path({str(path)!r}), "a")]))
 """
     return subprocess.run(
-        [sys.executable, "-c", text], cwd=folder.path, capture_output=True, text=True, check=False
+        [sys.executable, "-c", text],
+        cwd=folder.path,
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
 
 

@@ -73,7 +73,7 @@ def test_a_fault_is_one_change_at_its_line_of_a_module_that_parses() -> None:
     faults = choose_faults(ROOT, ["rhi.device", "rhi.backends.cl", "renderer.frame"], 60, 3)
     assert len({(fault.file, fault.line) for fault in faults}) == 60
     for fault in faults:
-        text = (ROOT / fault.file).read_text()
+        text = (ROOT / fault.file).read_text(encoding="utf-8")
         assert text.split("\n")[fault.line - 1].strip() == fault.text
         changed = fault.apply(text)
         assert changed != text
@@ -101,7 +101,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     texts = {"thing/numbers.py": TESTED, "thing/__init__.py": "", "tests/thing/test_numbers.py": TESTS}
     for file, text in texts.items():
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / file).write_text(text)
+        (tmp_path / file).write_text(text, encoding="utf-8")
     subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
     return tmp_path
 
@@ -119,7 +119,7 @@ def test_an_undetected_fault_is_printed_with_its_line_and_the_project_is_unchang
     assert "ESCAPED  thing/numbers.py:2: '2' → '3' in: return 2 * x" in output
     assert "Timeout (0:00:02)!" in output
     assert output.endswith("2 of 3 that can be seen are noticed; 0 can't be seen\n")
-    assert (project / "thing/numbers.py").read_text() == TESTED
+    assert (project / "thing/numbers.py").read_text(encoding="utf-8") == TESTED
 
 
 @pytest.mark.nightly
@@ -136,7 +136,9 @@ def test_a_fault_that_is_explained_is_no_survivor(
 
 @pytest.mark.nightly
 def test_tests_that_fail_without_a_fault_are_reported(project: Path) -> None:
-    (project / "tests/thing/test_numbers.py").write_text("def test_it():\n    assert False\n")
+    (project / "tests/thing/test_numbers.py").write_text(
+        "def test_it():\n    assert False\n", encoding="utf-8"
+    )
     with pytest.raises(AssertionError, match="without a fault"):
         try_faults(project, list_faults("thing/numbers.py", TESTED)[:1])
 
@@ -144,7 +146,10 @@ def test_tests_that_fail_without_a_fault_are_reported(project: Path) -> None:
 @pytest.mark.parametrize("unseen", UNDETECTABLE_FAULTS, ids=lambda fault: f"{fault.file}: {fault.text[:40]}")
 def test_each_undetectable_fault_exists_and_has_a_reason(unseen: tuple[str, ...]) -> None:
     file, text, old, new, why = unseen
-    there = {(listed.text, listed.old, listed.new) for listed in list_faults(file, (ROOT / file).read_text())}
+    there = {
+        (listed.text, listed.old, listed.new)
+        for listed in list_faults(file, (ROOT / file).read_text(encoding="utf-8"))
+    }
     assert (text, old, new) in there
     assert explain(file, text, old, new) == why
     assert not explain(file, text, old, "another")

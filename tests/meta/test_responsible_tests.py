@@ -41,7 +41,7 @@ def test_a_part_of_the_renderer_is_also_tested_where_it_is_used() -> None:
     direct, users, exam, importers = choose_tests(ROOT, "renderer/scene/meshes.py")
     assert direct == ("tests/renderer/scene",)
     assert 1 < len(users) <= 8
-    assert all("renderer.scene" in (ROOT / file).read_text() for file in users)
+    assert all("renderer.scene" in (ROOT / file).read_text(encoding="utf-8") for file in users)
     assert exam == ("tests/renderer/lab/exam/test_cases.py",)
     assert importers == ("tests/renderer/content",)
 
@@ -123,19 +123,19 @@ def repository(tmp_path: Path) -> Path:
 
     run_git("init", "-q", "-b", "main")
     for name in ("kept.py", "edited.py", "deleted.py"):
-        (tmp_path / name).write_text("")
+        (tmp_path / name).write_text("", encoding="utf-8")
     run_git("add", ".")
     run_git("commit", "-q", "-m", "first")
     run_git("switch", "-q", "-c", "branch")
-    (tmp_path / "committed.py").write_text("")
+    (tmp_path / "committed.py").write_text("", encoding="utf-8")
     run_git("add", ".")
     run_git("commit", "-q", "-m", "second")
     return tmp_path
 
 
 def test_a_branch_differs_from_main_by_its_commits_and_its_uncommitted_changes(repository: Path) -> None:
-    (repository / "edited.py").write_text("1")
-    (repository / "new.py").write_text("")
+    (repository / "edited.py").write_text("1", encoding="utf-8")
+    (repository / "new.py").write_text("", encoding="utf-8")
     (repository / "deleted.py").unlink()
     assert list_changed_files(repository) == ["committed.py", "edited.py", "new.py"]
 
@@ -143,7 +143,7 @@ def test_a_branch_differs_from_main_by_its_commits_and_its_uncommitted_changes(r
 def test_main_differs_from_its_last_commit_by_uncommitted_changes(repository: Path) -> None:
     subprocess.run(["git", "switch", "-q", "-f", "main"], cwd=repository, check=True)
     assert list_changed_files(repository) == []
-    (repository / "edited.py").write_text("1")
+    (repository / "edited.py").write_text("1", encoding="utf-8")
     assert list_changed_files(repository) == ["edited.py"]
 
 

@@ -69,6 +69,7 @@ def test_each_rule_is_broken_by_a_test_and_passed_by_another() -> None:
         text=True,
         check=False,
         env=os.environ | {"PYTHONPATH": path},
+        encoding="utf-8",
     )
     assert run.returncode == 0, run.stderr
     counts: dict[str, tuple[int, int]] = json.loads(run.stdout)
@@ -81,7 +82,7 @@ def test_each_rule_is_broken_by_a_test_and_passed_by_another() -> None:
 
 @pytest.mark.parametrize("rule", BROKEN_IN_A_CHILD)
 def test_a_rule_that_is_broken_in_a_child_is_named_by_its_tests(rule: str) -> None:
-    assert f'"{rule}"' in (TESTS / BROKEN_IN_A_CHILD[rule]).read_text()
+    assert f'"{rule}"' in (TESTS / BROKEN_IN_A_CHILD[rule]).read_text(encoding="utf-8")
 
 
 # -- the gate itself -----------------------------------------------------------------------------------------

@@ -36,9 +36,9 @@ def test_last(): pass
 
 
 def run(folder: Path, end: str, *options: str, seconds: float = 60.0) -> subprocess.CompletedProcess[str]:
-    (folder / "pytest.ini").write_text("[pytest]\nmarkers = nightly: takes long")
-    (folder / "conftest.py").write_text(CONFTEST)
-    (folder / "test_some.py").write_text(TESTS.format(end=end))
+    (folder / "pytest.ini").write_text("[pytest]\nmarkers = nightly: takes long", encoding="utf-8")
+    (folder / "conftest.py").write_text(CONFTEST, encoding="utf-8")
+    (folder / "test_some.py").write_text(TESTS.format(end=end), encoding="utf-8")
     command = [
         sys.executable,
         str(KITS / "nights.py"),
@@ -51,7 +51,14 @@ def run(folder: Path, end: str, *options: str, seconds: float = 60.0) -> subproc
     command += [*options, "-p", "no:cacheprovider", "test_some.py"]
     environment = os.environ | {"RHI_NIGHT_LIMIT": f"{seconds}", "PYTHONPATH": str(KITS)}
     return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        encoding="utf-8",
     )
 
 
@@ -69,7 +76,7 @@ def test_a_night_goes_on_after_a_test_that_aborts(tmp_path: Path) -> None:
 
 def test_a_death_is_reported_with_its_signal_output_and_stack(tmp_path: Path) -> None:
     done = run(tmp_path, "os.abort()")
-    report = (tmp_path / "reports" / "deaths.txt").read_text()
+    report = (tmp_path / "reports" / "deaths.txt").read_text(encoding="utf-8")
     assert report in done.stderr
     assert "test_some.py::test_ends ended the process: signal SIGABRT" in report
     assert "last words of a driver" in report
@@ -92,17 +99,17 @@ def test_a_test_that_never_ends_is_ended_with_its_stack(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert outcomes(tmp_path) == {"test_first": "passed", "test_ends": "started", "test_last": "passed"}
     assert 2.9 < read_record(tmp_path / "record.tsv")["test_some.py::test_ends"].seconds < 60.0  # rounded
-    report = (tmp_path / "reports" / "deaths.txt").read_text()
+    report = (tmp_path / "reports" / "deaths.txt").read_text(encoding="utf-8")
     assert "test_some.py::test_ends took too long" in report
     assert "last words of a driver" in report
     assert 'test_some.py", line 9 in test_ends' in report
 
 
 def test_a_process_that_a_test_leaves_is_ended_too(tmp_path: Path) -> None:
-    (tmp_path / "child.py").write_text("import time\ntime.sleep(60)")
+    (tmp_path / "child.py").write_text("import time\ntime.sleep(60)", encoding="utf-8")
     child = "import subprocess, sys; print(subprocess.Popen([sys.executable, 'child.py']).pid, file=open('pid', 'w'))"
     run(tmp_path, f"{child}; os._exit(3)")
-    number = int((tmp_path / "pid").read_text())
+    number = int((tmp_path / "pid").read_text(encoding="utf-8"))
     until = time.monotonic() + 20.0
     while Path(f"/proc/{number}/cmdline").exists() and time.monotonic() < until:
         if not Path(f"/proc/{number}/cmdline").read_bytes():  # it waits for init to note its end
@@ -125,11 +132,11 @@ def test_processes_side_by_side_run_each_test_once_and_report_their_deaths(tmp_p
     done = run(tmp_path, "os.abort()", "--processes", "2")
     assert done.returncode != 0
     assert outcomes(tmp_path) == {"test_first": "passed", "test_ends": "started", "test_last": "passed"}
-    begun = [path.read_text() for path in tmp_path.glob("reports/process-*/begun.tsv")]
+    begun = [path.read_text(encoding="utf-8") for path in tmp_path.glob("reports/process-*/begun.tsv")]
     assert sum(text.count("::") for text in begun) == 3
     assert all("::" in text for text in begun), "both have tests"
     (report,) = tmp_path.glob("reports/process-*/deaths.txt")
-    assert "SIGABRT" in report.read_text()
+    assert "SIGABRT" in report.read_text(encoding="utf-8")
 
 
 @pytest.mark.nightly
@@ -197,5 +204,5 @@ thread.join()
     backtrace = read_backtrace(cores[0])
     assert "abort" in backtrace
     assert backtrace.count("Thread ") >= 2
-    (tmp_path / "core.txt").write_text("no core")
+    (tmp_path / "core.txt").write_text("no core", encoding="utf-8")
     assert not is_core(tmp_path / "core.txt")

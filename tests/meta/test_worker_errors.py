@@ -23,7 +23,7 @@ def test_two():
 
 
 def run(folder: Path, end: str, *options: str) -> str:
-    (folder / "test_ends.py").write_text(TESTS.format(end=end))
+    (folder / "test_ends.py").write_text(TESTS.format(end=end), encoding="utf-8")
     plugins = ["-p", "worker_errors", "-p", "no:cacheprovider"]
     command = [sys.executable, "-m", "pytest", "-n", "1", "--max-worker-restart", "0", *plugins, *options]
     done = subprocess.run(
@@ -34,6 +34,7 @@ def run(folder: Path, end: str, *options: str) -> str:
         text=True,
         timeout=120,
         check=False,
+        encoding="utf-8",
     )
     return done.stdout + done.stderr
 

@@ -22,7 +22,9 @@ def run_with_quick_kernels(cache: Path, *arguments: str) -> subprocess.Completed
     environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
     environment |= {"RHI_CACHE": str(cache), "RHI_KERNELS": "quick"}
     command = [sys.executable, "-m", "renderer", "compare", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    return subprocess.run(
+        command, capture_output=True, text=True, check=True, env=environment, encoding="utf-8"
+    )
 
 
 @pytest.fixture

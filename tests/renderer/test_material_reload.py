@@ -46,7 +46,7 @@ def import_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cal
 
     def make(text: str) -> Any:
         names.append(f"saved_material_{next(_numbers)}")
-        (tmp_path / f"{names[-1]}.py").write_text(text)
+        (tmp_path / f"{names[-1]}.py").write_text(text, encoding="utf-8")
         importlib.invalidate_caches()
         return importlib.import_module(names[-1])
 

@@ -62,7 +62,7 @@ def test_settings_that_a_file_lacks_have_their_defaults(tmp_path: Path) -> None:
         visibility=VisibilitySettings(batch=9)
     )
     (tmp_path / "s.json").write_text(
-        json.dumps({"rendering": {"shadows": {"cascades": 3}, "textures": {"mip": None}}})
+        json.dumps({"rendering": {"shadows": {"cascades": 3}, "textures": {"mip": None}}}), encoding="utf-8"
     )
     assert RenderSettings.load(tmp_path / "s.json") == RenderSettings(
         shadows=ShadowSettings(cascades=3), textures=TextureSettings(mip=None)
@@ -71,7 +71,9 @@ def test_settings_that_a_file_lacks_have_their_defaults(tmp_path: Path) -> None:
 
 def test_cells_that_a_file_gives_in_part_are_otherwise_those_of_their_technique(tmp_path: Path) -> None:
     technique_fields = {"tiles": {"sphere_test": "hybrid"}, "clusters": {"slices": 12}}
-    (tmp_path / "s.json").write_text(json.dumps({"rendering": {"technique": technique_fields}}))
+    (tmp_path / "s.json").write_text(
+        json.dumps({"rendering": {"technique": technique_fields}}), encoding="utf-8"
+    )
     technique = RenderSettings.load(tmp_path / "s.json").technique
     assert (technique.tiles, technique.clusters) == (
         ClusterSettings(16, 1, "hybrid"),
@@ -81,7 +83,7 @@ def test_cells_that_a_file_gives_in_part_are_otherwise_those_of_their_technique(
 
 @pytest.mark.parametrize("text", ["[]", "{}"])
 def test_a_file_without_settings_is_refused(text: str, tmp_path: Path) -> None:
-    (tmp_path / "s.json").write_text(text)
+    (tmp_path / "s.json").write_text(text, encoding="utf-8")
     assert refused_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
 
 
@@ -108,7 +110,7 @@ def test_a_file_without_settings_is_refused(text: str, tmp_path: Path) -> None:
 def test_a_setting_that_no_frame_could_have_is_refused_as_its_file_is_read(
     text: str, rule: str, tmp_path: Path
 ) -> None:
-    (tmp_path / "s.json").write_text(f'{{"rendering": {text}}}')
+    (tmp_path / "s.json").write_text(f'{{"rendering": {text}}}', encoding="utf-8")
     assert refused_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == rule
 
 
@@ -172,12 +174,12 @@ def test_a_mutated_file_is_refused_by_a_rule_or_draws_a_frame(
     seed: int, tmp_path: Path, null: rhi.Device
 ) -> None:
     OTHERS.save(tmp_path / "s.json")
-    text, scene = (tmp_path / "s.json").read_text(), load_scene("grid:count=4,lights=2")
+    text, scene = (tmp_path / "s.json").read_text(encoding="utf-8"), load_scene("grid:count=4,lights=2")
     rng, drawn = random.Random(seed), 0
     for _ in range(300):
         mutated = json.dumps(mutate(rng, json.loads(text)))
         cut = rng.randrange(len(mutated)) if rng.random() < 0.1 else len(mutated)
-        (tmp_path / "s.json").write_text(mutated[:cut])
+        (tmp_path / "s.json").write_text(mutated[:cut], encoding="utf-8")
         with suppress(rhi.RhiError):
             settings = RenderSettings.load(tmp_path / "s.json")
             with settings.open(null, scene, (32, 24)) as renderer:
@@ -224,7 +226,7 @@ def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
         '{"scale": 1.0, "specular_channels": 1, "tiles": {"tile": 1}, "clusters": {"tile": 64, "slices": 1}}'
     )
     (tmp_path / "s.json").write_text(
-        f'{{"rendering": {{"technique": {technique}, "shadows": {{"far_size": 0}}}}}}'
+        f'{{"rendering": {{"technique": {technique}, "shadows": {{"far_size": 0}}}}}}', encoding="utf-8"
     )
     read = RenderSettings.load(tmp_path / "s.json")
     assert (read.technique.scale, read.technique.specular_channels, read.shadows.far_size) == (1.0, 1, 0)

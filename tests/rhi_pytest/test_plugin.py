@@ -34,6 +34,7 @@ def run_pytest(
         env=variables | {"PYTHONPATH": str(ROOT)} | environment,
         capture_output=True,
         text=True,
+        encoding="utf-8",
     )
 
 

@@ -45,7 +45,7 @@ def test_more_processes_than_cpus_take_turns(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems don't tell")
 def test_cpus_of_a_core_follow_each_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for cpu in range(8):
-        (tmp_path / str(cpu)).write_text(f"{cpu % 4},{cpu % 4 + 4}\n")
+        (tmp_path / str(cpu)).write_text(f"{cpu % 4},{cpu % 4 + 4}\n", encoding="utf-8")
     monkeypatch.setattr(executors, "_SIBLINGS", f"{tmp_path}/{{}}")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4, 5, 6, 7})
     assert list_cpus() == [0, 4, 1, 5, 2, 6, 3, 7]

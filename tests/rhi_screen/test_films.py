@@ -488,9 +488,9 @@ def test_a_dask_cluster_whose_worker_is_killed_draws_the_same_film(tmp_path: Pat
     """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""
     pytest.importorskip("distributed")
     program = tmp_path / "cluster.py"
-    program.write_text(CLUSTER)
+    program.write_text(CLUSTER, encoding="utf-8")
     command = [sys.executable, str(program), str(tmp_path)]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    run = subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8")
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines() == ["60", "film-killed frame 7"]
     assert read_all(tmp_path / "dask") == read_all(tmp_path / "serial")

@@ -56,17 +56,19 @@ def mistakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
     pytest.importorskip("pyright")
     folder = tmp_path_factory.mktemp("pyright")
     for suite in SUITES:
-        source = suite.RIGHT.read_text()
-        (folder / suite.RIGHT.name).write_text(source)
+        source = suite.RIGHT.read_text(encoding="utf-8")
+        (folder / suite.RIGHT.name).write_text(source, encoding="utf-8")
         for number, file in enumerate(pack(source, suite.MISTAKES)):
-            (folder / f"{suite.__name__}_{number}.py").write_text(apply(source, file))
+            (folder / f"{suite.__name__}_{number}.py").write_text(apply(source, file), encoding="utf-8")
     (folder / "pyrightconfig.json").write_text(
-        json.dumps({"extraPaths": [str(ROOT)], "pythonVersion": "3.11"})
+        json.dumps({"extraPaths": [str(ROOT)], "pythonVersion": "3.11"}), encoding="utf-8"
     )
     environment = os.environ | {"PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
     arguments = ["--pythonpath", sys.executable]  # not the first that PATH has, which may lack NumPy
     command = [sys.executable, "-m", "pyright", "--outputjson", "-p", str(folder), *arguments]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, encoding="utf-8"
+    )
     lines: dict[str, set[int]] = {}
     for row in json.loads(done.stdout)["generalDiagnostics"]:
         if row["severity"] == "error":
@@ -83,7 +85,7 @@ def test_right_use_passes_pyright(mistakes: dict[str, set[int]], suite: Any) -> 
 def test_pyright_refuses_every_mistake_on_its_line(
     mistakes: dict[str, set[int]], suite: ModuleType | Any
 ) -> None:
-    files = pack(suite.RIGHT.read_text(), suite.MISTAKES)
+    files = pack(suite.RIGHT.read_text(encoding="utf-8"), suite.MISTAKES)
     assert sum(map(len, files)) == len(suite.MISTAKES)
     accepted = [
         file[line][2]

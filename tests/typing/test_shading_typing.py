@@ -52,4 +52,6 @@ def test_right_shaders_pass_and_each_mistake_is_refused_on_its_line(mypy_strict,
 
 def test_the_stubs_are_generated_from_the_tables():
     for path, text in stub_texts().items():
-        assert path.read_text() == text, f"run python -m rhi.shading.tools.stubs ({path.name})"
+        assert path.read_text(encoding="utf-8") == text, (
+            f"run python -m rhi.shading.tools.stubs ({path.name})"
+        )

@@ -296,7 +296,9 @@ def _converted(type: HostType, value: Any) -> Any:
                 number = int(value)
                 if number != value:
                     raise ValueError("expected a whole number")
-                np.dtype(type.code).type(number)  # raises OverflowError if it is out of range
+                limits = np.iinfo(type.code)
+                if not limits.min <= number <= limits.max:  # NumPy before 2.0 would keep 32 bits of it
+                    raise OverflowError(f"Python integer {number} out of bounds for {limits.dtype}")
                 return uint(number) if name == "uint" else number
             if type is BOOL:
                 return bool(value)

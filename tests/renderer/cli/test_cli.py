@@ -167,7 +167,7 @@ def test_depth_runs_as_asked(capsys: pytest.CaptureFixture[str], depth: str) -> 
 
 def write_model(folder: Path, vertex: str) -> str:
     path = folder / "model.obj"
-    path.write_text(f"v {vertex}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    path.write_text(f"v {vertex}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", encoding="utf-8")
     return str(path)
 
 
@@ -217,7 +217,7 @@ def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture
         " --plot errors.svg"
     )
     test_extensions_of_a_file_that_the_scene_leaves_out_are_listed_once(capsys, here, command)
-    assert (here / "errors.svg").read_text().startswith("<?xml")
+    assert (here / "errors.svg").read_text(encoding="utf-8").startswith("<?xml")
 
 
 def test_pairs_and_times_of_lights_are_charted_with_a_line_for_each_test() -> None:
@@ -348,7 +348,7 @@ def test_demo_compares_all_backends_that_work_and_renders_each_path(
 
 def test_python_m_renderer_is_the_command_line() -> None:
     command = [sys.executable, "-m", "renderer", "render", "ctiy"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8")
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
@@ -405,7 +405,9 @@ def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_fro
         "'--overlay']; "
         "import runpy; runpy.run_module('renderer', run_name='__main__')"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, encoding="utf-8"
+    )
     assert done.returncode == 2
     by_name, in_a_checkout = "pip install 'rhi[renderer]'", "pip install --editable '.[renderer]'"
     assert (
@@ -459,7 +461,7 @@ def test_techniques_draw_in_other_ways_on_demand(
     assert list_passes("--technique", technique, way) - usual == set(more)
     name = way.removeprefix("--").replace("-", "_")
     (tmp_path / "s.json").write_text(
-        f'{{"rendering": {{"technique": {{"name": "{technique}", "{name}": true}}}}}}'
+        f'{{"rendering": {{"technique": {{"name": "{technique}", "{name}": true}}}}}}', encoding="utf-8"
     )
     render = ["render", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--frames", "1"]
     assert main([*render, "--settings", str(tmp_path / "s.json")]) == 0

@@ -31,7 +31,7 @@ def test_times_are_measured_on_each_backend_that_is_named(capsys: pytest.Capture
 def test_the_page_has_the_tables_and_the_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["effect-costs", "--effect", "box", "--rounds", "2", "--output", str(tmp_path)]) == 0
     table = capsys.readouterr().out
-    page = (tmp_path / "effect-costs.md").read_text()
+    page = (tmp_path / "effect-costs.md").read_text(encoding="utf-8")
     assert "| box | a box on a ground |" in page
     assert "a box on a ground" in table
     assert "python -m renderer effect-costs --effect box --rounds 2 --output docs" in page

@@ -146,7 +146,9 @@ def test_ctrl_c_keeps_finished_frames_and_ends_the_processes(here: Path) -> None
         sys.executable, "-m", "renderer", *COMMAND, "--frames", "0:1800", "--backend", "gl",
         "--executor", "processes:2", "--output", "%d.png",
     ]  # fmt: skip
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True, encoding="utf-8"
+    )
     deadline = time.monotonic() + 120.0
     while len(list(here.glob("*.png"))) < 5 and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -22,8 +22,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     models = tmp_path / "models"
     models.mkdir()
     save_scene(load_scene("grid:count=4"), models / "grid.gltf")
-    (models / "one.obj").write_text(TRIANGLE)
-    (models / "paint.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    (models / "one.obj").write_text(TRIANGLE, encoding="utf-8")
+    (models / "paint.mtl").write_text("newmtl red\nKd 1 0 0\n", encoding="utf-8")
     for name in ("grid.gltf", "one.obj"):
         load_model(models / name)
     return models
@@ -70,7 +70,7 @@ def test_a_folder_that_was_moved_is_found_once_it_was_listed(
     with pytest.raises(rhi.ValidationError):
         load_model(folder / "grid.gltf")
     (elsewhere / "link.bin").symlink_to(elsewhere / "grid.bin")
-    (elsewhere / "notes.txt").write_text("none of a model")
+    (elsewhere / "notes.txt").write_text("none of a model", encoding="utf-8")
     assert main(["assets", str(elsewhere), "--json"]) == 0
     assert describe(folder / "grid.gltf") == before
     names = [Path(row["path"]).name for row in json.loads(capsys.readouterr().out)]

@@ -76,7 +76,7 @@ def test_a_buffer_may_stand_in_the_document_itself(tmp_path):
     document = one_mesh()
     uri = "data:application/octet-stream;base64," + base64.b64encode(bytes(document.data)).decode()
     values = document.values | {"buffers": [{"uri": uri, "byteLength": len(document.data)}]}
-    (tmp_path / "a.gltf").write_text(json.dumps(values))
+    (tmp_path / "a.gltf").write_text(json.dumps(values), encoding="utf-8")
     assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
 
 
@@ -85,7 +85,7 @@ def test_a_file_name_may_be_escaped(tmp_path, uri):
     document = one_mesh()
     (tmp_path / "my café+1.bin").write_bytes(document.data)
     values = document.values | {"buffers": [{"uri": uri, "byteLength": len(document.data)}]}
-    (tmp_path / "a.gltf").write_text(json.dumps(values))
+    (tmp_path / "a.gltf").write_text(json.dumps(values), encoding="utf-8")
     assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
 
 

@@ -321,7 +321,7 @@ def test_local_addresses_are_read_and_others_refused(tmp_path: Path, address: st
     document.mesh()
     uri = address.replace("/{folder}", str(folder)).replace("{folder}", str(folder))
     values = document.values | {"buffers": [{"byteLength": TRIANGLE.nbytes, "uri": uri}]}
-    (folder / "a.gltf").write_text(json.dumps(values))
+    (folder / "a.gltf").write_text(json.dumps(values), encoding="utf-8")
     text, allowed = explain(folder / "a.gltf")
     assert (allowed == "read") == ADDRESSES[address], (text, allowed)
     if not ADDRESSES[address]:

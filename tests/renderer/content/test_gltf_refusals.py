@@ -199,7 +199,7 @@ def test_nodes_that_contain_each_other_are_refused(tmp_path):
 def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     document = make_document()
     values = {**document.values, "buffers": [{"uri": uri, "byteLength": len(document.data)}]}
-    (tmp_path / "bad.gltf").write_text(json.dumps(values))
+    (tmp_path / "bad.gltf").write_text(json.dumps(values), encoding="utf-8")
     with pytest.raises(ValidationError, match=r"buffers\[0\]\.uri") as error:
         load_model(str(tmp_path / "bad.gltf"))
     assert error.value.rule.id == "scene-unreadable-model"
@@ -244,7 +244,7 @@ def test_vertices_that_are_there_only_compressed_are_refused_and_others_are_read
 )
 def test_a_buffer_without_bytes_is_refused_with_its_source(tmp_path, buffer, problem, allowed):
     values = with_triangle(nodes=[{"mesh": 0}]).values | {"buffers": [{"byteLength": 36, **buffer}]}
-    (tmp_path / "bad.gltf").write_text(json.dumps(values))
+    (tmp_path / "bad.gltf").write_text(json.dumps(values), encoding="utf-8")
     with pytest.raises(ValidationError) as error:
         load_model(tmp_path / "bad.gltf")
     assert error.value.given == f"{tmp_path / 'bad.gltf'}: buffers[0].{problem}"

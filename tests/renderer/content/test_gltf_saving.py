@@ -202,7 +202,9 @@ def test_rotated_texture_coordinates_are_the_same_to_float32(tmp_path):
     builder.add_objects(builder.add_node(), builder.add_mesh(make_geometry(TRIANGLE, [0, 1, 2])), 0)
     scene = builder.build()
     loaded, _ = save_and_load(scene, tmp_path, "saved.gltf")
-    assert json.loads((tmp_path / "saved.gltf").read_text())["extensionsUsed"] == ["KHR_texture_transform"]
+    assert json.loads((tmp_path / "saved.gltf").read_text(encoding="utf-8"))["extensionsUsed"] == [
+        "KHR_texture_transform"
+    ]
     assert loaded.textures["transform"] == pytest.approx(scene.textures["transform"], rel=3e-7)
 
 
@@ -213,11 +215,11 @@ def test_a_camera_without_a_far_plane_has_one_for_other_programs(tmp_path):
     loaded, _ = save_and_load(scene, tmp_path, "saved.gltf")
     assert loaded.views["view"].projection.far == np.inf
     file = tmp_path / "saved.gltf"
-    document = json.loads(file.read_text())
+    document = json.loads(file.read_text(encoding="utf-8"))
     perspective = document["cameras"][-1]["perspective"]
     assert perspective["zfar"] == 0.5 * 2**24
     perspective["zfar"] = 100.0
-    file.write_text(json.dumps(document))
+    file.write_text(json.dumps(document), encoding="utf-8")
     assert load_model(str(file)).views["view"].projection.far == 100.0
 
 

@@ -51,14 +51,14 @@ def make_others(folder, content, where):
     """Write an OBJ or a PLY, likewise."""
     (folder / "wood.png").write_bytes(content)
     if where == "ply":
-        (folder / "a.ply").write_text(PLY)
+        (folder / "a.ply").write_text(PLY, encoding="utf-8")
         return str(folder / "a.ply")
     material = "newmtl m\nmap_Kd wood.png\n"
     if where == "material file":  # which is an image, too, and is named as the texture of its own material
         (folder / "wood.png").unlink()
         material = content.decode("latin1") + "newmtl m\nmap_Kd a.mtl\n"
     (folder / "a.mtl").write_text(material, encoding="latin1")
-    (folder / "a.obj").write_text(OBJ.format(mtl="a.mtl"))
+    (folder / "a.obj").write_text(OBJ.format(mtl="a.mtl"), encoding="utf-8")
     return str(folder / "a.obj")
 
 

@@ -45,7 +45,7 @@ def write(
     folder.mkdir(exist_ok=True)
     (folder / "a.bin").write_bytes(TRIANGLE.tobytes())
     path = folder / "a.gltf"
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(document), encoding="utf-8")
     return path
 
 
@@ -159,9 +159,9 @@ def test_a_material_of_an_obj_elsewhere_is_not_read(tmp_path: Path) -> None:
     Image.new("RGB", (2, 2), (255, 0, 0)).save(inside / "red.png")
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
     for folder in (tmp_path, inside):
-        (folder / "m.mtl").write_text("newmtl m\nmap_Kd red.png\n")
-    (inside / "a.obj").write_text(f"mtllib ../m.mtl\n{triangle}")
-    (inside / "b.obj").write_text(f"mtllib m.mtl\n{triangle}")
+        (folder / "m.mtl").write_text("newmtl m\nmap_Kd red.png\n", encoding="utf-8")
+    (inside / "a.obj").write_text(f"mtllib ../m.mtl\n{triangle}", encoding="utf-8")
+    (inside / "b.obj").write_text(f"mtllib m.mtl\n{triangle}", encoding="utf-8")
     assert [image[0, 0, 0] for image in load_model(inside / "b.obj").images] == [255]
     for limits in (ModelLimits(pixels=4), ModelLimits(vertices=5), ModelLimits(bytes=len(triangle))):
         error = refused(lambda limits=limits: load_model(inside / "b.obj", limits))  # type: ignore[misc]

@@ -57,8 +57,8 @@ def refusal(path):
 
 
 def test_obj_keeps_materials_and_texture_coordinates(tmp_path):
-    (tmp_path / "two.mtl").write_text(MTL)
-    (tmp_path / "two.obj").write_text(OBJ)
+    (tmp_path / "two.mtl").write_text(MTL, encoding="utf-8")
+    (tmp_path / "two.obj").write_text(OBJ, encoding="utf-8")
     scene = load_model(str(tmp_path / "two.obj"))
     assert scene.triangle_count == 2
     colors = scene.materials["base_color"][scene.objects.material][:, :3]
@@ -73,8 +73,10 @@ def test_a_texture_is_kept_and_its_first_row_is_the_top(tmp_path):
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0] = (255, 0, 0)
     Image.fromarray(pixels).save(tmp_path / "paint.png")
-    (tmp_path / "two.mtl").write_text("newmtl red\nmap_Kd paint.png\nnewmtl blue\nKd 0 0 1\n")
-    (tmp_path / "two.obj").write_text(OBJ)
+    (tmp_path / "two.mtl").write_text(
+        "newmtl red\nmap_Kd paint.png\nnewmtl blue\nKd 0 0 1\n", encoding="utf-8"
+    )
+    (tmp_path / "two.obj").write_text(OBJ, encoding="utf-8")
     scene = load_model(str(tmp_path / "two.obj"))
     assert len(scene.images) == 1
     assert scene.images[0][0].tolist() == [[255, 0, 0, 255]] * 2
@@ -82,8 +84,10 @@ def test_a_texture_is_kept_and_its_first_row_is_the_top(tmp_path):
 
 
 def test_ply_and_stl_are_read(tmp_path):
-    (tmp_path / "a.ply").write_text(PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 2"))
-    (tmp_path / "a.stl").write_text(STL)
+    (tmp_path / "a.ply").write_text(
+        PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 2"), encoding="utf-8"
+    )
+    (tmp_path / "a.stl").write_text(STL, encoding="utf-8")
     for name in ("a.ply", "a.stl"):
         scene = load_scene(str(tmp_path / name))
         assert scene.triangle_count == 1
@@ -93,7 +97,9 @@ def test_ply_and_stl_are_read(tmp_path):
 
 
 def test_a_grid_of_a_model_file(tmp_path):
-    (tmp_path / "a.ply").write_text(PLY.format(faces=1, vertices="5 5 5\n9 5 5\n5 9 5\n3 0 1 2"))
+    (tmp_path / "a.ply").write_text(
+        PLY.format(faces=1, vertices="5 5 5\n9 5 5\n5 9 5\n3 0 1 2"), encoding="utf-8"
+    )
     scene = load_scene(f"grid:mesh={tmp_path / 'a.ply'},count=3")
     assert scene.triangle_count == 3
     assert scene.meshes.upper[0].max() == pytest.approx(1.0)
@@ -102,7 +108,7 @@ def test_a_grid_of_a_model_file(tmp_path):
 def test_a_model_far_from_its_origin_keeps_its_shape(tmp_path):
     far = "\n".join(f"{4e6 + x} {y} 0" for x, y in ((0, 0), (0.125, 0), (0, 0.125)))
     (tmp_path / "far.ply").write_text(
-        PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2")
+        PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2"), encoding="utf-8"
     )
     scene = load_model(str(tmp_path / "far.ply"))
     assert np.allclose(scene.objects.upper - scene.objects.lower, (0.125, 0.125, 0.0), atol=1e-6)
@@ -148,14 +154,17 @@ def test_an_empty_file_is_refused(tmp_path, name):
 
 
 def test_points_without_triangles_are_refused(tmp_path):
-    (tmp_path / "points.ply").write_text(PLY.format(faces=0, vertices="0 0 0\n1 0 0\n0 1 0"))
+    (tmp_path / "points.ply").write_text(
+        PLY.format(faces=0, vertices="0 0 0\n1 0 0\n0 1 0"), encoding="utf-8"
+    )
     assert refusal(tmp_path / "points.ply") == "scene-empty-model"
 
 
 @pytest.mark.parametrize("bad", ["nan", "inf", "1e39"])
 def test_vertices_that_are_not_finite_are_refused(tmp_path, bad):
     (tmp_path / "bad.ply").write_text(
-        PLY.replace("float", "double").format(faces=1, vertices=f"0 0 0\n1 {bad} 0\n0 1 0\n3 0 1 2")
+        PLY.replace("float", "double").format(faces=1, vertices=f"0 0 0\n1 {bad} 0\n0 1 0\n3 0 1 2"),
+        encoding="utf-8",
     )
     assert refusal(tmp_path / "bad.ply") == "scene-bad-vertices"
 
@@ -167,14 +176,18 @@ def test_a_nan_in_gltf_is_refused(tmp_path):
 
 
 def test_a_face_that_names_a_missing_vertex_is_refused(tmp_path):
-    (tmp_path / "bad.ply").write_text(PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 7"))
+    (tmp_path / "bad.ply").write_text(
+        PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 7"), encoding="utf-8"
+    )
     assert refusal(tmp_path / "bad.ply") == "scene-unreadable-model"
 
 
 def test_scenes_without_files_import_no_reader_of_files() -> None:
     program = "import sys, renderer.content; print(*{'renderer.content.gltf', 'trimesh'} & {*sys.modules})"
     assert (
-        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+        subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True, encoding="utf-8"
+        ).stdout
         == "\n"
     )
 

@@ -27,5 +27,7 @@ def list_modules() -> list[str]:
 def test_every_module_but_the_commands_imports_without_the_lab() -> None:
     names = list_modules()
     assert {"renderer.viewer.viewer", "renderer.inspection.texture_images", "renderer.renderer"} <= set(names)
-    run = subprocess.run([sys.executable, "-c", PROGRAM, *names], capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *names], capture_output=True, text=True, check=False, encoding="utf-8"
+    )
     assert run.returncode == 0, run.stderr

@@ -36,9 +36,12 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(PRODUCT, folder / "renderer", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(HERE / "tube.py", folder / "renderer/light_kinds/tube.py")
     table = folder / "renderer/light_kinds/table.py"
-    text = table.read_text()
+    text = table.read_text(encoding="utf-8")
     text = text.replace("import directional, point, spot", "import directional, point, spot, tube")
-    table.write_text(text.replace("    spot.SpotLights,\n", "    tube.TubeLights,\n    spot.SpotLights,\n"))
+    table.write_text(
+        text.replace("    spot.SpotLights,\n", "    tube.TubeLights,\n    spot.SpotLights,\n"),
+        encoding="utf-8",
+    )
     return folder
 
 
@@ -47,7 +50,9 @@ def draw_extended(folder: Path, backend: str, *techniques: str) -> dict[str, NDA
     out = folder / f"{backend}.npz"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(PRODUCT.parent)])}
     command = [sys.executable, str(HERE / "draw_tubes.py"), backend, str(out), *techniques]
-    result = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder)
+    result = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=folder, encoding="utf-8"
+    )
     assert result.returncode == 0, result.stderr[-3000:]
     return dict(np.load(out))
 

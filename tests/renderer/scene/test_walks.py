@@ -75,7 +75,7 @@ def test_a_walk_without_a_camera_is_refused() -> None:
 def test_a_file_that_holds_no_walk_is_refused(tmp_path: Path, change: dict[str, object], rule: str) -> None:
     file = tmp_path / "walk.json"
     CameraPath.record(walk()).save(file)
-    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    file.write_text(json.dumps(json.loads(file.read_text(encoding="utf-8")) | change), encoding="utf-8")
     assert refused_rule(lambda: CameraPath.load(file)) == rule
-    file.write_text("no json")
+    file.write_text("no json", encoding="utf-8")
     assert refused_rule(lambda: CameraPath.load(file)) == "camera-bad-path"

@@ -137,7 +137,9 @@ def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
 @pytest.mark.parametrize(("name", "tile"), [("tiles", 8), ("clusters", 4)])
 def test_cells_are_those_of_the_settings(name: str, tile: int, tmp_path: Any) -> None:
     settings, output = tmp_path / "s.json", tmp_path / "shown.png"
-    settings.write_text('{"rendering": {"technique": {"tiles": {"tile": 8}, "clusters": {"tile": 4}}}}')
+    settings.write_text(
+        '{"rendering": {"technique": {"tiles": {"tile": 8}, "clusters": {"tile": 4}}}}', encoding="utf-8"
+    )
     command = ["render", "grid:count=1", "--size", "64x48", "--backend", "gl", "--technique", "forward"]
     light = []
     for options in ([], ["--show", name]):

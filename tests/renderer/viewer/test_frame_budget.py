@@ -79,7 +79,7 @@ def test_a_pareto_front_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
     "text", ["[]", "{}", "[1]", "nothing", '[{"milliseconds": 0.0}]', '[{"milliseconds": "fast"}]']
 )
 def test_a_file_without_a_pareto_front_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "pareto_front.json").write_text(text)
+    (tmp_path / "pareto_front.json").write_text(text, encoding="utf-8")
     with pytest.raises(rhi.ValidationError, match="visibility-bad-settings"):
         load_steps(tmp_path / "pareto_front.json")
 

@@ -70,7 +70,7 @@ class CornerLayer:
 def save(path: Path, text: str) -> None:
     """Save as most editors do, beside the file and then in its place."""
     beside = path.with_name(f"{path.name}~")
-    beside.write_text(text)
+    beside.write_text(text, encoding="utf-8")
     os.replace(beside, path)
 
 
@@ -96,7 +96,7 @@ def fault_lines(viewer: Viewer) -> list[str]:
 def shaders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     monkeypatch.syspath_prepend(str(tmp_path))
     name = f"saved_shaders_{next(_numbers)}"
-    (tmp_path / f"{name}.py").write_text(TEXT)
+    (tmp_path / f"{name}.py").write_text(TEXT, encoding="utf-8")
     importlib.invalidate_caches()
     yield importlib.import_module(name)
     del sys.modules[name]
@@ -228,7 +228,7 @@ def test_a_viewer_that_begins_with_a_faulty_shader_shows_the_last_good_one_and_t
 
     def begin(text: str) -> Viewer:
         """Open a viewer as a new process does."""
-        (tmp_path / "painted.py").write_text(text)
+        (tmp_path / "painted.py").write_text(text, encoding="utf-8")
         monkeypatch.delitem(sys.modules, "painted", raising=False)
         builder = SceneBuilder("painted")
         material = builder.add_material(shader=importlib.import_module("painted").Painted)
@@ -410,7 +410,7 @@ def test_a_scene_that_cannot_be_shown_leaves_the_old_one(
 ) -> None:
     path, viewer = model
     viewer.draw()
-    good, before = path.read_text(), viewer.session.scene
+    good, before = path.read_text(encoding="utf-8"), viewer.session.scene
     if fault == "syntax":
         save(path, good[:-9])
     else:
@@ -473,7 +473,7 @@ def test_settings_are_read_written_and_read_again_when_they_are_saved(viewer: Vi
     viewer.draw()
     assert viewer.session._last_camera.projection.depth is Depth.STANDARD
     assert viewer.session.renderer.technique.name == "light_pre_pass"
-    path.write_text("{")
+    path.write_text("{", encoding="utf-8")
     settle(viewer, lambda: viewer.file_reloader.faults)
     assert viewer.session.display.technique == "light_pre_pass"
 

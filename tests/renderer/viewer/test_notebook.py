@@ -92,11 +92,11 @@ def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
     }
     kernel = {"name": "python3", "display_name": "Python", "language": "python"}
     notebook = {"cells": [cell], "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
-    (tmp_path / "view.ipynb").write_text(json.dumps(notebook))
-    (tmp_path / "notes.py").write_text(NOTES)
+    (tmp_path / "view.ipynb").write_text(json.dumps(notebook), encoding="utf-8")
+    (tmp_path / "notes.py").write_text(NOTES, encoding="utf-8")
     settings = tmp_path / "lab" / "@jupyterlab" / "apputils-extension"
     settings.mkdir(parents=True)
-    (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
+    (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}', encoding="utf-8")
     port = free_port()
     command = [
         sys.executable,
@@ -115,7 +115,7 @@ def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
     environment = {
         name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")
     }
-    with (tmp_path / "server.log").open("w") as log:
+    with (tmp_path / "server.log").open("w", encoding="utf-8") as log:
         server = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
     try:
         wait_for(lambda: answers(f"http://127.0.0.1:{port}/api"), "the server")
@@ -140,7 +140,7 @@ def test_the_widget_is_controlled_by_drags_clicks_and_keys(
 ) -> None:
     def seen(kind: str) -> list[Any]:
         path = tmp_path / "seen.jsonl"
-        lines = path.read_text().splitlines() if path.exists() else []
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         return [event for event in map(json.loads, lines) if event["kind"] == kind]
 
     def find_widget() -> Any:

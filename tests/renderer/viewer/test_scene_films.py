@@ -286,10 +286,12 @@ def test_the_city_is_the_same_film_from_four_dask_workers_of_which_one_is_killed
     pytest.importorskip("distributed", reason="no dask: pip install rhi[dask]")
     frames = 40
     program = tmp_path / "city.py"
-    program.write_text(CITY)
+    program.write_text(CITY, encoding="utf-8")
     command = [sys.executable, str(program), str(tmp_path), str(frames)]
     environment = os.environ | {"LP_NUM_THREADS": "1"}
-    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    run = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=environment, encoding="utf-8"
+    )
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines() == [f"{frames} 1"]
     serial, cluster = (

@@ -299,7 +299,10 @@ def test_a_look_that_cannot_be_drawn_gives_way_to_the_last_one(
 
 def test_a_script_runs_its_lines_and_waits(viewer: Viewer, draw: Draw, tmp_path: Path) -> None:
     script = tmp_path / "tour.txt"
-    script.write_text("# a tour\ntechnique deferred\n\nwait 0.5\nvisibility none\nquit\ntechnique forward\n")
+    script.write_text(
+        "# a tour\ntechnique deferred\n\nwait 0.5\nvisibility none\nquit\ntechnique forward\n",
+        encoding="utf-8",
+    )
     viewer.run(f"script {script}")
     draw()
     assert (viewer.session.display.technique, viewer.session.display.visibility) == ("deferred", "frustum")
@@ -315,7 +318,7 @@ def test_a_script_runs_its_lines_and_waits(viewer: Viewer, draw: Draw, tmp_path:
 
 def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Draw, tmp_path: Path) -> None:
     script = tmp_path / "loop.txt"
-    script.write_text(f"time 1\nscript {script}\n" + "time 2\n" * 400)
+    script.write_text(f"time 1\nscript {script}\n" + "time 2\n" * 400, encoding="utf-8")
     viewer.run(f"script {script}")
     draw(40)
     assert any("at most 10000" in line for line, _ in viewer.console.lines) or viewer.is_moving
@@ -356,7 +359,7 @@ def test_times_of_frames_and_passes_are_captured(viewer: Viewer, tmp_path: Path,
     message, is_error = viewer.run(f"capture {tmp_path}/times.csv 3")
     assert not is_error
     assert "ms a frame" in message
-    head, *rows = (tmp_path / "times.csv").read_text().splitlines()
+    head, *rows = (tmp_path / "times.csv").read_text(encoding="utf-8").splitlines()
     assert head.startswith("frame,ms,")
     assert "forward cpu ms" in head
     assert [row.split(",")[0] for row in rows] == ["1", "2", "3"]

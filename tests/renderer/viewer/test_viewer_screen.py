@@ -209,7 +209,9 @@ def test_a_widget_is_turned_by_the_events_of_its_page() -> None:
 def run_view(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "renderer", "view", SCENE, "--size", "96x54", *arguments]
     clean = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=300)
+    return subprocess.run(
+        command, env=clean | environment, capture_output=True, text=True, timeout=300, encoding="utf-8"
+    )
 
 
 def test_without_glfw_one_line_says_what_to_install(
@@ -238,7 +240,7 @@ def test_a_window_shows_the_frames_of_a_script(tmp_path: Path) -> None:
         "record",
         f"save settings {saved_path}",
     )
-    script.write_text("\n".join([*lines, "quit"]))
+    script.write_text("\n".join([*lines, "quit"]), encoding="utf-8")
     settings = ("--settings", str(settings_path), "--visibility", "frustum")
     with open_display(tmp_path) as display:
         done = run_view(display.environment, "--backend", "gl", "--script", str(script), *settings)

@@ -22,11 +22,11 @@ def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
     settings = VisibilitySettings(batch=7, persistence=3, threshold=2, emulated=True)
     settings.save(tmp_path / "s.json", device="a device")
     assert VisibilitySettings.load(tmp_path / "s.json") == settings
-    assert json.loads((tmp_path / "s.json").read_text())["device"] == "a device"
+    assert json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))["device"] == "a device"
 
 
 def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
-    (tmp_path / "s.json").write_text('{"visibility": {"batch": 9}}')
+    (tmp_path / "s.json").write_text('{"visibility": {"batch": 9}}', encoding="utf-8")
     assert VisibilitySettings.load(tmp_path / "s.json") == VisibilitySettings(batch=9)
 
 
@@ -41,7 +41,7 @@ def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
     ],
 )
 def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "s.json").write_text(text)
+    (tmp_path / "s.json").write_text(text, encoding="utf-8")
     assert refused_rule(lambda: VisibilitySettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
 
 

@@ -87,6 +87,8 @@ def test_where_the_address_space_ends_a_creation_is_refused_and_the_device_goes_
         [sys.executable, "-c", PROGRAM, "cl", kind, str(KINDS[kind])],
         {"RHI_CACHE": str(tmp_path)},
     )
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=os.environ | cache)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env=os.environ | cache, encoding="utf-8"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() in ("device-out-of-memory", "MemoryError")

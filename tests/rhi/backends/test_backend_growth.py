@@ -141,7 +141,7 @@ def test_the_tables_of_a_backend_shrink_when_resources_are_destroyed(harness: De
 def grow(*options: str) -> dict[str, float]:
     """Return by how many MiB the memory grows, by row of the benchmark and backend."""
     command = [sys.executable, str(BENCHMARK), "--json", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, encoding="utf-8")
     rows = json.loads(done.stdout)["rows"]
     return {f"{row['repeated']}, {name}": row[name] for row in rows for name in row if name.endswith("MiB")}
 
@@ -163,7 +163,7 @@ def test_the_second_half_of_many_repetitions_adds_little(backend: str, row: str)
         pytest.importorskip("wgpu")
     scale = str(SCALES.get((backend, row), 1.0))
     command = [sys.executable, str(GROWTH), "--json", "--backend", backend, "--only", row, "--scale", scale]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, encoding="utf-8")
     (counts,) = json.loads(done.stdout)["rows"]
 
     def added(name: str) -> float:
@@ -204,5 +204,7 @@ memory.DROPPED["textures"] = lambda device: held.append(make(device))
 print(memory.measure_here("null", "dropped textures", 0.1))
 """
     command = [sys.executable, "-c", program]
-    done = subprocess.run(command, cwd=BENCHMARK.parent, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=BENCHMARK.parent, capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     assert int(done.stdout) > 20 << 20

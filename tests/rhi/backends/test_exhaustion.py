@@ -307,7 +307,9 @@ def run_python(text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     folders = [str(Path(__file__).parents[1]), *sys.path]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(folder for folder in folders if folder)}
     command = [sys.executable, "-c", text, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, env=environment, encoding="utf-8"
+    )
 
 
 @pytest.mark.nightly_cases(

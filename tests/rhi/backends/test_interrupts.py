@@ -481,6 +481,10 @@ next(draws), next(draws)
 @pytest.mark.parametrize("backend", ["cl", "gl", "null"])
 def test_a_process_ends_silently_with_a_suspended_generator_in_a_pass(backend: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", SUSPENDED, backend], capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", SUSPENDED, backend],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        encoding="utf-8",
     )
     assert (done.returncode, done.stderr) == (0, "")

@@ -140,7 +140,7 @@ print(raised, len(sent) > 6)
 @pytest.mark.parametrize("number", [signal.SIGALRM, signal.SIGTERM, signal.SIGINT, signal.SIGPROF])
 def test_a_signal_inside_moderngl_raises_after_the_call(number: signal.Signals) -> None:
     command = [sys.executable, "-c", _LINKED, number.name]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, encoding="utf-8")
     assert (done.returncode, done.stdout.split()) == (0, ["3", "True"]), done.stderr[-2000:]
 
 
@@ -195,7 +195,9 @@ def interrupt_frames(backend: str, seed: int, times: int) -> int:
     """Return the number of a program's frames that were interrupted by timeouts at random times; all others are
     right."""
     command = [sys.executable, "-W", "ignore", "-c", _TIMED, backend, str(seed), str(times)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=3600, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     return int(done.stdout)
 
@@ -293,7 +295,9 @@ def press_in_frames(backend: str, seed: int, times: int, folder: Path | None = N
     command = [sys.executable, "-W", "ignore", ctrl_c_frames.__file__, backend, str(seed), str(times), cache]
     folders = {} if folder is None else dict.fromkeys(("RHI_CACHE", "MESA_SHADER_CACHE_DIR"), str(folder))
     environment = {**os.environ, **folders}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=7200, check=False, env=environment)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=7200, check=False, env=environment, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     raised, late, lost = map(int, done.stdout.split()[-3:])
     return raised, late, lost
@@ -354,7 +358,9 @@ def test_a_process_draws_after_another_was_interrupted_at_its_start(tmp_path: Pa
 
     def start(folder: Path) -> subprocess.Popen[str]:
         pipe, environment = subprocess.PIPE, {**os.environ, "RHI_CACHE": str(folder)}
-        return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment)
+        return subprocess.Popen(
+            command, stdout=pipe, stderr=pipe, text=True, env=environment, encoding="utf-8"
+        )
 
     def finish(process: subprocess.Popen[str]) -> str:
         output, errors = process.communicate(timeout=300)

@@ -138,9 +138,11 @@ with rhi.create_device("null") as device:
 @pytest.mark.parametrize("name", ["renderer", "frames", "contextlib_user"])
 def test_a_module_that_users_run_is_theirs_whatever_its_name(tmp_path: Path, name: str) -> None:
     file = tmp_path / f"{name}.py"
-    file.write_text(PROGRAM)
+    file.write_text(PROGRAM, encoding="utf-8")
     for command in ([sys.executable, "-m", name], [sys.executable, str(file)]):
-        output = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+        output = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, check=True, encoding="utf-8"
+        ).stdout
         assert output.splitlines() == [str((str(file), 4))], command
 
 

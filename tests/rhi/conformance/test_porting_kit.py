@@ -23,7 +23,7 @@ from rhi.errors import ValidationError
 
 ROOT = Path(__file__).parents[3]
 KIT = Path(rhi.conformance.__file__).parent
-GUIDE = (ROOT / "docs" / "porting.md").read_text()
+GUIDE = (ROOT / "docs" / "porting.md").read_text(encoding="utf-8")
 
 
 def groups() -> Iterator[str]:
@@ -107,7 +107,10 @@ def test_the_guide_names_the_shaders_that_a_port_compiles_first() -> None:
 def test_a_method_that_was_written_is_not_asked_for_any_more(tmp_path: Path) -> None:
     root = write_package("begun", tmp_path)
     file = root / "rhi_begun" / "backend.py"
-    file.write_text(file.read_text().replace('        raise NotImplementedError("create_buffer")\n', ""))
+    file.write_text(
+        file.read_text(encoding="utf-8").replace('        raise NotImplementedError("create_buffer")\n', ""),
+        encoding="utf-8",
+    )
     _, output = take_the_kit("rhi_begun:create_backend", root, "rhi.conformance.operation.test_buffers")
     assert "write create_buffer" not in output
     assert re.search(r"^  write write_buffer: \d+ tests stop there$", output, re.MULTILINE)
@@ -116,7 +119,7 @@ def test_a_method_that_was_written_is_not_asked_for_any_more(tmp_path: Path) -> 
 def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> None:
     root = write_package("fresh", tmp_path)
     setup = [sys.executable, "-c", "import setuptools; setuptools.setup()", "--quiet", "egg_info"]
-    run = subprocess.run(setup, capture_output=True, text=True, check=False, cwd=root)
+    run = subprocess.run(setup, capture_output=True, text=True, check=False, cwd=root, encoding="utf-8")
     assert run.returncode == 0, run.stderr  # what an editable installation writes
     _, output = take_the_kit("fresh", root, "rhi.conformance.operation.test_buffers")
     assert "rhi conformance: fresh" in output
@@ -132,7 +135,12 @@ def test_a_new_backend_passes_mypy_strict(
     out, _ = mypy_strict(right)
     assert [line for line in out.splitlines() if "rhi_right" in line] == []
     file = wrong / "backend.py"
-    file.write_text(file.read_text().replace("def signal(self, value: int)", "def signal(self, value: str)"))
+    file.write_text(
+        file.read_text(encoding="utf-8").replace(
+            "def signal(self, value: int)", "def signal(self, value: str)"
+        ),
+        encoding="utf-8",
+    )
     out, _ = mypy_strict(wrong)
     assert "Incompatible return value type" in out
 
@@ -144,7 +152,9 @@ def test_the_command_writes_the_package_and_says_where(
     out, err = capsys.readouterr()
     assert out.strip() == str(tmp_path / "rhi-metal")
     assert "--rhi-backend metal" in err
-    assert 'metal = "rhi_metal:create_backend"' in (tmp_path / "rhi-metal" / "pyproject.toml").read_text()
+    assert 'metal = "rhi_metal:create_backend"' in (tmp_path / "rhi-metal" / "pyproject.toml").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("name", ["Metal", "9lives", "a-b", "class", "", "gl"])
@@ -245,7 +255,7 @@ def test_the_kit_runs_in_the_order_of_the_steps(tmp_path: Path) -> None:
 def test_after_a_failed_test_the_next_one_gets_a_new_device(tmp_path: Path) -> None:
     """`end_pass` fails, so a pass stays open on the device."""
     root = write_package("broken", tmp_path)
-    (root / "rhi_broken" / "__init__.py").write_text(BROKEN)
+    (root / "rhi_broken" / "__init__.py").write_text(BROKEN, encoding="utf-8")
     _, output = take_the_kit("rhi_broken:create_backend", root, "rhi.conformance.operation.test_time")
     assert "pass-open" not in output
     assert "  write end_pass: 2 tests stop there" in output

@@ -14,7 +14,8 @@ def test_a_relative_folder_of_caches_is_ignored(
     folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for variable in ("HOME", "USERPROFILE"):  # of POSIX and of Windows
+        monkeypatch.setenv(variable, str(tmp_path / "home"))
     monkeypatch.setenv("XDG_CACHE_HOME", folder)
     assert trust.user_cache() == tmp_path / "home" / ".cache" / "rhi"
 

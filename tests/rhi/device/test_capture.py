@@ -182,7 +182,7 @@ def test_renderdoc_captures_the_draws_of_each_block(tmp_path: Path, backend: str
         pytest.skip("no renderdoccmd: apt install renderdoc")
     with open_device(backend):
         pass
-    (tmp_path / "program.py").write_text(PROGRAM)
+    (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
     program = [sys.executable, tmp_path / "program.py", backend, tmp_path / "city"]
     captured = subprocess.run(
         [command, "capture", "--wait-for-exit", "--working-dir", tmp_path, *program],
@@ -190,6 +190,7 @@ def test_renderdoc_captures_the_draws_of_each_block(tmp_path: Path, backend: str
         text=True,
         check=False,
         timeout=300,
+        encoding="utf-8",
     )
     files = [Path(line) for line in captured.stdout.splitlines() if line.endswith(".rdc")]
     assert len(set(files)) == 2, captured.stdout + captured.stderr

@@ -164,7 +164,9 @@ print(*sizes)
     except rhi.DeviceError as error:
         pytest.skip(f"{backend}: {error.given}")
     for _ in range(3):
-        run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+        run = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, encoding="utf-8"
+        )
         assert (run.returncode, run.stdout.split()) == (0, ["4"] * 4), run.stderr
 
 

@@ -73,7 +73,7 @@ def test_a_refused_creation_leaves_nothing_to_warn_of() -> None:
 def test_development_mode_warns_without_validation(options: tuple[str, ...], count: int) -> None:
     source = "import rhi\nwith rhi.create_device('null') as device:\n    device.buffer(4, label='lost')\n"
     done = subprocess.run(
-        [sys.executable, *options, "-c", source], capture_output=True, text=True, check=True
+        [sys.executable, *options, "-c", source], capture_output=True, text=True, check=True, encoding="utf-8"
     )
     assert done.stderr.count("ResourceWarning: Buffer('lost') was collected") == count
     assert done.stderr.count("<string>:3") == count

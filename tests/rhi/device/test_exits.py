@@ -45,5 +45,5 @@ time.sleep(0.02 if not wait else wait)
 )
 def test_a_daemon_thread_that_draws_does_not_end_the_process_otherwise(backend: str, wait: float) -> None:
     command = [sys.executable, "-c", PROGRAM, backend, str(wait)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, encoding="utf-8")
     assert (done.returncode, done.stderr) == (0, "")

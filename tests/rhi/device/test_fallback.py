@@ -71,7 +71,7 @@ def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     ) -> tuple[Reloader, int]:
         device = device or null
         for name, content in zip(NAMES, (colors, text), strict=True):
-            (tmp_path / f"{name}.py").write_text(content)
+            (tmp_path / f"{name}.py").write_text(content, encoding="utf-8")
             sys.modules.pop(name, None)
         importlib.invalidate_caches()
         module, reloader = importlib.import_module(NAMES[1]), Reloader(device)
@@ -195,7 +195,7 @@ def test_the_first_update_says_whether_a_module_is_not_as_it_was_drawn_with(
 
 def test_a_file_that_is_saved_while_the_program_begins_is_taken(begin: Any, tmp_path: Path) -> None:
     begin()
-    (tmp_path / "kept_shaders.py").write_text(TEXT.replace("1.0", "0.75"))
+    (tmp_path / "kept_shaders.py").write_text(TEXT.replace("1.0", "0.75"), encoding="utf-8")
     with Reloader() as reloader:
         reloader.watch(sys.modules["kept_shaders"])
         assert [reloader.update(), reloader.update()] == [True, False]
@@ -203,7 +203,7 @@ def test_a_file_that_is_saved_while_the_program_begins_is_taken(begin: Any, tmp_
 
 def test_an_import_of_a_missing_package_changes_no_shader(begin: Any, tmp_path: Path) -> None:
     begin()
-    (tmp_path / "needs_more.py").write_text("import a_package_that_is_missing")
+    (tmp_path / "needs_more.py").write_text("import a_package_that_is_missing", encoding="utf-8")
     optional = "import contextlib\nwith contextlib.suppress(ImportError):\n    import needs_more\n"
     text = TEXT.replace("1.0", "0.5")
     begin(text, keeps=False)

@@ -55,7 +55,7 @@ def fork(backend: str, other: str) -> list[str]:
     refusals."""
     command = [sys.executable, "-c", PROGRAM, backend, other]
     child, parent = subprocess.run(
-        command, capture_output=True, text=True, timeout=60, check=True
+        command, capture_output=True, text=True, timeout=60, check=True, encoding="utf-8"
     ).stdout.splitlines()
     assert parent == "parent goes on"
     return child.split()

@@ -110,7 +110,7 @@ def test_other_precisions_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_report_names_the_precision(monkeypatch: pytest.MonkeyPatch) -> None:
     def say(*options: str) -> str:
         command = [sys.executable, "-m", "rhi", *options]
-        return subprocess.run(command, capture_output=True, text=True, check=False).stdout
+        return subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8").stdout
 
     monkeypatch.setenv("RHI_PRECISION", "fast")
     assert json.loads(say("--json"))["precision"] == "fast"
@@ -141,7 +141,7 @@ def test_an_edit_keeps_the_precision(tmp_path: Path, monkeypatch: pytest.MonkeyP
         "import rhi.shading as sl\nclass Edited(sl.Shader):\n    target: sl.StorageRW[float]\n"
         "    def compute(self) -> None:\n        self.target[0] = sl.sin(self.target[0])\n"
     )
-    (tmp_path / "edited_precision.py").write_text(text)
+    (tmp_path / "edited_precision.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     module = importlib.import_module("edited_precision")
     with rhi.create_device("null", precision=FAST) as device:

@@ -28,7 +28,7 @@ def describe(reloader):
 def save(old, new):
     file = Path(__file__)
     beside = file.with_suffix(".tmp")
-    beside.write_text(file.read_text().replace(old, new, 1))
+    beside.write_text(file.read_text(encoding="utf-8").replace(old, new, 1))
     os.replace(beside, file)
     error = reloader.error
     for _ in range(1000):
@@ -54,8 +54,10 @@ CONDITION:
 
 def run(folder: Path, condition: str) -> subprocess.CompletedProcess[str]:
     file = folder / "program.py"
-    file.write_text(PROGRAM.replace("CONDITION", condition))
-    return subprocess.run([sys.executable, file], capture_output=True, text=True, check=False, timeout=300)
+    file.write_text(PROGRAM.replace("CONDITION", condition), encoding="utf-8")
+    return subprocess.run(
+        [sys.executable, file], capture_output=True, text=True, check=False, timeout=300, encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("condition", ['if __name__ == "__main__"', 'if "__main__" == __name__'])
@@ -91,9 +93,9 @@ with rhi.create_device("null") as device:
         print(error.rule.id, error.tip)
 """
     file = tmp_path / "program.py"
-    file.write_text(text)
+    file.write_text(text, encoding="utf-8")
     finished = subprocess.run(
-        [sys.executable, file], capture_output=True, text=True, check=False, timeout=300
+        [sys.executable, file], capture_output=True, text=True, check=False, timeout=300, encoding="utf-8"
     )
     assert finished.returncode == 0, finished.stderr
     assert finished.stdout.splitlines() == [

@@ -80,7 +80,7 @@ def test_the_front_end_refuses_through_its_device() -> None:
     """Only code that knows no device raises errors that no stream keeps."""
     package = Path(rhi.__file__).parent / "device"
     direct = re.compile(r"(?<![\w.])(?<!def )refuse\(|raise (Validation|Device|Shader)Error\(")
-    paths = [path for path in package.rglob("*.py") if direct.search(path.read_text())]
+    paths = [path for path in package.rglob("*.py") if direct.search(path.read_text(encoding="utf-8"))]
     files = {path.relative_to(package).as_posix() for path in paths}
     assert files == {
         "registry.py",

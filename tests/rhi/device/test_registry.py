@@ -141,7 +141,9 @@ def test_the_report_as_json_has_capabilities(capsys: pytest.CaptureFixture[str])
 def imported(code: str) -> set[str]:
     """Run code in a new process; return the modules that it imported."""
     script = f"import sys\n{code}\nprint('\\n'.join(sys.modules))"
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     return set(run.stdout.split())
 
 
@@ -229,6 +231,8 @@ rhi.create_device({name!r}).close()
 print(sorted(drivers & {{name for name, module in sys.modules.items() if module is not None}}))
 print([(each.name, each.usable) for each in rhi.report() if each.name in ("gl", "cl")])
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     usable = [("gl", name == "gl"), ("cl", name == "cl")]
     assert done.stdout.splitlines() == ["[]", str(sorted(["importlib.metadata", package])), str(usable)]

@@ -71,7 +71,7 @@ def import_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cal
 
     def make(text: str) -> ModuleType:
         names.append(f"reloaded_{next(_numbers)}")
-        (tmp_path / f"{names[-1]}.py").write_text(text)
+        (tmp_path / f"{names[-1]}.py").write_text(text, encoding="utf-8")
         importlib.invalidate_caches()
         return importlib.import_module(names[-1])
 
@@ -434,7 +434,7 @@ def update(reloader: Reloader) -> bool:
 def save(path: Path, text: str, replaces: bool) -> None:
     if replaces:  # as most editors do
         beside = path.with_suffix(".tmp")
-        beside.write_text(text)
+        beside.write_text(text, encoding="utf-8")
         os.replace(beside, path)
     else:
         path.write_text(text, encoding="utf-8")
@@ -464,13 +464,13 @@ def test_a_module_that_is_a_link_shows_its_target(
     device.program(shaders.Flat)
 
     def link(version: str) -> None:
-        (folder / version).write_text(TEXT.replace("SHARE = 1.0", f"SHARE = {version}"))
+        (folder / version).write_text(TEXT.replace("SHARE = 1.0", f"SHARE = {version}"), encoding="utf-8")
         (tmp_path / "new").symlink_to(folder / version)
         (tmp_path / "new").replace(path)
 
     folder.mkdir()
     if watched_as_link:
-        (folder / "first").write_text(TEXT)
+        (folder / "first").write_text(TEXT, encoding="utf-8")
         path.unlink()
         path.symlink_to(folder / "first")
     with Reloader(device) as reloader:
@@ -480,7 +480,7 @@ def test_a_module_that_is_a_link_shows_its_target(
             assert update(reloader)
             assert float(version) == shaders.SHARE
         if watched_as_link:
-            (folder / "0.625").write_text(TEXT.replace("SHARE = 1.0", "SHARE = 0.75"))
+            (folder / "0.625").write_text(TEXT.replace("SHARE = 1.0", "SHARE = 0.75"), encoding="utf-8")
             assert update(reloader)
             assert shaders.SHARE == 0.75
 
@@ -539,10 +539,10 @@ def test_changes_of_other_files_call_the_reload_function(
 ) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
     path = tmp_path / "scene.txt"
-    path.write_text("1")
+    path.write_text("1", encoding="utf-8")
     seen: list[int] = []
     with Reloader(device) as reloader, caplog.at_level(logging.ERROR, "rhi.reload"):
-        reloader.watch(path, reload=lambda path: seen.append(int(path.read_text())))
+        reloader.watch(path, reload=lambda path: seen.append(int(path.read_text(encoding="utf-8"))))
         save(path, "2", replaces=True)
         assert update(reloader)
         assert seen == [2]
@@ -563,7 +563,7 @@ def test_the_reload_function_is_called_when_an_optional_file_appears(
         for wrong in (tmp_path, tmp_path / "no folder" / "late.txt"):
             with pytest.raises(ValidationError, match=r"^\[reload-watch\]"):
                 reloader.watch(wrong, reload=seen.append, missing_ok=True)
-        path.write_text("1")
+        path.write_text("1", encoding="utf-8")
         assert update(reloader)
     assert seen == [path]
 
@@ -585,7 +585,7 @@ def test_files_that_cannot_be_watched_are_refused(
 def test_a_refused_watch_watches_nothing_of_it(device: rhi.Device, shaders: Any, tmp_path: Path) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
     path = tmp_path / "scene.txt"
-    path.write_text("1")
+    path.write_text("1", encoding="utf-8")
     seen: list[str] = []
     with Reloader(device) as reloader:
         for bad in (tmp_path / "missing.glb", tmp_path):

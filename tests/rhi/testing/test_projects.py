@@ -39,9 +39,9 @@ def test_a_project_has_the_requested_name(kind: str, tmp_path: Path) -> None:
         "pyproject.toml",
         "test_kite.py",
     ]
-    assert tomllib.loads((root / "pyproject.toml").read_text())["project"]["name"] == "kite"
-    assert not [path for path in root.iterdir() if "NAME" in path.read_text()]
-    assert "from kite import" in (root / "test_kite.py").read_text()
+    assert tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["name"] == "kite"
+    assert not [path for path in root.iterdir() if "NAME" in path.read_text(encoding="utf-8")]
+    assert "from kite import" in (root / "test_kite.py").read_text(encoding="utf-8")
 
 
 REFUSED = (
@@ -107,6 +107,7 @@ def test_a_project_passes_its_checks_and_tests(kind: str, tmp_path: Path) -> Non
             capture_output=True,
             text=True,
             check=False,
+            encoding="utf-8",
         )
         assert done.returncode == 0, done.stdout + done.stderr
     assert "skipped" not in done.stdout

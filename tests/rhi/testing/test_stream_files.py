@@ -139,11 +139,11 @@ def test_stream(rhi_device):
 
 def test_the_option_writes_files_and_only_it(pytester: pytest.Pytester) -> None:
     file = pytester.path / "test_it.py"
-    file.write_text(TESTS.replace("VALUE", "0.5"))
+    file.write_text(TESTS.replace("VALUE", "0.5"), encoding="utf-8")
     pytester.runpytest("-p", "no:cacheprovider").assert_outcomes(failed=1)
     pytester.runpytest("-p", "no:cacheprovider", "--rhi-update-streams").assert_outcomes(passed=1)
     pytester.runpytest("-p", "no:cacheprovider").assert_outcomes(passed=1)
-    file.write_text(TESTS.replace("VALUE", "0.25"))
+    file.write_text(TESTS.replace("VALUE", "0.25"), encoding="utf-8")
     run = pytester.runpytest("-p", "no:cacheprovider")
     run.assert_outcomes(failed=1)
     assert re.search(r"begin_pass: descriptor: .*0\.5.* → .*0\.25", run.stdout.str())
@@ -154,7 +154,7 @@ def test_backends_of_one_update_must_agree(pytester: pytest.Pytester) -> None:
     """Else the last of them would be the one that is expected."""
     file = pytester.path / "test_it.py"
     value = "0.5 if rhi_device.backend_name == 'null' else 0.25"
-    file.write_text(TESTS.replace("VALUE", value))
+    file.write_text(TESTS.replace("VALUE", value), encoding="utf-8")
     options = ("--rhi-backend", "null", "--rhi-backend", "cl", "--rhi-update-streams")
     run = pytester.runpytest("-p", "no:cacheprovider", *options)
     run.assert_outcomes(passed=1, failed=1)

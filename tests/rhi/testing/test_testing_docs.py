@@ -19,8 +19,8 @@ assert rhi.testing.portability  # runs of pytest in this process share its modul
 @pytest.fixture
 def tests(pytester: pytest.Pytester) -> int:
     """Write the page's file and return the number of its tests."""
-    source = "\n\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL))
-    pytester.path.joinpath("test_shadow.py").write_text(source)
+    source = "\n\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL))
+    pytester.path.joinpath("test_shadow.py").write_text(source, encoding="utf-8")
     return len(re.findall(r"^def test_", source, re.MULTILINE))
 
 
@@ -49,9 +49,9 @@ def test_the_page_notices_a_broken_renderer(
     pytester: pytest.Pytester, tests: int, old: str, new: str
 ) -> None:
     file = pytester.path / "test_shadow.py"
-    source = file.read_text()
+    source = file.read_text(encoding="utf-8")
     assert source.count(old) >= 1
-    file.write_text(source.replace(old, new, 1))
+    file.write_text(source.replace(old, new, 1), encoding="utf-8")
     run = pytester.runpytest("-p", "no:cacheprovider")
     assert run.parseoutcomes()["failed"] >= 1
 
@@ -70,11 +70,11 @@ def test_the_page_notices_a_broken_renderer(
 def test_the_page_shows_the_message_of_a_failure(
     pytester: pytest.Pytester, tests: int, block: int, old: str, new: str
 ) -> None:
-    message = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace(
+    message = re.findall(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[block].replace(
         "renderer.py", "*.py"
     )
     file = pytester.path / "test_shadow.py"
-    file.write_text(file.read_text().replace(old, new, 1))
+    file.write_text(file.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
     run = pytester.runpytest("-p", "no:cacheprovider")
     run.stdout.fnmatch_lines([f"*{line.replace('…', '*')}*" for line in message.splitlines() if line != "…"])
 
@@ -85,9 +85,11 @@ ENGINE_PAGE = PAGE.with_name("engine-tests.md")
 @pytest.fixture
 def engine_tests(pytester: pytest.Pytester) -> Path:
     """The file of the page on an engine's tests."""
-    source = "\n\n".join(re.findall(r"```python\n(.*?)```", ENGINE_PAGE.read_text(), re.DOTALL))
+    source = "\n\n".join(
+        re.findall(r"```python\n(.*?)```", ENGINE_PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    )
     file = pytester.path / "test_engine.py"
-    file.write_text(source)
+    file.write_text(source, encoding="utf-8")
     return file
 
 

@@ -66,13 +66,13 @@ def test_diff_says_by_its_exit_code_whether_they_differ(
 
 def test_reduce_writes_a_trace_and_a_test(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fault = tmp_path / "fault.py"
-    fault.write_text(FAULT)
+    fault.write_text(FAULT, encoding="utf-8")
     small, test = tmp_path / "small.zip", tmp_path / "test_small.py"
     written = ["--output", str(small), "--test", str(test)]
     assert main(["trace", "reduce", str(VERSION_1), f"{fault}:presents", *written]) == 0
     assert len(load(small)) == 2
     assert "present(" in capsys.readouterr().out
-    assert "from rhi import Op" in test.read_text()
+    assert "from rhi import Op" in test.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,7 @@ def count_results(backend: str, seed: int, count: int, folder: Path, seconds: fl
         timeout=seconds,
         check=False,
         env=os.environ | {"PYTHONPATH": path, "RHI_KERNELS": "quick"},
+        encoding="utf-8",
     )
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert done.returncode == 0, f"{backend}: died at {lines[-1:]}: {done.stderr[-500:]}"

@@ -127,6 +127,7 @@ def run_pytest(folder: Path) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
 
 
@@ -135,13 +136,13 @@ def test_the_written_test_fails_alone_until_the_fault_is_gone(trace: Trace, tmp_
     small = reduce(trace, has_scissored_draw)
     file = tmp_path / "test_scissor.py"
     write_test(small, file, has_scissored_draw)
-    text = file.read_text()
+    text = file.read_text(encoding="utf-8")
     assert "draw(vertex_array=" in text
     run = run_pytest(tmp_path)
     assert run.returncode == 1, run.stdout
     assert "1 failed" in run.stdout
     assert "has_scissored_draw" in run.stdout
-    file.write_text(text.replace("Scissor(0, 0, 32, 48)", "Scissor(0, 0, 33, 48)"))
+    file.write_text(text.replace("Scissor(0, 0, 32, 48)", "Scissor(0, 0, 33, 48)"), encoding="utf-8")
     assert run_pytest(tmp_path).returncode == 0, text
 
 

@@ -46,7 +46,7 @@ def state(name: str) -> Change:
 def test_no_module_is_imported_because_a_file_names_it(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    (tmp_path / "wicked.py").write_text("raise SystemExit('imported')\n")
+    (tmp_path / "wicked.py").write_text("raise SystemExit('imported')\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     with refuses(TRACE_COMMAND):
         load(edit_line(file, "set_states", state(name)))

@@ -359,7 +359,7 @@ def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     assert [report.setting for report in reports] == ["fxaa", "samples", "precision"]
     assert [(row.mean_error, row.max_error, row.worst) for row in reports[0].rows] == [(1.5, 4.0, (1, 1, 2))]
     damaged = tmp_path / f"{jobs[1].key}.json"
-    damaged.write_text(damaged.read_text()[:-9])
+    damaged.write_text(damaged.read_text(encoding="utf-8")[:-9], encoding="utf-8")
     assert run_jobs(jobs, CrashingExecutor(9, third), tmp_path) == reports
     assert third == [jobs[1]]
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 6
@@ -448,7 +448,7 @@ def test_the_command_chooses_the_fastest_point_of_the_front(swept: tuple[Path, d
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_the_page_holds_its_images(swept: tuple[Path, dict[str, Any]]) -> None:
-    page = (swept[0] / "out/report.html").read_text()
+    page = (swept[0] / "out/report.html").read_text(encoding="utf-8")
     # Two charts, and the worst pixels of two quality settings.
     assert page.count("data:image/png;base64,") >= 4
     assert 'src="http' not in page
@@ -554,5 +554,5 @@ def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
     assert not (tmp_path / "accuracy.json").exists()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
-    report = json.loads((tmp_path / "accuracy.json").read_text())
+    report = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
     assert [entry["setting"] for entry in report["quality_settings"]] == list(quality_settings)

@@ -219,7 +219,7 @@ def test_the_executor_runs_the_trials(here: Path, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.usefixtures("gl")
 def test_processes_run_the_trials(here: Path) -> None:
     assert main([*COMMAND, "--rounds", "1", "--executor", "processes:2"]) == 0
-    assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
+    assert len((here / "tuned/trials.csv").read_text(encoding="utf-8").splitlines()) == 5
 
 
 CLUSTER = """
@@ -243,10 +243,10 @@ def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
     """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""
     pytest.importorskip("distributed")
     command = [sys.executable, "-c", CLUSTER, *COMMAND, "--rounds", "1"]
-    run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
+    run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False, encoding="utf-8")
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines()[-1] == "2 workers, 5 tasks"  # four trials, and the deciding one
-    assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
+    assert len((here / "tuned/trials.csv").read_text(encoding="utf-8").splitlines()) == 5
 
 
 def test_without_dask_its_executor_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

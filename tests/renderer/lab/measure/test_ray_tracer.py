@@ -206,7 +206,7 @@ def test_the_ray_tracer_imports_the_scene_alone() -> None:
     folder = Path(renderer.lab.measure.ray_tracer.__file__).parent
     imported = set()
     for path in folder.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom):
                 imported.add(str(node.module))
             elif isinstance(node, ast.Import):

@@ -150,6 +150,6 @@ def test_sizes_have_bounds(size: int, is_fine: bool) -> None:
 
 
 def test_a_file_that_is_no_font_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "text.ttf").write_text("no font")
+    (tmp_path / "text.ttf").write_text("no font", encoding="utf-8")
     with pytest.raises(RhiError, match="canvas-font-file"):
         Font.load(13, tmp_path / "text.ttf")

@@ -69,7 +69,12 @@ def test_without_any_opencl_driver_the_error_says_what_to_install() -> None:
     code = "import rhi\ntry: rhi.create_device('cl')\nexcept rhi.DeviceError as e: print(e.rule.id, e.given, e.tip)"
     environment = os.environ | {"OCL_ICD_VENDORS": "/nowhere"}
     output = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+        encoding="utf-8",
     ).stdout
     assert output.startswith("device-driver no OpenCL device")
     assert "pocl-opencl-icd" in output
@@ -80,7 +85,9 @@ def test_without_pyopencl_the_error_says_what_to_install() -> None:
         "import sys, rhi\nsys.modules['pyopencl'] = None\n"
         "try: rhi.create_device('cl')\nexcept rhi.DeviceError as e: print(e.rule.id, e.tip)"
     )
-    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, encoding="utf-8"
+    ).stdout
     assert output == "device-driver pip install pyopencl\n"
 
 

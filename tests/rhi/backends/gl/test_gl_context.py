@@ -151,6 +151,11 @@ live.close()
 def test_contexts_of_devices_that_were_dropped_are_released_with_the_next_device() -> None:
     """2.4 MiB each stayed; and a device that lives beside them goes on."""
     done = subprocess.run(
-        [sys.executable, "-c", DROP], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", DROP],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+        encoding="utf-8",
     )
     assert float(done.stdout) < 1 << 20

@@ -438,6 +438,7 @@ def test_a_context_of_x11_without_a_window_shares_with_a_device(display: Display
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     assert (done.stdout, done.returncode) == ("True\n", 0), done.stderr[-2000:]
 
@@ -463,6 +464,7 @@ def test_the_kit_passes_beside_another_context() -> None:
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stdout[-3000:]
     assert "hosted_backend:create" in done.stdout

@@ -75,5 +75,7 @@ def test_an_image_appears_in_the_framebuffer_of_a_library(library: str, display:
         pytest.skip(f"no {library}: pip install rhi[hosts]")
     environment = os.environ | display.environment | {"QT_QPA_PLATFORM": "offscreen"}
     command = [sys.executable, "-c", CHECK + LIBRARIES[library]]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=120, check=False, encoding="utf-8"
+    )
     assert done.stdout.splitlines()[-1:] == ["shown"], done.stderr[-3000:]

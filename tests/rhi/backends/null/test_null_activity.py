@@ -70,7 +70,7 @@ def test_the_chart_has_each_span_in_its_color(timeline, tmp_path):
 
 def test_the_trace_has_a_slice_for_each_span_in_microseconds(timeline, tmp_path):
     timeline.save(tmp_path / "trace.json")
-    events = json.loads((tmp_path / "trace.json").read_text())["traceEvents"]
+    events = json.loads((tmp_path / "trace.json").read_text(encoding="utf-8"))["traceEvents"]
     names = {event["tid"]: event["args"]["name"] for event in events if event["ph"] == "M"}
     slices = [event for event in events if event["ph"] == "X"]
     assert len(slices) == len(timeline.spans) + len(timeline.labels)

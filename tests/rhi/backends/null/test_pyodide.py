@@ -87,7 +87,7 @@ def test_the_wheel_is_installed_by_micropip_and_needs_no_driver(tmp_path: Path) 
         [*pip, "wheel", "--no-deps", "-w", str(wheels), str(source)],
         [*pip, "download", "--no-deps", "-d", str(wheels), "typing-extensions==4.15.0"],
     ):
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8")
         if done.returncode:
             pytest.skip(f"the wheel can't be built or had: {done.stderr.strip()[-300:]}")
     (rhi_wheel,) = wheels.glob("rhi-*.whl")

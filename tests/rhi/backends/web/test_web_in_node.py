@@ -233,6 +233,7 @@ def test_programs_draw_as_wgpu_does_on_the_same_driver(
         text=True,
         check=False,
         env=environment,
+        encoding="utf-8",
     )
     if "No module named 'wgpu" in done.stderr or "[device-driver]" in done.stderr:
         pytest.skip("no wgpu on Dawn's driver")

@@ -94,7 +94,9 @@ print(len(parsed))
 
 def test_a_first_frame_parses_few_c_types(usable: None) -> None:
     """Each takes as long as reading the names of all: fifty of them took most of the start."""
-    done = subprocess.run([sys.executable, "-c", _PARSES], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", _PARSES], capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     assert 0 < int(done.stdout) <= 5
 
 
@@ -162,6 +164,7 @@ def test_a_lost_device_is_an_error_of_each_call_and_never_ends_the_process(usabl
         text=True,
         check=False,
         timeout=100,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["device-lost"] * 5

@@ -167,7 +167,9 @@ def interrupt_reads(count: int, folder: Path) -> str:
     program = folder / "interrupted.py"  # shaders are compiled from files
     program.write_text(_INTERRUPTED, encoding="utf-8")
     command = [sys.executable, str(program), *parts]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60 + 2 * count, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=60 + 2 * count, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "ignored" not in done.stderr, done.stderr[-2000:]
     return done.stdout.strip()
@@ -218,5 +220,7 @@ with rhi.create_device("wgpu") as device:
     draw(30000)
     print(resident() - before)
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     assert max(map(float, done.stdout.split())) < 20.0

@@ -42,6 +42,7 @@ def run(*tests: str, profile: str = "native") -> int:
         text=True,
         check=False,
         env={**os.environ, "RHI_WGPU_PROFILE": profile},
+        encoding="utf-8",
     )
     totals = re.findall(
         r"total +(\d+) passed +(\d+) failed", done.stdout

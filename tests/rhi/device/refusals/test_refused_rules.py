@@ -56,7 +56,7 @@ def collect_refused_rules(text: str) -> set[str]:
     }
 
 
-REFUSED = set().union(*(collect_refused_rules(path.read_text()) for path in SOURCES))
+REFUSED = set().union(*(collect_refused_rules(path.read_text(encoding="utf-8")) for path in SOURCES))
 
 
 @pytest.mark.parametrize("name", NAMES)

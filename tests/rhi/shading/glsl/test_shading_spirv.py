@@ -162,6 +162,7 @@ def check(binary, path):
         capture_output=True,
         text=True,
         env=spirv.environment_of(tool),
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -16,7 +16,10 @@ REFERENCE = PAGE.with_name("shading-builtins.md")
 
 def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_path, link):
     path = tmp_path / "page.py"
-    path.write_text("\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)))
+    path.write_text(
+        "\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)),
+        encoding="utf-8",
+    )
     spec = importlib.util.spec_from_file_location("page", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["page"] = module
@@ -33,12 +36,12 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
 
 
 def test_the_page_names_every_builtin():
-    words = set(re.findall(r"\w+", REFERENCE.read_text()))
+    words = set(re.findall(r"\w+", REFERENCE.read_text(encoding="utf-8")))
     assert set(BUILTINS) <= words
 
 
 def test_the_page_of_built_ins_is_generated_from_their_table():
-    page = REFERENCE.read_text()
+    page = REFERENCE.read_text(encoding="utf-8")
     assert update(page) == page, "run python -m rhi.shading.tools.reference docs/shading-builtins.md"
     assert update(page.replace("| sine (", "| sin (")) == page
 

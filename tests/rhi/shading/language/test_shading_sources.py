@@ -50,7 +50,7 @@ def module(tmp_path, monkeypatch):
     path = tmp_path / f"{name}.py"
 
     def write(text):
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
         linecache.checkcache(str(path))
 
     monkeypatch.syspath_prepend(tmp_path)

@@ -162,7 +162,12 @@ def test_the_environment_turns_it_on():
     for value, expected in (("1", "True"), ("0", "False"), ("", "False")):
         environment = {**os.environ, "RHI_SHADING_CHECKED": value}
         run = subprocess.run(
-            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            encoding="utf-8",
         )
         assert run.stdout.strip() == expected
 

@@ -250,6 +250,7 @@ def test_naga_accepts_every_stage_of_the_tree_that_wgsl_can_say(naga: Any) -> No
         capture_output=True,
         text=True,
         check=False,
+        encoding="utf-8",
     )
     accepted, refused, wrong = map(int, re.findall(r"(\d+) (?:accepted|refused|wrong)", done.stderr))
     assert wrong == 1, done.stdout  # a test's WGSL that doesn't compile

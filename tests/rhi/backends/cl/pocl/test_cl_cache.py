@@ -69,6 +69,7 @@ def start(folder: Path, hot: int = 1 << 30, *arguments: str, **variables: str) -
         stderr=subprocess.PIPE,
         text=True,
         env=environment | {"RHI_CACHE": str(folder)} | variables,
+        encoding="utf-8",
     )
 
 
@@ -249,7 +250,9 @@ def test_code_that_the_driver_refuses_is_made_again(filled: tuple[Path, str]) ->
     vertices.write_bytes(seal(vertices, b"other"))
     record = vertices.with_suffix("")
     signed = trust.sign(trust.read_key(), b"other", record.name, ".code")
-    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": signed}))
+    record.write_text(
+        json.dumps(json.loads(record.read_text(encoding="utf-8")) | {"code": signed}), encoding="utf-8"
+    )
     assert draw(folder)[0] == image
     assert len(vertices.read_bytes()) > 1000
     assert draw(folder) == (image, 0)
@@ -302,7 +305,9 @@ def test_a_record_that_names_another_folder_removes_nothing_there(tmp_path: Path
         name.mkdir(parents=True, exist_ok=True)
         (name / "kept").write_bytes(b"kept")
     record = folder / "rhi" / "evil"
-    record.write_text(json.dumps({"folder": path.format(outside=outside), "files": {"kept": 0}}))
+    record.write_text(
+        json.dumps({"folder": path.format(outside=outside), "files": {"kept": 0}}), encoding="utf-8"
+    )
     assert not KernelCache(folder, "driver").contains("evil")
     assert not record.exists()
     for name in folders:

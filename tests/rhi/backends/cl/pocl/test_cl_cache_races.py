@@ -462,7 +462,9 @@ def test_a_damaged_file_outside_of_the_program_is_left_alone(tmp_path: Path, nam
     for path in (folder / "rhi", folder / "AB/key", tmp_path / "mine"):
         path.mkdir(parents=True)
     (tmp_path / "mine" / "kept").write_bytes(b"kept")
-    (folder / "rhi" / "key").write_text(f'{{"folder": "AB/key", "files": {{"{name}": "0"}}}}')
+    (folder / "rhi" / "key").write_text(
+        f'{{"folder": "AB/key", "files": {{"{name}": "0"}}}}', encoding="utf-8"
+    )
     cache = KernelCache(folder, "driver")
     cache.hold("key")
     assert not cache.contains("key")

@@ -67,9 +67,9 @@ def header() -> dict[str, set[str]]:
     )
     if folder is None:
         pytest.skip("no header is installed")
-    text = (folder / "opencl-c.h").read_text()
+    text = (folder / "opencl-c.h").read_text(encoding="utf-8")
     additions = folder / "_clang_opencl.h"  # PoCL's own additions
-    text += additions.read_text() if additions.exists() else ""
+    text += additions.read_text(encoding="utf-8") if additions.exists() else ""
     text = re.sub(r"//[^\n]*|/\*.*?\*/|^ *#[^\n]*(?:\\\n[^\n]*)*", "", text, flags=re.DOTALL | re.MULTILINE)
     forms: dict[str, set[str]] = defaultdict(set)
     form = r"(\w[\w\s]*?(?:__ovld|_CL_OVERLOADABLE)[\w\s]*?\b(\w+)\s*\([^()]*\))\s*;"
@@ -108,7 +108,7 @@ def test_whatever_else_the_header_has_is_left_to_it(header: dict[str, set[str]])
 
 def header_constants() -> Iterator[str]:
     for folder in INCLUDE_FOLDERS[:1]:
-        text = (Path(folder) / "opencl-c-base.h").read_text()
+        text = (Path(folder) / "opencl-c-base.h").read_text(encoding="utf-8")
         yield from re.findall(r"^\s*#define ([A-Za-z]\w*)", text, re.MULTILINE)
         types = r"^typedef [^;]*?(\w+)(?: __attribute__\(\(ext_vector_type\(\d+\)\)\))?;"
         yield from re.findall(types, text, re.MULTILINE)

@@ -36,7 +36,9 @@ def test_the_drivers_are_loaded_when_it_has_finished() -> None:
     """The threads that they start aren't counted among those before."""
     if list_devices()[0].platform.name != "Portable Computing Language":
         pytest.skip("another driver")
-    output = subprocess.run([sys.executable, "-c", FIRST], capture_output=True, text=True, check=True).stdout
+    output = subprocess.run(
+        [sys.executable, "-c", FIRST], capture_output=True, text=True, check=True, encoding="utf-8"
+    ).stdout
     loaded, started, name = output.split(" ", 2)
     assert loaded == "True"
     assert int(started) in (0, list_devices()[0].max_compute_units)

@@ -30,7 +30,7 @@ def test_a_crash_is_reported_where_the_host_enabled_faulthandler(tmp_path: Path,
     """In the file that the host chose, with the line; without faulthandler, the process ends all the same."""
     words = tmp_path / "words"
     assert end(words, name, "enabled") < 0
-    assert "Fatal Python error" in words.read_text()
-    assert 'File "<string>", line 9' in words.read_text()
+    assert "Fatal Python error" in words.read_text(encoding="utf-8")
+    assert 'File "<string>", line 9' in words.read_text(encoding="utf-8")
     assert end(tmp_path / "none", name, "disabled") < 0
     assert not (tmp_path / "none").exists()

@@ -138,7 +138,9 @@ with rhi.create_device("cl") as device, device.texture((8, 8), rhi.Format.RGBA8)
 def test_real_kernels_are_warned_of_and_refused_below_a_lowered_limit() -> None:
     command = [sys.executable, "-c", PROGRAMS]
     environment = os.environ | {"RHI_KERNELS": "quick", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=600, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     limit, warned, refused = map(int, done.stdout.split())
     assert 0.8 * limit <= warned < refused

@@ -69,7 +69,7 @@ def run(folder: Path, way: str) -> list[str]:
     environment |= {"RHI_CACHE": str(folder), "RHI_KERNELS": "quick"}
     command = [sys.executable, "-W", "ignore", "-c", RUN, way]
     result = subprocess.run(
-        command, capture_output=True, text=True, env=environment, timeout=300, check=False
+        command, capture_output=True, text=True, env=environment, timeout=300, check=False, encoding="utf-8"
     )
     assert result.returncode == 0, (way, result.returncode, result.stderr[-2000:])
     return result.stdout.split()
@@ -105,7 +105,7 @@ from rhi.backends.cl.pocl import leases
 print(leases.take(Path({str(tmp_path)!r})))
 """
     other = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, encoding="utf-8"
     ).stdout.strip()
     assert (folder_name / "KEY").is_dir()
     assert other != name
@@ -182,6 +182,7 @@ def test_a_program_in_use_is_trimmed_only_when_its_process_has_ended(tmp_path: P
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
+        encoding="utf-8",
     )
     with process:
         assert process.stdin is not None
@@ -211,7 +212,9 @@ def test_a_damaged_program_that_was_built_again_meanwhile_stays(
         program.mkdir(parents=True, exist_ok=True)
         (program / "program.bc").write_bytes(content)
         checksum = cache._sign("key", "program.bc", content)
-        record.write_text(json.dumps({"folder": "AB/C", "files": {"program.bc": checksum}, "bytes": 1}))
+        record.write_text(
+            json.dumps({"folder": "AB/C", "files": {"program.bc": checksum}, "bytes": 1}), encoding="utf-8"
+        )
 
     write(b"first")
     (program / "program.bc").unlink()
@@ -231,7 +234,9 @@ def test_a_program_in_use_keeps_its_folder_where_files_are_missing(tmp_path: Pat
         program.mkdir(parents=True)
         (tmp_path / "rhi").mkdir(exist_ok=True)
         record = tmp_path / "rhi" / key
-        record.write_text(json.dumps({"folder": f"AB/{key}", "files": {"program.bc": "0"}, "bytes": 1}))
+        record.write_text(
+            json.dumps({"folder": f"AB/{key}", "files": {"program.bc": "0"}, "bytes": 1}), encoding="utf-8"
+        )
         if stays:
             cache.hold(key)
         assert not cache.contains(key)

@@ -21,12 +21,12 @@ def test_no_process_dies_or_draws_wrong_pixels(tmp_path: Path) -> None:
 
 def test_a_process_that_dies_is_counted_and_one_that_is_killed_on_purpose_is_not(tmp_path: Path) -> None:
     log = tmp_path / "1.log"
-    log.write_text("Generic WG function binary does not exist")
+    log.write_text("Generic WG function binary does not exist", encoding="utf-8")
     result = Result()
     for status, was_due in ((-6, False), (-6, True), (-9, False), (-9, True)):
         count_end(result, status, was_due, log)
     assert len(result.deaths) == 3
     assert result.ends == {"-6": 2, "-9": 1, "killed": 1}
-    log.write_text("frames=7 wrong=2")
+    log.write_text("frames=7 wrong=2", encoding="utf-8")
     count_end(result, 0, False, log)
     assert result.counts == {"frames": 7, "wrong": 2}

@@ -73,6 +73,11 @@ def test_a_device_pins_its_workers_unless_pocl_affinity_says_otherwise(choice: s
     environment = {name: value for name, value in os.environ.items() if name != "POCL_AFFINITY"}
     environment |= {} if choice is None else {"POCL_AFFINITY": choice}
     run = subprocess.run(
-        [sys.executable, "-c", WHERE], capture_output=True, text=True, check=True, env=environment
+        [sys.executable, "-c", WHERE],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+        encoding="utf-8",
     )
     assert run.stdout.strip() == str([[cpu] for cpu in CPUS] if choice is None else [CPUS] * len(CPUS))

@@ -38,7 +38,9 @@ def test_kernels_give_structs_by_address() -> None:
     grow."""
     kernels = files("rhi.backends.cl.raster").joinpath("kernels")
     text = "\n".join(
-        kernel_file.read_text() for kernel_file in kernels.iterdir() if kernel_file.name.endswith(".cl")
+        kernel_file.read_text(encoding="utf-8")
+        for kernel_file in kernels.iterdir()
+        if kernel_file.name.endswith(".cl")
     )
     text += "".join(declare_struct(*kernel_file) for kernel_file in _STRUCTS.items())
     assert len(_HEADER.findall(text)) > 100
