@@ -51,15 +51,14 @@ echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 if [ ${#changed[@]} -gt 0 ]; then
     echo "[test] pytest: ${changed[*]}"
-    exec .venv/bin/python -m pytest -n "$workers" --dist loadfile "${changed[@]}"
+    exec .venv/bin/python -m pytest --file-processes "$workers" "${changed[@]}"
 fi
 # Workers that had run thousands of tests have ended there without a word; a process of its own never has.
 apart=tests/rhi/backends/cl/test_cl_builds.py
 echo "[test] pytest: kernels that other processes optimise"
 .venv/bin/python -m pytest --capture=sys "${options[@]}" "$apart"
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
-# A file's tests stay in one process, which builds their programs once. Those of a process that has ended go on in the
-# others; one that is started for them would wait for ever.
+# A group of files has a process, which builds their programs once (tests/kits/file_processes.py).
 all=(tests --ignore "$apart" --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
-run=(-n "$workers" --dist loadfile --max-worker-restart 0 --durations 15)
+run=(--file-processes "$workers" --durations 15)
 exec .venv/bin/python -m pytest "${run[@]}" "${options[@]}" "${all[@]}"

@@ -33,6 +33,7 @@ PACKAGES: Final = (
     "pyopencl>=2024.1",
     "pillow>=10",
     "matplotlib>=3.8,<3.11",
+    "imgui-bundle>=1.92",
     "psutil>=5",
     "pytest>=9",
     "hypothesis>=6.90",
@@ -180,7 +181,7 @@ def run_python(arguments: Sequence[str], echo: bool = False) -> tuple[int, str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        encoding="utf-8",
+        encoding="cp1252",  # of the locale, which Python for Windows writes into pipes
         errors="replace",
     )
     lines = []

@@ -12,10 +12,12 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from itertools import chain
 from pathlib import Path
 
+import file_processes
 import pytest
 from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
@@ -48,19 +50,24 @@ COLLECTED_AFTER = (10_000, 10, 50)
 there."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options of test files that run in processes of their own."""
+    file_processes.add_options(parser)
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Register four plugins: the kit's, whose marker `requires` the tests of all packages use, the one that
-    shares the rewriting of assertions between workers, the one that
-    prints what a worker wrote to standard error before it crashed, and the one that returns freed memory.
+    """Register plugins: the kit's, whose marker `requires` the tests of all packages use, the one that prints what a
+    worker wrote to standard error before it crashed, the one that returns freed memory, and the one that runs test
+    files in processes of their own.
 
     The kit's is imported above, so `import_plugin` would warn, where the tree isn't the installed one, that
     pytest can't rewrite it.
     """
     if not config.pluginmanager.has_plugin(plugin.__name__):
         config.pluginmanager.register(plugin, plugin.__name__)
-    config.pluginmanager.import_plugin("shared_rewriting")
     config.pluginmanager.import_plugin("worker_errors")
     config.pluginmanager.import_plugin("worker_memory")
+    file_processes.register_side(config)
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -85,15 +92,32 @@ def pytest_itemcollected(item: pytest.Item) -> None:
             )
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_pyfunc_call() -> Generator[None, object, object]:
+@contextmanager
+def skipping_without_drivers() -> Iterator[None]:
     """Skip a test whose device has no driver, if this system has none by its nature (`WITHOUT_DRIVERS`)."""
     try:
-        return (yield)
-    except DeviceError as error:
-        if error.rule.id == "device-driver" and os.environ.get(WITHOUT_DRIVERS):
+        yield
+    except (DeviceError, ImportError) as error:
+        is_missing = (
+            error.rule.id == "device-driver" if isinstance(error, DeviceError) else "glcontext" in str(error)
+        )
+        if is_missing and os.environ.get(WITHOUT_DRIVERS):
             pytest.skip(str(error).splitlines()[0])
         raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup() -> Generator[None, object, object]:
+    """Skip tests whose fixture creates a device without a driver."""
+    with skipping_without_drivers():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call() -> Generator[None, object, object]:
+    """Skip a test that creates a device without a driver."""
+    with skipping_without_drivers():
+        return (yield)
 
 
 @pytest.hookimpl(wrapper=True)

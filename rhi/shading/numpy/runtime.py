@@ -89,9 +89,14 @@ def modulo(a: Any, b: Any) -> Any:
     return np.remainder(a, _divisor(a, b))
 
 
+_BITS_SET: Final = np.array([byte.bit_count() for byte in range(256)], np.uint8)
+
+
 def bits_set(value: Any) -> Any:
     """Count the bits that are 1."""
-    return np.bitwise_count(np.asarray(value).view(np.uint32)).astype(np.uint32)[()]
+    array = np.ascontiguousarray(value).reshape(np.shape(value))
+    counts = _BITS_SET[array[..., None].view(np.uint8)]  # `np.bitwise_count` needs NumPy 2
+    return counts.sum(-1, dtype=np.uint32)[()]
 
 
 def leading_zeros(value: Any) -> Any:
@@ -114,7 +119,8 @@ def half_value(bits: Any, dtype: Any) -> Any:
 def fma(a: Any, b: Any, c: Any, dtype: Any) -> Any:
     """Return a b + c; float32 is computed in float64, where the product is exact."""
     if dtype is np.float32:
-        return (np.float64(1) * a * b + c).astype(np.float32)
+        a, b, c = (np.asarray(value, np.float64) for value in (a, b, c))
+        return (a * b + c).astype(np.float32)
     return a * b + c
 
 

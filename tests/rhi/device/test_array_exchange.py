@@ -81,7 +81,7 @@ def test_a_texture_is_an_array_of_its_first_level(device: Device, shape: tuple[i
     assert np.array_equal(np.asarray(texture), expected)
     assert np.array_equal(np.from_dlpack(texture), expected)
     with pytest.raises(ValueError, match="without a copy"):
-        np.asarray(texture, copy=False)
+        texture.__array__(copy=False)  # as `np.asarray(texture, copy=False)` of NumPy 2 does
 
 
 def test_work_before_is_in_the_array(device: Device) -> None:
@@ -103,7 +103,7 @@ def test_other_memory_than_the_cpus_is_copied(device: Device) -> None:
     assert array.flags.writeable != shares
     if not shares:
         with pytest.raises(ValueError, match="without a copy"):
-            np.asarray(buffer, copy=False)
+            buffer.__array__(copy=False)
         with pytest.raises(BufferError, match="without a copy"):
             buffer.__dlpack__(max_version=(1, 0), copy=False)
         array[:] = 9
@@ -112,17 +112,19 @@ def test_other_memory_than_the_cpus_is_copied(device: Device) -> None:
 
 def test_memory_of_the_cpu_is_shared_and_read_only(cl_device: Device) -> None:
     numbers = cl_device.storage(float, np.arange(4, dtype=np.float32))
-    array = np.asarray(numbers, copy=False)
-    exchanged = np.from_dlpack(numbers, copy=False)
+    array = numbers.__array__(copy=False)
+    exchanged = np.from_dlpack(numbers)
     assert np.shares_memory(array, np.asarray(numbers))
-    assert np.shares_memory(array, exchanged)
+    if np.lib.NumpyVersion(np.__version__) >= "2.1.0":  # before, NumPy takes no memory that can't be written
+        assert np.shares_memory(array, exchanged)
     copy = np.array(numbers)
     assert not np.shares_memory(array, copy)
     with pytest.raises(ValueError, match="read-only"):
         array[0] = 3
     cl_device.dispatch(cl_device.program(Doubling), 1, numbers=numbers)
     cl_device.finish()
-    assert array.tolist() == exchanged.tolist() == [0, 2, 4, 6]
+    assert array.tolist() == [0, 2, 4, 6]
+    assert exchanged.tolist() == ([0, 2, 4, 6] if np.shares_memory(array, exchanged) else [0, 1, 2, 3])
     assert copy.tolist() == [0, 1, 2, 3]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 import zipfile
 from collections.abc import Callable
@@ -106,7 +107,9 @@ def test_other_names_are_refused(file: Path, name: str) -> None:
     def add(members: dict[str, bytes]) -> None:
         members[name] = b"x"
 
-    assert refused(rewrite(file, add), rules.TRACE_MEMBER) == name
+    # Python for Windows reads a backslash as a slash.
+    expected = name if os.sep == "/" else name.replace("arrays\\0.npy", "arrays/0.npy twice")
+    assert refused(rewrite(file, add), rules.TRACE_MEMBER) == expected
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
