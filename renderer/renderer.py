@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import (
+    DEFAULT_FOCUS,
     DEFAULT_OCCLUSION,
     EXACT_BLOOM,
     SAMPLER_DEFAULTS,
     Blending,
     BloomSettings,
+    DepthOfFieldSettings,
     Frame,
     FrameEffects,
     Layer,
@@ -154,8 +156,8 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom` and `occlusion` may be
-    exchanged between any two frames, and `layers` changed, which are drawn over each frame in their order,
+    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom`, `occlusion` and `depth_of_field` may
+    be exchanged between any two frames, and `layers` changed, which are drawn over each frame in their order,
     those that belong to the scene first. With `simulates_hidden`, by default off, what an absence would
     change, such as cloth, is simulated in every frame. `show` ends a frame with its image: by default it is
     `Device.present`; a window puts its own in that place.
@@ -174,6 +176,7 @@ class Renderer:
         textures: TextureSettings = SAMPLER_DEFAULTS,
         bloom: BloomSettings = EXACT_BLOOM,
         occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
+        depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -190,6 +193,7 @@ class Renderer:
             textures: how well the scene's textures are read.
             bloom: how exactly bloom is computed.
             occlusion: how exactly ambient occlusion is computed.
+            depth_of_field: how exactly depth of field is computed.
             validation: whether to check samples of what is simulated: each batch has one object whose
                 vertices must be inside its bounds (`scene-left-bounds`)."""
         self.device = device
@@ -199,6 +203,7 @@ class Renderer:
         self.precision = precision
         self.bloom = bloom
         self.occlusion = occlusion
+        self.depth_of_field = depth_of_field
         self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
         self.simulates_hidden = False
         self.layers: list[Layer] = []
@@ -557,6 +562,7 @@ class Renderer:
             self.precision,
             self.bloom,
             self.occlusion,
+            self.depth_of_field,
             self._resources.simulator,
         )
 
@@ -619,6 +625,7 @@ class Renderer:
             blending=self.blending,
             bloom=self.bloom,
             occlusion=self.occlusion,
+            depth_of_field=self.depth_of_field,
             filters_penumbras=maps is not None and maps.settings.filter is ShadowFilter.PCSS,
             visible_features=recent_features,
             shows_objects=shows_objects,

@@ -71,9 +71,12 @@ BAD_IMAGE: Final = Rule(
     "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
 )
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
-BAD_EFFECT: Final = Rule("scene-bad-effect", "a value of fog, bloom or ambient occlusion is out of its range")
+BAD_EFFECT: Final = Rule(
+    "scene-bad-effect", "a value of fog, bloom, ambient occlusion or depth of field is out of its range"
+)
 BAD_BLOOM: Final = Rule("bloom-bad-settings", "a setting of bloom is out of its range")
 BAD_OCCLUSION: Final = Rule("occlusion-bad-settings", "a setting of ambient occlusion is out of its range")
+BAD_FOCUS: Final = Rule("focus-bad-settings", "a setting of depth of field is out of its range")
 NOT_FINITE: Final = Rule(
     "scene-not-finite",
     "the numbers of a scene, a camera or a time must be finite",

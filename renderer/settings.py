@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
-from renderer.frame import Blending, BloomSettings, OcclusionSettings, TextureSettings
+from renderer.frame import Blending, BloomSettings, DepthOfFieldSettings, OcclusionSettings, TextureSettings
 from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, PathFrame, Perspective, Scene, StereoRig
 from renderer.scene.files import read_json
@@ -62,6 +62,7 @@ class RenderSettings:
     blending: Blending = Blending.SORTED
     bloom: BloomSettings = field(default_factory=BloomSettings)
     occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
+    depth_of_field: DepthOfFieldSettings = field(default_factory=DepthOfFieldSettings)
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
@@ -149,7 +150,7 @@ class RenderSettings:
         textures are read, and which objects are found. `technique` draws instead of that of the settings."""
         renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision, renderer.bloom = self.blending, self.precision, self.bloom
-        renderer.occlusion = self.occlusion
+        renderer.occlusion, renderer.depth_of_field = self.occlusion, self.depth_of_field
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag

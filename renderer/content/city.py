@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from renderer.content.buildings import KINDS, make_building, make_street_light, make_trees
 from renderer.content.shapes import plane
 from renderer.content.specs import (
+    APERTURE,
     BLOOM,
+    FOCUS,
     FOG,
     OCCLUSION,
     SEED,
@@ -26,6 +28,7 @@ from renderer.content.specs import (
     SUN_DEGREES,
     Generator,
     Option,
+    add_depth_of_field,
     add_fog_and_bloom,
     add_occlusion,
     cast_shadows,
@@ -91,6 +94,8 @@ def make_city(
     bloom: float = 0.0,
     occlusion: float = 0.0,
     sun_degrees: float = 0.0,
+    focus: float = 0.0,
+    aperture: float = 0.05,
 ) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies
     everything."""
@@ -103,6 +108,7 @@ def make_city(
     add_fog_and_bloom(builder, fog, bloom, builder.background, 0.05)
     add_occlusion(builder, occlusion)
     widen_sun(builder, sun_degrees)
+    add_depth_of_field(builder, focus, aperture)
     return builder.build()
 
 
@@ -156,6 +162,8 @@ CITY: Final = Generator(
         BLOOM,
         OCCLUSION,
         SUN_DEGREES,
+        FOCUS,
+        APERTURE,
     ),
     make_city,
 )

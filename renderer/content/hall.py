@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, DROPS, FountainSimulation, make_drops
 from renderer.content.specs import (
+    APERTURE,
     BLOOM,
+    FOCUS,
     FOG,
     OCCLUSION,
     SEED,
@@ -27,6 +29,7 @@ from renderer.content.specs import (
     SUN_DEGREES,
     Generator,
     Option,
+    add_depth_of_field,
     add_fog_and_bloom,
     add_occlusion,
     cast_shadows,
@@ -94,6 +97,8 @@ def make_hall(
     bloom: float = 0.0,
     occlusion: float = 0.0,
     sun_degrees: float = 0.0,
+    focus: float = 0.0,
+    aperture: float = 0.05,
 ) -> Scene:
     """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle
     aisle and `cloths` banners between its columns, lit by its bulbs, or by `lights` coloured lights among the
@@ -128,6 +133,7 @@ def make_hall(
     add_fog_and_bloom(builder, fog, bloom, (0.16, 0.13, 0.10), 0.4)
     add_occlusion(builder, occlusion)
     widen_sun(builder, sun_degrees)
+    add_depth_of_field(builder, focus, aperture)
     return builder.build()
 
 
@@ -158,6 +164,8 @@ HALL: Final = Generator(
         BLOOM,
         OCCLUSION,
         SUN_DEGREES,
+        FOCUS,
+        APERTURE,
     ),
     make_hall,
 )

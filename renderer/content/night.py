@@ -16,7 +16,9 @@ from renderer.content.buildings import intersect_windows
 from renderer.content.city import PITCH, STREET, CityPlan, add_city, add_daylight
 from renderer.content.furniture import CAR_LENGTH, HEADLIGHT, STREET_LIGHT_REACH, TAIL_LIGHT
 from renderer.content.specs import (
+    APERTURE,
     BLOOM,
+    FOCUS,
     FOG,
     OCCLUSION,
     SEED,
@@ -24,6 +26,7 @@ from renderer.content.specs import (
     SUN_DEGREES,
     Generator,
     Option,
+    add_depth_of_field,
     add_fog_and_bloom,
     add_occlusion,
     cast_shadows,
@@ -88,6 +91,8 @@ def make_night(
     bloom: float = 0.0,
     occlusion: float = 0.0,
     sun_degrees: float = 0.0,
+    focus: float = 0.0,
+    aperture: float = 0.05,
 ) -> Scene:
     """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun
     shines."""
@@ -124,6 +129,7 @@ def make_night(
     add_fog_and_bloom(builder, fog, bloom, builder.background if sun else _LIT_FOG, 0.05)
     add_occlusion(builder, occlusion)
     widen_sun(builder, sun_degrees)
+    add_depth_of_field(builder, focus, aperture)
     return builder.build()
 
 
@@ -141,6 +147,8 @@ NIGHT: Final = Generator(
         BLOOM,
         OCCLUSION,
         SUN_DEGREES,
+        FOCUS,
+        APERTURE,
     ),
     make_night,
 )

@@ -14,6 +14,7 @@ import numpy as np
 
 from renderer import rules
 from renderer.scene.ambient_occlusion import AmbientOcclusion
+from renderer.scene.depth_of_field import DepthOfField
 from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi.errors import refuse
@@ -101,6 +102,9 @@ OCCLUSION: Final = Option(
     "occlusion", 0.0, "metres within which surfaces take ambient light from each other", 0.0, 100.0
 )
 
+FOCUS: Final = Option("focus", 0.0, "metres away that are sharp, all if 0", 0.0, 1e6)
+APERTURE: Final = Option("aperture", 0.05, "radius of the aperture in metres, with a focus", 1e-6, 100.0)
+
 SUN_DEGREES: Final = Option("sun_degrees", 0.0, "angle that the sun or the moon fills, in degrees", 0.0, 90.0)
 
 
@@ -116,6 +120,14 @@ def add_occlusion(builder: SceneBuilder, radius: float) -> None:
     if radius:
         builder.ambient_occlusion = AmbientOcclusion(radius)
         builder.name += f",occlusion={radius:g}"
+
+
+def add_depth_of_field(builder: SceneBuilder, focus: float, aperture: float) -> None:
+    """Add a focus at this distance and an aperture of this radius to a scene unless the distance is 0; its name then
+    says so."""
+    if focus:
+        builder.depth_of_field = DepthOfField(focus, aperture)
+        builder.name += f",focus={focus:g},aperture={aperture:g}"
 
 
 def add_fog_and_bloom(

@@ -1,9 +1,12 @@
 """A frame: the scene on a device, its views, the plan of its passes, and the textures that they draw to."""
 
+from renderer.frame.depth_of_field import DEFAULT_FOCUS as DEFAULT_FOCUS
+from renderer.frame.depth_of_field import DepthOfFieldSettings as DepthOfFieldSettings
 from renderer.frame.drawing import BoundProgram as BoundProgram
 from renderer.frame.drawing import DrawResult as DrawResult
 from renderer.frame.drawing import TechniqueDrawer as TechniqueDrawer
 from renderer.frame.drawing import choose_program as choose_program
+from renderer.frame.effects import CAMERA_EFFECTS as CAMERA_EFFECTS
 from renderer.frame.effects import EXACT_BLOOM as EXACT_BLOOM
 from renderer.frame.effects import LIGHT_FORMATS as LIGHT_FORMATS
 from renderer.frame.effects import LOCAL_LIGHTS as LOCAL_LIGHTS

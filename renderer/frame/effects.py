@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.frame.depth_of_field import DEFAULT_FOCUS, DepthOfFieldSettings, is_blur_seen
 from renderer.frame.occlusion import DEFAULT_OCCLUSION, OCCLUSION, OcclusionSettings, is_occlusion_seen
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
@@ -48,6 +49,7 @@ class Effect(Choice):
     EMISSION = "emission"
     HAZE = "haze"
     FOG = "fog"
+    DEPTH_OF_FIELD = "depth of field"
     BLOOM = "bloom"
     AMBIENT_OCCLUSION = "ambient occlusion"
     METALS = "metals"
@@ -99,6 +101,10 @@ SHADOW_EFFECTS: Final = (Effect.DIRECTIONAL_SHADOWS, *(row.shadows for row in LO
 
 PENUMBRA_EFFECTS: Final = (Effect.DIRECTIONAL_PENUMBRAS, Effect.LOCAL_PENUMBRAS)
 """The shadows of lights whose sources have a size, where the filter is `ShadowFilter.PCSS`."""
+
+
+CAMERA_EFFECTS: Final = (Effect.DEPTH_OF_FIELD, Effect.BLOOM)
+"""The effects of the camera, which move light of the image before its tones are mapped."""
 
 
 class Blending(Choice):
@@ -243,11 +249,12 @@ class FrameEffects:
         bloom: how bloom is made.
         has_bloom: whether the scene has bloom, whatever shines in it.
         occlusion: how exactly ambient occlusion is computed.
+        depth_of_field: how exactly depth of field is computed.
         filters_penumbras: whether shadows are as soft as the sizes of sources make them.
         shaders: those that the scene's materials have of their own.
         layers_format: the format that transparent objects are added up in; None if they are blended to the
             image itself.
-        unseen: haze, fog and ambient occlusion that change nothing in the view.
+        unseen: haze, fog, ambient occlusion and depth of field that change nothing in the view.
         has_fogged_sky: whether fog changes the background.
         shows_objects: whether there may be an object in view.
         sources: what of this doesn't depend on the view.
@@ -262,6 +269,7 @@ class FrameEffects:
     bloom: BloomSettings
     has_bloom: bool
     occlusion: OcclusionSettings
+    depth_of_field: DepthOfFieldSettings
     filters_penumbras: bool
     shaders: tuple[type[Any], ...]
     sources: EffectSources
@@ -273,9 +281,15 @@ class FrameEffects:
 
     @property
     def image(self) -> Target:
-        """The target of a technique: the image itself, or where there is bloom, linear light of any
-        strength."""
-        return _BRIGHT_IMAGES[self.bloom.bits] if Effect.BLOOM in self.enabled else _PLAIN_IMAGE
+        """The target of a technique: the image itself, or where there are effects of the camera, linear light of
+        any strength."""
+        bits = _count_light_bits(self.enabled, self.bloom, self.depth_of_field)
+        return _BRIGHT_IMAGES[bits] if bits else _PLAIN_IMAGE
+
+    @property
+    def keeps_light(self) -> bool:
+        """True if the target of a technique is linear light, whose tones are mapped after all else."""
+        return not self.enabled.isdisjoint(CAMERA_EFFECTS)
 
     @property
     def shading_reads(self) -> tuple[str, ...]:
@@ -320,6 +334,7 @@ class FrameEffects:
             self.blending,
             self.bloom,
             self.occlusion,
+            self.depth_of_field,
             self.has_fogged_sky,
             self.layers_format,
         )
@@ -334,6 +349,8 @@ class FrameEffects:
             return self._explain_bloom(count)
         if effect is Effect.AMBIENT_OCCLUSION:
             return self._explain_occlusion(count)
+        if effect is Effect.DEPTH_OF_FIELD:
+            return self._explain_depth_of_field(count)
         if effect in PENUMBRA_EFFECTS and not self.filters_penumbras:
             return "the filter of shadows isn't PCSS"
         noun, plural = _NOUNS[effect]
@@ -361,6 +378,15 @@ class FrameEffects:
             return "the scene has ambient occlusion, within less than a pixel"
         return "surfaces take ambient light away from each other"
 
+    def _explain_depth_of_field(self, count: int) -> str:
+        if not count:
+            return "the scene has no depth of field"
+        if Effect.DEPTH_OF_FIELD in self.unseen:
+            return "the scene has depth of field, with discs of less than a pixel"
+        if Effect.DEPTH_OF_FIELD not in self.enabled:
+            return "the scene has depth of field, and the view shows one color"
+        return "what is out of focus is seen as discs"
+
     def _explain_bloom(self, count: int) -> str:
         if not self.has_bloom:
             return "the scene has no bloom"
@@ -379,6 +405,7 @@ def collect_frame_effects(
     blending: Blending = Blending.SORTED,
     bloom: BloomSettings = EXACT_BLOOM,
     occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
+    depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
     filters_penumbras: bool = False,
     visible_features: frozenset[str] | None = None,
     shows_objects: bool | None = None,
@@ -393,6 +420,7 @@ def collect_frame_effects(
         blending: how transparent surfaces are to be put together.
         bloom: how bloom is to be made.
         occlusion: how ambient occlusion is to be computed.
+        depth_of_field: how depth of field is to be computed.
         filters_penumbras: whether shadows are to be as soft as the sizes of sources make them.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
@@ -412,12 +440,22 @@ def collect_frame_effects(
     in_view, air, has_fogged_sky = _look(scene, camera, sources, reaches)
     if (
         last is not None
-        and (sources, blending, bloom, occlusion, filters_penumbras, visible_features, shows_objects)
+        and (
+            sources,
+            blending,
+            bloom,
+            occlusion,
+            depth_of_field,
+            filters_penumbras,
+            visible_features,
+            shows_objects,
+        )
         == (
             last.sources,
             last.blending,
             last.bloom,
             last.occlusion,
+            last.depth_of_field,
             last.filters_penumbras,
             last.visible_features,
             last.shows_objects,
@@ -444,13 +482,16 @@ def collect_frame_effects(
         hidden |= {*PENUMBRA_EFFECTS}
     if not shows_objects:
         hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS, Effect.AMBIENT_OCCLUSION}
+    if not (shows_objects or has_fogged_sky):
+        hidden |= {Effect.DEPTH_OF_FIELD}
     hidden |= {
         _EFFECTS[name]
         for name in (*sources.features, "bloom")
         if name not in visible_features and name != "vertex colors"
     }
     enabled = frozenset(effect for effect, count in sources.counts.items() if count and effect not in hidden)
-    image = LIGHT_FORMATS[bloom.bits] if Effect.BLOOM in enabled else IMAGE_FORMAT
+    bits = _count_light_bits(enabled, bloom, depth_of_field)
+    image = LIGHT_FORMATS[bits] if bits else IMAGE_FORMAT
     return FrameEffects(
         enabled,
         sources.counts,
@@ -460,6 +501,7 @@ def collect_frame_effects(
         bloom,
         scene.bloom is not None,
         occlusion,
+        depth_of_field,
         filters_penumbras,
         sources.shaders,
         sources,
@@ -522,6 +564,7 @@ def watch_lights(effects: FrameEffects, scene: Scene, reaches: Sequence[bool]) -
         or len(effects.sources.height_fields)
         or counts[Effect.FOG]
         or counts[Effect.AMBIENT_OCCLUSION]
+        or counts[Effect.DEPTH_OF_FIELD]
         or (counts[Effect.HAZE] and scene.haze < THIN_HAZE)
     ):
         return None
@@ -551,6 +594,8 @@ def _look(
         unseen.add(Effect.FOG)
     if counts[Effect.AMBIENT_OCCLUSION] and not is_occlusion_seen(scene, camera):
         unseen.add(Effect.AMBIENT_OCCLUSION)
+    if counts[Effect.DEPTH_OF_FIELD] and not is_blur_seen(scene, camera):
+        unseen.add(Effect.DEPTH_OF_FIELD)
     has_fogged_sky = counts[Effect.FOG] > 0 and Effect.FOG not in unseen and is_sky_fogged(scene, camera)
     return in_view, frozenset(unseen), has_fogged_sky
 
@@ -564,6 +609,14 @@ def _shows_same(
     return [indices.tobytes() for indices in in_view.values()] == [
         last.in_view[effect].tobytes() for effect in in_view
     ]
+
+
+def _count_light_bits(
+    enabled: frozenset[Effect], bloom: BloomSettings, depth_of_field: DepthOfFieldSettings
+) -> int:
+    """Return the bits of a channel of a technique's target while it holds light; 0 if it never does."""
+    bits = {Effect.BLOOM: bloom.bits, Effect.DEPTH_OF_FIELD: depth_of_field.bits}
+    return max((bits[effect] for effect in CAMERA_EFFECTS if effect in enabled), default=0)
 
 
 def _layers_format(
@@ -587,6 +640,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         scene.fog is None,
         scene.bloom is None,
         scene.ambient_occlusion is None,
+        scene.depth_of_field is None,
         _has_ambient_light(scene),
         bool(scene.objects.casts_shadow.any()),
         tuple(scene.height_fields),
@@ -601,6 +655,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.FOG: int(scene.fog is not None),
         Effect.BLOOM: 0 if scene.bloom is None else len(scene.list_emitters()),
         Effect.AMBIENT_OCCLUSION: int(scene.ambient_occlusion is not None and _has_ambient_light(scene)),
+        Effect.DEPTH_OF_FIELD: int(scene.depth_of_field is not None),
         Effect.TRANSPARENCY: len(scene.list_transparent()),
         Effect.HEIGHT_FIELDS: len(height_fields),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),

@@ -6,13 +6,12 @@ transparent one has the fog in front of it while what is behind it has its own: 
 a) · behind` is what fog in front of both makes of `a · c + (1 - a) · b`. What no surface covers is fogged by
 the pass `sky`, to infinity.
 
-Haze fades to the colour of the background, after tones have been mapped. Where there is bloom, tones are
-mapped last, and haze fades to the light that is seen as that colour.
+Haze fades to the colour of the background, after tones have been mapped. Where the camera has effects, such as bloom,
+tones are mapped last, and haze fades to the light that is seen as that colour.
 """
 
 from __future__ import annotations
 
-from renderer.frame.effects import Effect
 from renderer.frame.frame import Frame
 from renderer.shaders.fog import FogConstants
 from renderer.shaders.structs import Haze
@@ -35,5 +34,5 @@ def bind_fog(frame: Frame) -> UniformBuffer[FogConstants]:
 def bind_haze(frame: Frame) -> UniformBuffer[Haze]:
     """The scene's haze."""
     scene = frame.resources.scene
-    color = inverse_tone_map(scene.background) if Effect.BLOOM in frame.effects.enabled else scene.background
+    color = inverse_tone_map(scene.background) if frame.effects.keeps_light else scene.background
     return frame.resources.mirror(Haze(color=color, density=scene.haze))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from renderer.frame.drawing import DrawResult, TechniqueDrawer
-from renderer.frame.effects import Effect, FrameEffects
+from renderer.frame.effects import FrameEffects
 from renderer.frame.resources import SceneResources
 from renderer.frame.targets import Targets
 from renderer.frame.view import View
@@ -67,9 +67,9 @@ class Frame:
 
     @property
     def background(self) -> tuple[float, float, float, float]:
-        """The clear value of `image`, as a colour, or with bloom as light."""
+        """The clear value of `image`, as a colour, or with effects of the camera as light."""
         color = self.resources.scene.background
-        return (*inverse_tone_map(color), 1.0) if Effect.BLOOM in self.effects.enabled else (*color, 1.0)
+        return (*inverse_tone_map(color), 1.0) if self.effects.keeps_light else (*color, 1.0)
 
     @property
     def visibility(self) -> VisibilityAlgorithm:

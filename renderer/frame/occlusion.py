@@ -12,9 +12,10 @@ from rhi.math import Depth, distance_at_depth, is_parallel
 
 OCCLUSION: Final = "ambient_occlusion"
 """The resource that has the share of ambient light that reaches each pixel's surface."""
-_MOST_PIXELS: Final = 32_768
+MOST_PIXELS: Final = 32_768
 """The height of the largest image that any device draws."""
-_NEAREST: Final = {Depth.REVERSED: 1.0, Depth.STANDARD: 0.0}
+NEAREST_DEPTH: Final = {Depth.REVERSED: 1.0, Depth.STANDARD: 0.0}
+"""The depth of the near plane."""
 _MAX_SLICES: Final = 32
 _MAX_STEPS: Final = 64
 
@@ -57,7 +58,7 @@ def is_occlusion_seen(scene: Scene, camera: Camera) -> bool:
     if scene.ambient_occlusion is None:
         return False
     projection = camera.projection
-    scale = float(abs(projection.matrix[1, 1])) * 0.5 * _MOST_PIXELS
+    scale = float(abs(projection.matrix[1, 1])) * 0.5 * MOST_PIXELS
     if not is_parallel(projection):
-        scale /= distance_at_depth(projection.matrix, _NEAREST[projection.depth])
+        scale /= distance_at_depth(projection.matrix, NEAREST_DEPTH[projection.depth])
     return scene.ambient_occlusion.radius * scale >= 1.0

@@ -73,8 +73,8 @@ def is_sky_fogged(scene: Scene, camera: Camera) -> bool:
 
 
 def _threshold(scene: Scene, share: float) -> float:
-    """Return the `share` of light that makes no difference. Light that blooms may be of any strength."""
-    return share if scene.bloom is None else 0.0
+    """Return the `share` of light that makes no difference. Light that the camera spreads may be of any strength."""
+    return share if scene.bloom is None and scene.depth_of_field is None else 0.0
 
 
 def _farthest(scene: Scene, camera: Camera) -> float:

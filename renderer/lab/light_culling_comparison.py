@@ -35,8 +35,8 @@ from renderer.lights.culling.volumes import LightVolumes, compute_light_volumes
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats, list_ranges
-from renderer.techniques.parts.bloom import bloom_passes
 from renderer.techniques.parts.depth import draw_depth
+from renderer.techniques.parts.finish import camera_passes
 from renderer.techniques.parts.light_list_reader import light_list_pass, lit_by_cells
 from renderer.techniques.parts.variants import draw_lit
 from rhi import Device, Texture
@@ -102,7 +102,7 @@ class LightListForward:
                 reads=("depth", "light lists"),
                 writes=(effects.image,),
             ),
-            *bloom_passes(effects, effects.image.name),
+            *camera_passes(effects, effects.image.name),
         )
 
     def _draw(self, frame: Frame) -> None:

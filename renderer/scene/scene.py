@@ -24,6 +24,7 @@ from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.attachments import AttachedLights, AttachedView, Attachments
 from renderer.scene.clips import Clip, Clips, make_clips
+from renderer.scene.depth_of_field import DepthOfField
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.fog_and_bloom import Bloom, Fog
@@ -98,8 +99,8 @@ class Scene:
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the
             background.
-        fog, bloom, ambient_occlusion: effects of the air, of the camera and of surfaces nearby, None for none;
-            they may be exchanged between frames.
+        fog, bloom, ambient_occlusion, depth_of_field: effects of the air, of the camera, of surfaces nearby and of
+            the aperture, None for none; they may be exchanged between frames.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs
             copies.
         seconds: the time of the last update or frame.
@@ -145,6 +146,7 @@ class Scene:
         self.fog: Fog | None = None
         self.bloom: Bloom | None = None
         self.ambient_occlusion: AmbientOcclusion | None = None
+        self.depth_of_field: DepthOfField | None = None
         self.nodes = nodes
         self.objects = objects
         self.meshes = meshes
@@ -252,6 +254,7 @@ class Scene:
             self.fog,
             self.bloom,
             self.ambient_occlusion,
+            self.depth_of_field,
             tuple(self.height_fields),
         )
 
@@ -574,6 +577,7 @@ class SceneBuilder:
         self.fog: Fog | None = None
         self.bloom: Bloom | None = None
         self.ambient_occlusion: AmbientOcclusion | None = None
+        self.depth_of_field: DepthOfField | None = None
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self.omissions = Omissions()
@@ -919,6 +923,7 @@ class SceneBuilder:
             attachments=self._make_attachments(nodes),
         )
         scene.fog, scene.bloom, scene.ambient_occlusion = self.fog, self.bloom, self.ambient_occlusion
+        scene.depth_of_field = self.depth_of_field
         return scene
 
     def _make_attachments(self, nodes: Nodes) -> Attachments:

@@ -28,7 +28,7 @@ from rhi import Device
 
 TRACED_PIXELS: Final = 6000
 """About how many pixels of an image are traced for the errors of a single quality setting."""
-_TRACER_VERSION: Final = 1
+_TRACER_VERSION: Final = 2
 """Part of the name of a stored image. Raise it with any change of what the ray tracer renders."""
 
 
@@ -165,7 +165,8 @@ def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: in
         camera.rotation,
     )
     air = lights.sky, lights.ground, scene.background, scene.haze, scene.fog
-    others = (*air, scene.samplers, camera.projection, size, rays)
+    screen = scene.ambient_occlusion, scene.depth_of_field
+    others = (*air, *screen, scene.samplers, camera.projection, size, rays)
     digest = sha256(repr(others).encode())
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())

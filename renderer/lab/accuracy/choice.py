@@ -174,6 +174,7 @@ def select_effective_reports(
         lacks = lacks or (
             setting.requirement is Requirement.AMBIENT_LIGHT and scene.ambient_occlusion is None
         )
+        lacks = lacks or (setting.requirement is Requirement.FOCUS and scene.depth_of_field is None)
         lacks = lacks or (
             setting.requirement is Requirement.BLOOM and not (scene.bloom and len(scene.list_emitters()))
         )

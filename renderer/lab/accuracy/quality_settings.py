@@ -61,6 +61,7 @@ class Requirement(Choice):
     LOCAL_LIGHTS = "a point or spot light"
     BLOOM = "an object that emits more light than a white surface reflects"
     AMBIENT_LIGHT = "ambient light and a surface"
+    FOCUS = "a surface out of focus"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
     DIVERGING_SIMULATIONS = "a simulation that depends on its history"
@@ -546,6 +547,35 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             reference=PIXEL_CENTRE_RAY,
             requirement=Requirement.AMBIENT_LIGHT,
             base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "focus_samples",
+            "pixels that a disc out of focus is the mean of",
+            "depth_of_field.samples",
+            _same(8, 16, 32, 64, 128, 256),
+            "more of them change less than what the image doesn't show",
+            reference=PIXEL_CENTRE_RAY,
+            requirement=Requirement.FOCUS,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "focus_radius",
+            "the radius of the largest disc out of focus, in heights of the image",
+            "depth_of_field.max_radius",
+            _same(0.01, 0.02, 0.05, 0.1),
+            "larger discs are rare, and take more samples",
+            reference=PIXEL_CENTRE_RAY,
+            requirement=Requirement.FOCUS,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "focus_bits",
+            "bits of a channel of light, where some of it is out of focus",
+            "depth_of_field.bits",
+            _same(16, 32),
+            "half floats are less than a level off",
+            reference=Reference("light of 32 bits", {"depth_of_field.bits": 32}),
+            requirement=Requirement.FOCUS,
         ),
         _image_quality(
             "depth",

@@ -51,7 +51,7 @@ from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.measurement import Measurement, alternate
 from renderer.renderer import FrameResult
-from renderer.scene import AmbientOcclusion, Bloom, CameraPath, PathFrame, Scene
+from renderer.scene import AmbientOcclusion, Bloom, CameraPath, DepthOfField, PathFrame, Scene
 from renderer.scene.arrays import Floats
 from renderer.scene.cloth import ClothSimulation
 from renderer.settings import RenderSettings
@@ -123,6 +123,8 @@ class SweepShard:
 
 SUN_DIAMETER: Final = 0.0093
 """The angle in radians that the sun fills."""
+APERTURE_RADIUS: Final = 0.1
+"""The radius in metres of the aperture of scenes that have none."""
 
 
 def list_shards(setup: SweepSetup, name: str) -> list[SweepShard]:
@@ -326,8 +328,8 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
 
 
 def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
-    """Add what a quality setting needs to a scene where possible: shadows, bloom, occlusion. Return what is still
-    missing, None for nothing."""
+    """Add what a quality setting needs to a scene where possible: shadows, bloom, occlusion, an aperture. Return what
+    is still missing, None for nothing."""
     if setting.unit is ErrorUnit.OVERDRAW and scene.height_fields:
         return "the scene has a ground, of which each view has other triangles"
     if setting.reference.is_float64 or setting.reference.rays:
@@ -354,6 +356,9 @@ def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
         case Requirement.BLOOM:
             scene.bloom = scene.bloom or Bloom()
             has = len(scene.list_emitters())
+        case Requirement.FOCUS:
+            scene.depth_of_field = scene.depth_of_field or DepthOfField(10.0, APERTURE_RADIUS)
+            has = len(scene.objects)
         case Requirement.AMBIENT_LIGHT:
             scene.ambient_occlusion = scene.ambient_occlusion or AmbientOcclusion()
             has = max(*scene.lights.sky, *scene.lights.ground) > 0.0

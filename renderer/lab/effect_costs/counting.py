@@ -40,6 +40,7 @@ ALLOWED_LEFTOVERS: Final = frozenset(
         "Background",
         "BloomConstants",
         "OcclusionConstants",
+        "ApertureConstants",
         "CascadeTable",
     )
 )

@@ -25,6 +25,7 @@ from renderer.scene import (
     AmbientOcclusion,
     Bloom,
     Camera,
+    DepthOfField,
     Fog,
     Scene,
     SceneBuilder,
@@ -332,6 +333,18 @@ EFFECT_STEPS: Final = (
         ),
         switch=partial(_switch_air, "ambient_occlusion", AmbientOcclusion(), None),
         modules=("renderer.techniques.parts.ambient_occlusion",),
+    ),
+    EffectStep(
+        "depth of field",
+        "what is out of focus is seen as discs",
+        EffectPattern(
+            "depth of field",
+            words=("measure_share",),
+            bindings=("circles", "block_discs", "near_discs", "aperture"),
+            events=("circles of confusion", "near discs", "depth of field"),
+        ),
+        switch=partial(_switch_air, "depth_of_field", DepthOfField(5.0, 0.05), None),
+        modules=("renderer.techniques.parts.depth_of_field",),
     ),
     EffectStep(
         "glass",

@@ -13,6 +13,7 @@ from renderer.lab.exam import (
     deformation_cases,
     encoding_cases,
     far_position_cases,
+    focus_cases,
     input_cases,
     light_culling_cases,
     limit_cases,
@@ -41,6 +42,7 @@ _CASE_MODULES: Final = (
     crack_cases,
     occlusion_cases,
     penumbra_cases,
+    focus_cases,
     deformation_cases,
 )
 MEASURES: Final = {

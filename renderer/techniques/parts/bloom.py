@@ -198,14 +198,14 @@ def bloom_passes(effects: FrameEffects, light: str) -> tuple[FramePass[Frame], .
     return (
         FramePass(
             "bloom",
-            partial(_blur_light, settings=effects.bloom),
+            partial(_blur_light, light=light, settings=effects.bloom),
             f"spreads a share of the light; {effects.explain(Effect.BLOOM)}",
             reads=(light,),
             writes=levels,
         ),
         FramePass(
             "tone mapping",
-            _composite,
+            partial(_composite, light=light),
             "mixes light and bloom, and maps them to colours",
             reads=(light, "bloom 1"),
             writes=(Target("image", IMAGE_FORMAT),),
@@ -213,8 +213,8 @@ def bloom_passes(effects: FrameEffects, light: str) -> tuple[FramePass[Frame], .
     )
 
 
-def _blur_light(frame: Frame, *, settings: BloomSettings) -> None:
-    source, count = frame.image, settings.levels
+def _blur_light(frame: Frame, *, light: str, settings: BloomSettings) -> None:
+    source, count = frame.targets[light], settings.levels
     levels = [frame.targets[f"bloom {i}"] for i in range(1, count + 1)]
     shader: type[Downsample] = DownsampleKaris if settings.karis_average else DownsampleImage
     for level in levels:
@@ -230,10 +230,10 @@ def _blur_light(frame: Frame, *, settings: BloomSettings) -> None:
         )
 
 
-def _composite(frame: Frame) -> None:
+def _composite(frame: Frame, *, light: str) -> None:
     scene = frame.resources.scene
     assert scene.bloom is not None, "bloom can be drawn only if the scene has bloom"
     smaller_level = frame.targets["bloom 1"].sampled(_EDGE)
     bloom = frame.resources.mirror(BloomConstants(strength=scene.bloom.strength))
-    bindings: dict[str, Any] = {"light": frame.image, "smaller_level": smaller_level, "bloom": bloom}
+    bindings: dict[str, Any] = {"light": frame.targets[light], "smaller_level": smaller_level, "bloom": bloom}
     draw_full_screen(frame, BloomComposite, frame.targets["image"], bindings)

@@ -1,5 +1,5 @@
-"""The end of every technique, once its opaque surfaces are drawn: sky, transparent surfaces, bloom and
-tones."""
+"""The end of every technique, once its opaque surfaces are drawn: sky, transparent surfaces, depth of field, bloom
+and tones."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from renderer.shaders.pixels import BackgroundScreen, pixel_position
 from renderer.shaders.tone_mapping import inverse_tone_map
 from renderer.techniques.parts.bloom import BLOOM_SHADERS, bloom_passes
 from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.depth_of_field import (
+    BLURRED_LIGHT,
+    DEPTH_OF_FIELD_SHADERS,
+    depth_of_field_passes,
+)
 from renderer.techniques.parts.scene_shader import FinishShader, ForwardShader
 from renderer.techniques.parts.transparency import TRANSPARENCY_SHADERS, declare_transparency, sorted_pass
 from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, name_samples
@@ -41,6 +46,7 @@ FINISH_SHADERS: Final[tuple[type[Shader], ...]] = (
     SkyShader,
     ForwardShader,
     *TRANSPARENCY_SHADERS,
+    *DEPTH_OF_FIELD_SHADERS,
     *BLOOM_SHADERS,
 )
 """The shaders of `finish_image`, and of `forward_passes` with one sample per pixel."""
@@ -112,7 +118,13 @@ def finish_image(
             passes.append(sorted_pass(effects, lighting, image=last_version(passes, drawn), depth=depth))
         passes.append(_resolve_pass(effects, last_version(passes, drawn)))
         passes += () if is_sorted else declare_transparency(effects, lighting, image=image)
-    return *passes, *bloom_passes(effects, last_version(passes, image))
+    return *passes, *camera_passes(effects, last_version(passes, image))
+
+
+def camera_passes(effects: FrameEffects, light: str) -> tuple[FramePass[Frame], ...]:
+    """The passes that make `image` from the resource `light` by the effects of the camera; none without any."""
+    blurred = BLURRED_LIGHT if Effect.DEPTH_OF_FIELD in effects.enabled else light
+    return *depth_of_field_passes(effects, light), *bloom_passes(effects, blurred)
 
 
 def _resolve_pass(effects: FrameEffects, samples: str) -> FramePass[Frame]:

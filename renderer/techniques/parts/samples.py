@@ -33,7 +33,7 @@ class SampleReader(PixelShader, FogReader):
     """Base of shaders that read each sample of a pixel, and average their colours."""
 
     samples = 2
-    has_bloom = False
+    keeps_light = False
 
     background: sl.Uniform[Background]
     depth_samples: sl.Texture2DSamples
@@ -71,7 +71,7 @@ class SampleReader(PixelShader, FogReader):
             start = pixel_position(self.rays, pixel, 0.0)
             direction = pixel_position(self.rays, pixel, 1.0) - start
             seen = apply_fog_to_background(seen, direction, self.fog_at(start))
-            seen = sl.min(seen, MAX_HALF_FLOAT) if self.has_bloom else tone_map(seen)
+            seen = sl.min(seen, MAX_HALF_FLOAT) if self.keeps_light else tone_map(seen)
         return sl.vec4(seen, 1.0)
 
 

@@ -247,12 +247,12 @@ class ReflectingShader(ViewRayShader):
 
 class FinishShader(FogReader):
     """Makes pixels of light: applies fog, then tone mapping, then haze, which fades to the final
-    background colour. For bloom, light stays linear and of any strength."""
+    background colour. For effects of the camera, light stays linear and of any strength."""
 
     precision = sl.Precision.FAST
     lean = True
     has_haze = False
-    has_bloom = False
+    keeps_light = False
 
     haze: sl.Uniform[Haze]
 
@@ -262,11 +262,11 @@ class FinishShader(FogReader):
         if self.has_fog:
             path = self.path_from_eye(position)
             seen = apply_fog(seen, path, self.fog_at(position - path))
-        if not self.has_bloom:
+        if not self.keeps_light:
             seen = tone_map(seen)
         if self.has_haze:
             seen = apply_haze(seen, self.path_from_eye(position), self.haze)
-        if self.has_bloom:
+        if self.keeps_light:
             seen = sl.min(seen, MAX_HALF_FLOAT)
         return sl.vec4(seen, 1.0)
 

@@ -13,6 +13,7 @@ from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import (
+    CAMERA_EFFECTS,
     DEPTH_FORMAT,
     LOCAL_LIGHTS,
     PENUMBRA_EFFECTS,
@@ -129,6 +130,7 @@ def cached_shader_variant(
         "has_both_models": both_models,
         "has_geometric_normals": planes,
         "has_parallel_rays": parallel,
+        "keeps_light": not enabled.isdisjoint(CAMERA_EFFECTS),
     }
     if images is not None:
         switches |= dict(

@@ -20,7 +20,16 @@ def refusal(text):
 
 def test_options_are_parsed_and_the_rest_keep_their_defaults():
     values = GENERATORS["city"].parse("detail=3,blocks=5")
-    rest = {"seed": 0, "shadows": 0, "fog": 0.0, "bloom": 0.0, "occlusion": 0.0, "sun_degrees": 0.0}
+    rest = {
+        "seed": 0,
+        "shadows": 0,
+        "fog": 0.0,
+        "bloom": 0.0,
+        "occlusion": 0.0,
+        "sun_degrees": 0.0,
+        "focus": 0.0,
+        "aperture": 0.05,
+    }
     assert values == {"blocks": 5, "detail": 3} | rest
     assert GENERATORS["city"].parse("") == {"blocks": 44, "detail": 7} | rest
 

@@ -21,6 +21,7 @@ from renderer.scene import (
     AlphaMode,
     AmbientOcclusion,
     Bloom,
+    DepthOfField,
     Fog,
     Scene,
     SceneBuilder,
@@ -160,6 +161,7 @@ SCENE_PARTS: dict[str, str] = {
     "fog": "FOG_FIELDS",
     "bloom": "BLOOM_FIELDS",
     "ambient_occlusion": "`spread_air`: a radius of less than a pixel",
+    "depth_of_field": "`spread_air`: discs of less than a pixel",
     "haze": "HAZES",
     "nodes": "`spread_objects`: transforms, hidden and moving nodes",
     "objects": "`spread_objects`",
@@ -365,6 +367,7 @@ def spread_air() -> Iterator[Neutral]:
     for values in one_at_a_time(BLOOM_FIELDS):
         yield Neutral(f"bloom: {values}", partial(_set, name="bloom", value=Bloom(**values)))
     yield Neutral("occlusion", partial(_set, name="ambient_occlusion", value=AmbientOcclusion(1e-9)))
+    yield Neutral("focus", partial(_set, name="depth_of_field", value=DepthOfField(5.0, 1e-12)))
 
 
 def _set(builder: SceneBuilder, name: str, value: Any) -> None:
@@ -434,6 +437,9 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "occlusion.steps": (1, 64),
     "occlusion.is_smooth": (False,),
     "occlusion.bits": (16,),
+    "depth_of_field.samples": (8, 1024),
+    "depth_of_field.max_radius": (0.001, 0.5),
+    "depth_of_field.bits": (32,),
     "animation_step": (0.1, 1e3),
     "animation_lag": (0.0, 100.0),
     "light_cutoff": (1e-3, 1e3),

@@ -98,7 +98,13 @@ def test_each_field_has_values() -> None:
     assert set(MATERIAL_FIELDS) | FOLLOWING_FIELDS == set(MATERIAL.names or ())
     assert set(FOG_FIELDS) == set(inspect.signature(Fog).parameters)
     assert set(BLOOM_FIELDS) == set(inspect.signature(Bloom).parameters)
-    assert set(SCENE_PARTS) == {*inspect.signature(Scene).parameters, "fog", "bloom", "ambient_occlusion"}
+    assert set(SCENE_PARTS) == {
+        *inspect.signature(Scene).parameters,
+        "fog",
+        "bloom",
+        "ambient_occlusion",
+        "depth_of_field",
+    }
     assert len(spread_all()) > 500
 
 

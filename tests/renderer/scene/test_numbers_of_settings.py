@@ -19,7 +19,7 @@ from refusals import refused_rule
 import renderer.techniques as techniques
 import rhi
 from renderer.content import ModelLimits, load_scene
-from renderer.frame import OcclusionSettings
+from renderer.frame import DepthOfFieldSettings, OcclusionSettings
 from renderer.frame.effects import BloomSettings
 from renderer.frame.scene_images import TextureSettings
 from renderer.renderer import Renderer
@@ -27,6 +27,7 @@ from renderer.scene import (
     AmbientOcclusion,
     Bloom,
     CameraPath,
+    DepthOfField,
     Fog,
     Leap,
     Perspective,
@@ -45,6 +46,7 @@ from renderer.visibility import VisibilitySettings
 
 SETTINGS: tuple[type[Any], ...] = (
     BloomSettings,
+    DepthOfFieldSettings,
     OcclusionSettings,
     ModelLimits,
     RenderSettings,
@@ -80,6 +82,7 @@ def numbers_of(kind: type[Any]) -> dict[str, Any]:
 CALLS: dict[str, Call] = {
     "Fog": (Fog, {"density": 0.1, "color": (0.5, 0.6, 0.7), "falloff": 0.1, "base": 1.0}),
     "AmbientOcclusion": (AmbientOcclusion, {"radius": 1.0}),
+    "DepthOfField": (DepthOfField, {"focus_distance": 1.0, "aperture_radius": 0.1}),
     "Bloom": (Bloom, {"strength": 0.1}),
     "SkewedProjection": (lambda skew: SkewedProjection(Perspective(), skew), {"skew": 0.1}),
     "Stepwise": (Stepwise, {"steps_per_frame": 2, "memory": 3}),

@@ -28,6 +28,7 @@ from renderer.scene import (
     AlphaMode,
     AmbientOcclusion,
     Bloom,
+    DepthOfField,
     Fog,
     Scene,
     SceneBuilder,
@@ -64,6 +65,7 @@ def build_scene(
     shader: type[MaterialShader] | None = None,
     has_bloom: bool = True,
     has_occlusion: bool = False,
+    has_focus: bool = False,
 ) -> Scene:
     """Build an opaque, a masked and a transparent box, with or without a light of each kind, in fog and with
     bloom."""
@@ -101,6 +103,8 @@ def build_scene(
         builder.bloom = Bloom()
     if has_occlusion:
         builder.ambient_occlusion = AmbientOcclusion()
+    if has_focus:
+        builder.depth_of_field = DepthOfField()
     builder.views["eye"] = EYE
     return builder.build()
 
@@ -117,6 +121,7 @@ def build_scenes() -> tuple[Scene, ...]:
         build_scene(shader=PlainMaterial),
         build_scene(has_occlusion=True),
         build_scene(has_details=True, has_occlusion=True),
+        build_scene(has_focus=True),
         build_scene(has_bloom=False),  # whose layers of transparency need less than single floats
     )
 

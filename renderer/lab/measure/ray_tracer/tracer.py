@@ -18,10 +18,16 @@ _DISTANCE_SHELLS: Final = 4.0 ** np.arange(-5, 1)
 """Distances, relative to the scene's size, to which rays are traced in turn; only rays that met nothing
 opaque continue."""
 _EXPOSURE: Final = 0.6
+APERTURE_POINTS: Final = 128
+"""Points of the aperture that light is traced through, spread evenly, if the scene has depth of field."""
+_GOLDEN_ANGLE: Final = np.pi * (3.0 - np.sqrt(5.0))
 
 
 class RayTracer:
     """Renders a scene as it stands, in float64; see the package.
+
+    With depth of field, a pixel's light is the mean of rays through `APERTURE_POINTS` points of the aperture, which
+    meet in the plane of the focus; tones are mapped after that.
 
     Attributes:
         has_shadows: whether lights that cast shadows do.
@@ -77,8 +83,21 @@ class RayTracer:
         """The linear colours (k, 3) from 0 to 1 at positions (k, 2) of an image, in pixels from its top left
         corner."""
         origins, directions, first, last = aim(camera, size, pixel_positions)
-        colors = np.zeros((len(pixel_positions), 3))
-        for begin in range(0, len(pixel_positions), _CHUNK):
+        depth_of_field = self._scene.depth_of_field
+        if depth_of_field is None:
+            return self._follow_all(origins, directions, first, last)
+        light = np.zeros((len(pixel_positions), 3))
+        for number in range(APERTURE_POINTS):
+            radius = depth_of_field.aperture_radius * np.sqrt((number + 0.5) / APERTURE_POINTS)
+            angle = number * _GOLDEN_ANGLE
+            point = radius * (np.cos(angle) * camera.rotation[0] + np.sin(angle) * camera.rotation[1])
+            towards = directions - point / depth_of_field.focus_distance
+            light += self._follow_all(origins + point, towards, first, last)
+        return tone_map(light / APERTURE_POINTS)
+
+    def _follow_all(self, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
+        colors = np.zeros(origins.shape)
+        for begin in range(0, len(origins), _CHUNK):
             part = slice(begin, begin + _CHUNK)
             colors[part] = self._follow(origins[part], directions[part], first, last)
         return colors
@@ -119,12 +138,19 @@ class RayTracer:
         again &= hits.distance[1:] - hits.distance[:-1] <= 1e-9 * np.abs(hits.distance[1:])
         return np.concatenate([[False], again])[: len(hits.ray)]
 
+    @property
+    def _keeps_light(self) -> bool:
+        """True if rays bring light instead of colours, and haze fades to light that is seen as the background."""
+        return self._scene.depth_of_field is not None
+
     def _follow(self, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
+        """The colours (k, 3) that rays bring, or their light."""
         hits = self._collect_surfaces(origins, directions, first, last)
         seen = self._geometry.surfaces_at(hits, origins, directions)
         # Light is seen where its ray leaves the eye, or the eye's plane; air behind that isn't seen through.
         start = np.where(hits.distance[:, None] > 0.0, origins[hits.ray], seen.position)
-        color = tone_map(self._pass_fog(self._lighting.light(seen), start, seen.position))
+        color = self._pass_fog(self._lighting.light(seen), start, seen.position)
+        color = color if self._keeps_light else tone_map(color)
         color = self._pass_haze(color, np.linalg.norm(seen.position - start, axis=1))
         # Glass lets through what it doesn't cover: each surface is seen through all before it of the same
         # ray.
@@ -152,23 +178,22 @@ class RayTracer:
 
     def _pass_haze(self, color: Floats, length: Floats) -> Floats:
         passes = np.exp(-self._scene.haze * length)[:, None]
-        return color * passes + np.asarray(self._scene.background) * (1.0 - passes)
+        air = np.asarray(self._scene.background, np.float64)
+        return color * passes + (inverse_tone_map(air) if self._keeps_light else air) * (1.0 - passes)
 
     def _draw_background(self, origins: Floats, directions: Floats) -> Floats:
         """The background's colours, seen through all of the fog."""
-        background = np.broadcast_to(np.asarray(self._scene.background, np.float64), directions.shape)
+        color = np.asarray(self._scene.background, np.float64)
         fog = self._scene.fog
         if fog is None:
-            return background
+            return np.broadcast_to(inverse_tone_map(color) if self._keeps_light else color, directions.shape)
         rises = fog.falloff * directions[:, 1] / np.linalg.norm(directions, axis=1)
         here = fog.density * np.exp(np.minimum(-fog.falloff * (origins[:, 1] - fog.base), 60.0))
         with np.errstate(divide="ignore"):
             thickness = np.where(rises > 0.0, here / np.maximum(rises, 1e-300), np.inf)
         passes = np.exp(-thickness)[:, None]
-        light = inverse_tone_map(background) * passes + inverse_tone_map(np.asarray(fog.color)) * (
-            1.0 - passes
-        )
-        return tone_map(light)
+        light = inverse_tone_map(color) * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
+        return light if self._keeps_light else tone_map(light)
 
 
 def aim(
