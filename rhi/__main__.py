@@ -2,8 +2,8 @@
 the others.
 
 `python -m rhi trace` inspects traces, `python -m rhi shading accuracy` measures built-in functions,
-`python -m rhi new` starts a project, `python -m rhi new-backend` a port, and `python -m rhi docs` shows the
-documentation.
+`python -m rhi new` starts a project, `python -m rhi new-backend` a port, `python -m rhi warm` builds kernels, and
+`python -m rhi docs` shows the documentation.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ commands, each with --help:
   shading accuracy  measure error and time of the shading language's built-in functions
   new               write a small project to start from: a game, a tool, or tests
   new-backend       write a package to start a port from
+  warm              build the OpenCL kernels that every program needs
   docs              show a page of the documentation in the terminal, or in a browser
 
 RHI_BACKEND=null python app.py runs a program on the backend of that name, RHI_PRECISION=fast with the faster
@@ -56,7 +57,7 @@ functions of OpenCL.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report, or run `trace …`, `shading …`, `new …`, `new-backend …` or `docs …`. Return 0 if a
+    """Print the report, or run `trace …`, `shading …`, `new …`, `new-backend …`, `docs …` or `warm`. Return 0 if a
     backend that renders works, else 1."""
     command_line = list(sys.argv[1:] if arguments is None else arguments)
     if command_line[:1] == ["trace"]:
@@ -73,6 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _new_backend(command_line[1:])
     if command_line[:1] == ["docs"]:
         return _docs(command_line[1:])
+    if command_line[:1] == ["warm"]:
+        return _warm(command_line[1:])
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         usage="%(prog)s [-h] [--json]\n       %(prog)s COMMAND …",
@@ -85,6 +88,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reports = rhi.report()
     print(json.dumps(_as_json(reports), indent=2) if options.json else _as_text(reports))
     return 0 if any(r.capabilities and r.capabilities.renders for r in reports) else 1
+
+
+def _warm(arguments: Sequence[str]) -> int:
+    """Build the OpenCL kernels that every program needs. Return 0, or 2 if there is no OpenCL device."""
+    argparse.ArgumentParser(
+        prog="python -m rhi warm",
+        description="Build the OpenCL kernels that every program needs, optimised, into the folder of compiled\n"
+        "kernels (RHI_CACHE). The first frame of a program then builds its own stages alone.",
+        epilog="example, for an image that tests run in:\n  RUN pip install rhi && python -m rhi warm",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    ).parse_args(arguments)
+    try:
+        from rhi.backends.cl.warm import warm
+
+        built = warm(_print_progress)
+    except (RhiError, ImportError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(f"{built} programs built" if built else "nothing to build")
+    return 0
+
+
+def _print_progress(done: int, count: int) -> None:
+    """Show on a terminal how far a build is."""
+    if count and sys.stderr.isatty():
+        print(
+            f"\rbuilding kernels, {done} of {count}",
+            end="\n" if done == count else "",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _new(arguments: Sequence[str]) -> int:

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.formats import Format
 from rhi.errors.choices import Choice
+from rhi.errors.named_tuples import NamedTuple
 
 BLOCK: Final = 4
 """Edge length of a block in texels."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from math import isfinite, prod
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from rhi.contract import states
 from rhi.contract.alternatives import ALTERNATIVES
@@ -41,6 +41,7 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import ChannelKind, Format
 from rhi.errors import Rule, rules
+from rhi.errors.named_tuples import NamedTuple
 
 
 class Fault(NamedTuple):

@@ -15,12 +15,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, TypeAlias
 from weakref import WeakValueDictionary
 
 from rhi.errors.arguments import FieldChecker
 from rhi.errors.choices import Choice
 from rhi.errors.data_classes import dataclass
+from rhi.errors.named_tuples import NamedTuple
 from rhi.errors.rules import STATE_VALUE
 from rhi.errors.shared_caches import make_shared_lock
 

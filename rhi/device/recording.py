@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import CodeType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from rhi.device.resources.draw_code import compile_draw_code
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData
 from rhi.device.resources.programs import Program
 from rhi.errors.call_sites import find_user_frame
+from rhi.errors.named_tuples import NamedTuple
 from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
 
 

@@ -140,7 +140,7 @@ def write_opencl_sources(descriptor: ProgramDescriptor) -> Iterator[tuple[str, s
         return
     cl_pipelines = pytest.importorskip("rhi.backends.cl.raster.cl_pipelines")
     builds = _SourceList()
-    pipeline = cl_pipelines.Pipeline(None, builds, descriptor)
+    pipeline = cl_pipelines.Pipeline(None, builds, None, descriptor)
     pipeline.get_vertex_kernels([_make_stream(descriptor)])
     pipeline._general(4 * (1 + max((output.location for output in descriptor.outputs), default=-1)))
     yield from zip(("vertex", "raster"), builds.sources, strict=True)

@@ -23,7 +23,7 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -52,6 +52,9 @@ _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
 
 
+Arguments: TypeAlias = tuple[int | bytes | tuple[bytes, tuple[int, ...]], ...]
+
+
 class Launch(NamedTuple):
     """Launches of a program's kernels, which make another process generate their machine code.
 
@@ -63,7 +66,7 @@ class Launch(NamedTuple):
     """
 
     names: tuple[str, ...]
-    arguments: tuple[int | bytes | tuple[bytes, tuple[int, ...]], ...]
+    arguments: Arguments
 
 
 class Optimisation:
@@ -179,12 +182,13 @@ class Builds:
         quick_work: number of work-items launched of kernels that aren't optimised.
     """
 
-    def __init__(self, context: ClContext) -> None:
+    def __init__(self, context: ClContext, optimises: bool | None = None) -> None:
+        """`optimises`: whether other processes optimise kernels; None: as `RHI_KERNELS` says."""
         self._context = context
         self._cache = context.cache
         mode = os.environ.get(KERNELS_ENVIRONMENT, "")
         self.is_quick = context.cache.works and context.shares_memory and mode != "optimised"
-        self._optimises = mode != "quick"
+        self._optimises = mode != "quick" if optimises is None else optimises
         self._jobs: list[tuple[Optimisation, Future[None]]] = []
         self._compilers: list[Compiler] = []
         self._threads: list[threading.Thread] = []

@@ -12,11 +12,12 @@ from __future__ import annotations
 import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Protocol
 
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 from rhi.device.core.timeline import Timeline
+from rhi.errors.named_tuples import NamedTuple
 
 LIMIT: Final = 1 << 27
 _PAGE: Final = 1 << 12

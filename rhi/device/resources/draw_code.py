@@ -24,10 +24,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from types import CodeType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import ValidationError
+from rhi.errors.named_tuples import NamedTuple
 
 MISSING: Final = object()
 """The value of a binding that was not given."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import field
-from typing import Any, Final, NamedTuple, Self, TypeAlias, cast
+from typing import Any, Final, Self, TypeAlias, cast
 from weakref import WeakSet
 
 import numpy as np
@@ -40,6 +40,7 @@ from rhi.errors import Rule
 from rhi.errors.arguments import ArgumentChecker, to_integer
 from rhi.errors.data_classes import dataclass
 from rhi.errors.device_objects import DeviceObject
+from rhi.errors.named_tuples import NamedTuple
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
 VertexSource: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike] | Buffer

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, isqrt
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Filter, SamplerDescriptor, Wrap
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode
+from rhi.errors.named_tuples import NamedTuple
 from rhi.shading.ir.texture_words import border_color
 
 GUTTER: Final = 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from rhi.contract.descriptors import Filter, SamplerDescriptor, TextureKind, Wra
 from rhi.contract.formats import ChannelKind as FormatKind
 from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
+from rhi.errors.named_tuples import NamedTuple
 
 LEVEL_ALIGNMENT: Final = 16
 """Alignment in bytes of levels and layers."""
@@ -63,7 +64,8 @@ class TextureWord(enum.IntEnum):
     BORDER_COLOR = 16
     CLAMPS_REFERENCE = 20  # whether references of comparisons are clamped: depth is in fixed point
     ANISOTROPY = 21  # a float: the maximum ratio of a pixel area's axes; 0 for a sampler without anisotropy
-    LEVELS = 22
+    FUNCTIONS = 22  # two words: address of the addresses of functions that sample, for kernels that call them
+    LEVELS = 24
 
 
 class LevelWord(enum.IntEnum):

@@ -22,6 +22,7 @@ from typing import Final
 from rhi.contract.descriptors import TextureKind
 from rhi.shading.ir.texture_words import enumerations
 from rhi.shading.language.builtins import Precision
+from rhi.shading.opencl import prelude
 from rhi.shading.opencl.prelude import per_lane, specialise
 
 _HEAD: Final = """typedef global const uchar *rhi_texture;
@@ -59,6 +60,12 @@ _FAST_SRGB: Final[tuple[float, ...]] = (0.0023, 0.0030, 0.6935, 0.3012)
 _LOG2: Final = (-0.43872565031051636, 0.23905783891677856, -0.08213036507368088)
 
 
+CALLED_WIDTH: Final = 16
+"""The width of kernels that call the functions that sample."""
+_FAST: Final = "RHI_FAST = "
+_CALLS: Final = "#ifndef RHI_CALLS_TEXTURES", "#else  // calls of textures", "#endif  // calls of textures"
+
+
 def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precision) -> str:
     """Return the functions for textures of these kinds, `width` lanes wide.
 
@@ -71,7 +78,40 @@ def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precisio
         "FAST": precision is Precision.FAST,
     }
     constants = "enum { " + ", ".join(f"RHI_{name} = {int(value)}" for name, value in options.items()) + " };"
-    return "\n".join([enumerations(), constants, _HEAD, _text(width)])
+    body = _text(width)
+    if width == CALLED_WIDTH:
+        body = "\n".join([_CALLS[0], body, _CALLS[1], _called_text(), _CALLS[2]])
+    return "\n".join([enumerations(), constants, _HEAD, body])
+
+
+def call_textures(text: str) -> str:
+    """Return the text of a stage, `CALLED_WIDTH` lanes wide, that calls the functions that sample instead of
+    containing them. Its lines keep their numbers."""
+    before, _, rest = text.partition(_CALLS[0])
+    body, _, rest = rest.partition(_CALLS[1])
+    return "".join([before, "\n" * body.count("\n"), rest.replace(_CALLS[2], "", 1)])
+
+
+def sampling_precision(text: str) -> Precision | None:
+    """Return the precision of the functions that sample in a stage's text; None if there are none, or if it isn't
+    `CALLED_WIDTH` lanes wide."""
+    if _CALLS[0] not in text:
+        return None
+    return Precision.FAST if f"{_FAST}1" in text else Precision.EXACT
+
+
+def texture_function_text(name: str, precision: Precision) -> str:
+    """Return the functions for textures of all kinds, and behind them the function of this name that stages call
+    (`call_textures`)."""
+    body = textures_text(CALLED_WIDTH, tuple(TextureKind), precision)
+    texts = [prelude.SCALAR_SELECT, prelude.any_text(CALLED_WIDTH), prelude.lanes_text(CALLED_WIDTH)]
+    texts += [prelude.function_text(function, CALLED_WIDTH) for function in prelude.functions_in(body)]
+    return "\n".join([*texts, body, f"#define RHI_TEXTURE_FUNCTION {name}", _called_text()])
+
+
+@cache
+def _called_text() -> str:
+    return specialise(_read("called_textures.cl"), CALLED_WIDTH)
 
 
 @cache

@@ -14,14 +14,20 @@ from rhi.backends.cl.cl_errors import translate_errors
 from rhi.backends.cl.memory.cl_textures import ClTexture, TextureWords
 from rhi.backends.cl.memory.planes import TexelPlane, allocate, buffer_address
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
-from rhi.shading.ir.texture_words import LevelLayout, describe_texture
+from rhi.shading.ir.texture_words import LevelLayout, TextureWord, describe_texture
 
 
 class Samplers:
-    """The samplers of a device, by id."""
+    """The samplers of a device, by id.
+
+    Attributes:
+        texture_functions: the addresses of functions that kernels may call to sample, which stand in memory to which
+            all descriptions point.
+    """
 
     def __init__(self, context: cl.Context) -> None:
         self._context = context
+        self.texture_functions = np.zeros(2, np.uint64)
         self._samplers: dict[Id, SamplerDescriptor] = {}
 
     def create(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
@@ -58,6 +64,8 @@ class Samplers:
         return memory
 
     def _buffer(self, words: NDArray[np.int32]) -> TextureWords:
+        address = np.array(self.texture_functions.ctypes.data, np.uint64).reshape(1).view(np.int32)
+        words[TextureWord.FUNCTIONS : TextureWord.FUNCTIONS + 2] = address
         with translate_errors("device.draw", "a texture's words"):
             memory = allocate(self._context, words.nbytes, words)
         return TextureWords(memory, buffer_address(memory))

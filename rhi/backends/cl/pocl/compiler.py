@@ -156,7 +156,7 @@ def _make_argument(context: Any, argument: int | bytes | tuple[bytes, tuple[int,
     memory[: len(contents) // 8] = np.frombuffer(contents, np.uint64)
     if addresses is None:
         return cl.Buffer(context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory), memory
-    memory[np.array(addresses) // 8] = memory.ctypes.data + zeros
+    memory[np.array(addresses, int) // 8] = memory.ctypes.data + zeros
     return np.uint64(memory.ctypes.data), memory
 
 

@@ -140,6 +140,7 @@ def describe_batch(
         "linear": Interpolation.NO_PERSPECTIVE in interpolations,
         "near_is_less": key.depth_comparison < _FIRST_GREATER,
         "depth_step": key.depth_step,
+        "stage": pipeline.stage_address,
         "varying_words": varying_words(pipeline.descriptor),
         "point_size": varying_word(pipeline.descriptor, pipeline.descriptor.point_size),
         "target_layer": varying_word(pipeline.descriptor, pipeline.descriptor.target_layer),

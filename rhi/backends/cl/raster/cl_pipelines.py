@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Final, TypeAlias
 
@@ -29,26 +29,37 @@ from rhi.backends.cl.pocl.kernel_cache import Request
 from rhi.backends.cl.pocl.program_residency import EvictableProgram
 from rhi.backends.cl.raster import kernel_structs, merger
 from rhi.backends.cl.raster.draw_columns import FIXED_COLUMNS, SLOT_COLUMNS
+from rhi.backends.cl.raster.general_raster import (
+    POLYGONS,
+    RASTER,
+    RASTER_FILES,
+    STAGE,
+    STAGE_FILES,
+    GeneralRaster,
+)
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
+from rhi.shading.opencl.opencl_textures import call_textures, sampling_precision
 
 LANGUAGE: Final = "opencl16"
-_RASTER: Final = "raster"
-_POLYGONS: Final = "common", "triangles", "polygon"
-_RASTER_FILES: Final = "records", "edges", "depth_tile", "shade", "raster"
 _BOXED: Final = "#define RHI_BOXED"
 
 StreamLayout: TypeAlias = tuple[tuple[int, bool, tuple[object, ...]], ...]
 """Stride, rate (whether per instance) and attributes of each vertex stream."""
 
 
+def request_geometry(builds: Builds) -> tuple[Request, Launch]:
+    """Return the request for the kernels that all programs share, and a launch of them."""
+    source = kernel_structs.common_structs() + "".join(map(read_kernels, (*POLYGONS, "setup", "bin")))
+    request = builds.request(source, ("set_up", "prefix", "scatter"))
+    return request, _launch(request)
+
+
 class GeometryKernels:
     """The kernels that all programs share."""
 
     def __init__(self, builds: Builds) -> None:
-        source = kernel_structs.common_structs() + "".join(map(read_kernels, (*_POLYGONS, "setup", "bin")))
-        request = builds.request(source, ("set_up", "prefix", "scatter"))
-        self.set_up, self.prefix, self.scatter = builds.build(request, _launch(request))
+        self.set_up, self.prefix, self.scatter = builds.build(*request_geometry(builds))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,10 +81,16 @@ class Pipeline:
         written: the bindings that the program writes.
         faults: for a checked program, the memory that each stage reports faults in. Its address is part of
             the kernels' source.
+        stage_address: the address of the fragment stage, once the shared raster kernel calls it; else 0.
     """
 
-    def __init__(self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor) -> None:
+    def __init__(
+        self, context: ClContext, builds: Builds, shared: GeneralRaster, descriptor: ProgramDescriptor
+    ) -> None:
+        """`shared`: the raster kernels that programs share until their own are optimised."""
         self._builds = builds
+        self._shared = shared
+        self.stage_address = 0
         self.descriptor = descriptor
         self.starts = kernel_structs.binding_offsets(descriptor.bindings)
         self.elements = [
@@ -128,10 +145,10 @@ class Pipeline:
             optimisation = self._optimisations.pop(key, None)
             special, text = self._assemble_raster(key, key.defines())
             if optimisation is not None and optimisation.program is not None:
-                self._raster[key] = Kernel(optimisation.program, _RASTER)
+                self._raster[key] = Kernel(optimisation.program, RASTER)
             elif self._builds.is_quick and not self._builds.is_cached(special, _launch(special)):
                 optimisation = optimisation or self._optimise(special)
-                self._raster[key] = Kernel(self._general(key.output_words), _RASTER, optimisation)
+                self._raster[key] = Kernel(self._general(key.output_words), RASTER, optimisation)
             else:
                 with self._locating_errors(Stage.FRAGMENT, special, text):
                     (self._raster[key],) = self._builds.build(special, _launch(special))
@@ -156,10 +173,33 @@ class Pipeline:
     def _general(self, output_words: int) -> EvictableProgram:
         """Return the raster kernel for all keys, building it on first use."""
         if self._general_raster is None:
+            self._general_raster = self._share()
+        if self._general_raster is None:
             general, text = self._assemble_raster(None, merger.general_defines(output_words))
             with self._locating_errors(Stage.FRAGMENT, general, text):
                 self._general_raster = self._builds.compile(general, quick=True)
         return self._general_raster
+
+    def _share(self) -> EvictableProgram | None:
+        """Build the fragment stage, and return the raster kernel that calls it; None if it can't be called."""
+        if not self._shared.calls_stages:
+            return None
+        if Stage.FRAGMENT in self.descriptor.stages:
+            request, text = self._assemble_stage()
+            with self._locating_errors(Stage.FRAGMENT, request, text):
+                self.stage_address = self._shared.load_function(request)
+            if not self.stage_address:
+                return None
+        return self._shared.get_program(self.descriptor.flushes_denormals)
+
+    def _assemble_stage(self) -> tuple[Request, StageText]:
+        """Return the request for the fragment stage alone, and its text, which calls the functions that sample."""
+        macros = kernel_structs.stage_macros(self.descriptor, self._fault_addresses[Stage.FRAGMENT])
+        text = self._fragment_text
+        precision = sampling_precision(text.text) if text.generated else None
+        if precision is not None and self._shared.load_texture_function(precision):
+            text = replace(text, text=call_textures(text.text))
+        return self._assemble(read_kernels("common"), text, macros, STAGE_FILES, (STAGE,)), text
 
     def _assemble_raster(self, key: merger.MergerKey | None, defines: str) -> tuple[Request, StageText]:
         """Return the raster kernel for a key, or for all of them, and the text of the stage in it."""
@@ -168,8 +208,8 @@ class Pipeline:
         caches_depth, bounds_depth = (key.caches_depth, key.bounds_depth) if key else (False, False)
         faults = self._fault_addresses[Stage.FRAGMENT]
         macros = kernel_structs.raster_macros(self.descriptor, shades, caches_depth, bounds_depth, faults)
-        before = "\n".join((*map(read_kernels, _POLYGONS), defines, read_kernels("merger")))
-        return self._assemble(before, text, macros, _RASTER_FILES, (_RASTER,)), text
+        before = "\n".join((*map(read_kernels, POLYGONS), defines, read_kernels("merger")))
+        return self._assemble(before, text, macros, RASTER_FILES, (RASTER,)), text
 
     def _assemble(
         self, before: str, text: StageText, macros: str, files: Sequence[str], names: Sequence[str]

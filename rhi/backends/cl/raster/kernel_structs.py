@@ -56,6 +56,7 @@ BATCH_STRUCT: Final = np.dtype(
         # The surfaces' offsets in their memory and pitches; then their clear values, each repeated to 4
         # words.
         ("merger", "u8"),
+        ("stage", "u8"),  # address of the fragment stage, for kernels that many programs share
         *_fields("draw_count binding_words", "i4"),
         *_fields("vertex_groups vertex_chunk", "i4"),  # of the batch, and per work-item
         # Of primitives: of the slice, and per work-item.
@@ -210,6 +211,14 @@ def raster_macros(
         fragment: whether the fragment stage's text precedes the kernel's.
         faults: as for `vertex_macros`.
     """
+    return (
+        f"{stage_macros(descriptor, faults)}#define FRAGMENT {int(fragment)}\n"
+        f"#define CACHES_DEPTH {int(caches_depth)}\n#define BOUNDS_DEPTH {int(bounds_depth)}\n"
+    )
+
+
+def stage_macros(descriptor: ProgramDescriptor, faults: int = 0) -> str:
+    """Return the macros of kernels/varyings.cl and stage.cl; `faults`: as for `vertex_macros`."""
     varyings = " ".join(
         f"{_INTERPOLATION[varying.interpolation]}({word})"
         for varying in descriptor.varyings
@@ -218,9 +227,7 @@ def raster_macros(
     return (
         f"#define VARYING_WORDS {varying_words(descriptor)}\n"
         f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n"
-        f"#define VARYINGS(SMOOTH, FLAT, LINEAR) {varyings}\n#define FRAGMENT {int(fragment)}\n"
-        f"#define GIVES_DEPTH {int(descriptor.writes_depth)}\n"
-        f"#define CACHES_DEPTH {int(caches_depth)}\n#define BOUNDS_DEPTH {int(bounds_depth)}\n"
+        f"#define VARYINGS(SMOOTH, FLAT, LINEAR) {varyings}\n"
     )
 
 

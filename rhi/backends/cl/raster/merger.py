@@ -81,7 +81,7 @@ _MERGER_FIELDS: Final = (
     "alpha_to_coverage",
     "test_order",
     "shades",
-    "unused",
+    "gives_depth",
 )
 MERGER_STRUCT: Final = np.dtype(
     [(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (states.MAX_TARGETS, 6))]
@@ -136,6 +136,7 @@ class MergerKey:
         has_stencil: whether the kernel takes the stencil plane.
         order: when the tests are executed.
         shades: whether the fragment stage has to be executed.
+        gives_depth: whether the stage outputs a depth.
         output_words: number of words of the stage's outputs, four for each location.
     """
 
@@ -149,6 +150,7 @@ class MergerKey:
     samples: int
     order: TestOrder
     shades: bool
+    gives_depth: bool
     output_words: int
 
     @property
@@ -294,6 +296,7 @@ def make_key(
         samples=samples,
         order=order,
         shades=bool(keys) or drops or program.writes_memory or (gives_depth and depth_bits > 0),
+        gives_depth=program.writes_depth,
         output_words=4 * max([0, *outputs]) + 4,
     )
 

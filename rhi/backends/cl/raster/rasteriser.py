@@ -33,6 +33,7 @@ from rhi.backends.cl.raster.cl_queries import SampleQueries
 from rhi.backends.cl.raster.draw_columns import CONDITION, INVERTED, SAMPLES
 from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.draw_tables import PreparedDraws
+from rhi.backends.cl.raster.general_raster import GeneralRaster
 from rhi.backends.cl.raster.launcher import Launcher
 from rhi.backends.cl.raster.merger import make_key
 from rhi.backends.cl.raster.vertex_arrays import VertexArrays
@@ -65,6 +66,7 @@ class Rasteriser:
         self._context = context
         self.works = context.shares_memory and bool(context.device.type & cl.device_type.CPU)
         self._builds = builds
+        self._general = GeneralRaster(context, builds, samplers.texture_functions)
         self._programs: dict[Id, Pipeline] = {}
         self._buffers = buffers
         self._prepared = prepared = PreparedDraws()
@@ -98,7 +100,7 @@ class Rasteriser:
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         """Emit the code of a program that draws. Its kernels are built when vertex layout and targets are
         known."""
-        self._programs[program] = Pipeline(self._context, self._builds, descriptor)
+        self._programs[program] = Pipeline(self._context, self._builds, self._general, descriptor)
         _ = self._launcher.geometry
 
     def prepare_kernels(

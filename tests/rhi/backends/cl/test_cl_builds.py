@@ -270,7 +270,9 @@ def test_hot_kernels_are_optimised_and_draw_the_same(
             time.sleep(0.01)
     for _ in range(2):  # the first takes them
         np.testing.assert_array_equal(draw(device, program), expected)
-    assert sorted(taken) == sorted(["measure", *["prefix", "raster", "scatter", "set_up", "transform"] * 2])
+    assert sorted(taken) == sorted(
+        ["measure", "stage", *["prefix", "raster", "scatter", "set_up", "transform"] * 2]
+    )
     done, begun = caplog.records[-1].args  # type: ignore[misc]
     assert done == begun
     assert begun >= 6

@@ -30,6 +30,33 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 1
 #define PREFETCH(address)
 #endif
 
+#ifdef __x86_64__
+// Call a function at an address, `void function(T *argument)`, by the calling convention of x86-64 under Linux. The
+// stack has a red zone, which the call must not touch, and any alignment.
+NOINLINE void call_function(ulong code, private void *argument) {
+    __asm__ volatile("movq %%rsp, %%r12\n\tleaq -128(%%rsp), %%rsp\n\tandq $-64, %%rsp\n\t"
+                     "callq *%1\n\tmovq %%r12, %%rsp"
+                     : "+D"(argument), "+a"(code)
+                     :
+                     : "rcx", "rdx", "rsi", "r8", "r9", "r10", "r11", "r12", "memory", "cc", "xmm0", "xmm1",
+                       "xmm2", "xmm3", "xmm4", "xmm5", "xmm6", "xmm7", "xmm8", "xmm9", "xmm10", "xmm11",
+                       "xmm12", "xmm13", "xmm14", "xmm15");
+}
+// A kernel that writes the address of a function to the first word at `address`. The second word is 0: the call
+// only keeps the function. OpenCL C has no addresses of functions, but the assembler has. A weak symbol that the
+// compiler has renamed or removed has the address 0, and isn't an error.
+#define ADDRESS_KERNEL(name, function, type) \
+    SINGLE name(ulong address) { \
+        ulong code; \
+        __asm__ volatile(".weak " #function "\n\t.hidden " #function "\n\tmovq " #function \
+                         "@GOTPCREL(%%rip), %0" \
+                         : "=r"(code)); \
+        global ulong *words = AT(ulong, address); \
+        if (words[1]) function((private type *)words[1]); \
+        words[0] = code; \
+    }
+#endif
+
 #define SUBTEXELS 256
 // Floats below 2^22 are rounded to integers by adding 1.5 * 2^23. So positions may lie 2^22 subtexels, 16384
 // texels, from the target's corner, twice the size of the largest target. Primitives that reach further are

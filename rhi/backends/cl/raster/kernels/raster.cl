@@ -6,9 +6,9 @@
 // - records.cl reads records, edges.cl computes coverage, depth_tile.cl tests depth, and shade.cl shades. All
 //   of their functions are inlined, except for what is rare, so their structs lie in registers.
 // - Multi-sampled targets have a coverage for each sample and one shading.
-// - merger.cl, the fragment stage and the macros of kernel_structs.py precede these texts: FRAGMENT,
-//   BINDINGS, VARYING_WORDS, VARYINGS, GIVES_DEPTH, CACHES_DEPTH, BOUNDS_DEPTH. In a general kernel
-//   (merger.cl) depth isn't staged.
+// - merger.cl, the fragment stage, varyings.cl and the macros of kernel_structs.py precede these texts: FRAGMENT,
+//   BINDINGS, VARYING_WORDS, VARYINGS, CACHES_DEPTH, BOUNDS_DEPTH. In a general kernel (merger.cl) depth isn't
+//   staged.
 
 // Select the blocks of the part at texel part_x, part_y that a record may cover, as bits, and compute edges
 // and depth at their first texels.
@@ -153,6 +153,7 @@ SINGLE raster(ulong address) {
     CurrentDraw draw;
     draw.number = -1;
     draw.counter = 0;
+    draw.stage = batch->stage;
     draw.passed = (int16)(0);
     for (; index >= 0; index = next_record(&records)) {
         prefetch_record(&records, AT(const int, batch->records));

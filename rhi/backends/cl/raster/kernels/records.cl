@@ -119,6 +119,7 @@ typedef struct {
     global const View *view;
     global const uint *state;
     global const ulong *bindings;  // its row of bound words
+    ulong stage;                   // address of the fragment stage, in kernels that call it by its address
     ulong counter;                 // of samples: address relative to the batch's `counters`; 0: none
     int16 passed;                  // samples of each lane that the counter hasn't been given yet
 } CurrentDraw;

@@ -1,16 +1,11 @@
 // Shading of a block: weights of the corners, varyings, the fragment stage, and its outputs to the merger.
 //
-// The fragment stage's text and the macros of kernel_structs.py precede this one: BINDINGS, VARYING_WORDS,
-// VARYINGS, GIVES_DEPTH. Weights of covered texels are clamped: texels next to an edge may lie outside of the
+// The fragment stage's text, varyings.cl and the macros of kernel_structs.py precede this one: BINDINGS,
+// VARYING_WORDS, VARYINGS. In a kernel that many programs share, CALLS_STAGE is defined, and the stage is a function
+// at an address (stage.cl). Weights of covered texels are clamped: texels next to an edge may lie outside of the
 // triangle whose corners aren't rounded.
 
 #if FRAGMENT
-// Weights of the corners at 16 texels, which interpolate the varyings.
-typedef struct {
-    float16 inverse_w, weight1, weight2;  // with perspective
-    float16 linear1, linear2;             // without perspective
-} Weights;
-
 // Clamp weights to 0…1 where the texel is covered. Elsewhere they stay linear, for derivatives. Corners
 // behind the eye may have any weight without perspective.
 INLINE void clamp_weights(float16 *weight1, float16 *weight2, int16 inside) {
@@ -45,24 +40,6 @@ NOINLINE void compute_thin_weights(const Rare *rare, int x, int y, int16 inside,
     weights->linear1 = convert_float16(parts[1] * outline->exact[1].z / straight);
     weights->linear2 = convert_float16(parts[2] * outline->exact[2].z / straight);
 }
-// Interpolate the words of a block's varyings, which VARYINGS lists by their kind.
-INLINE void interpolate_varyings(const Record *record, const Weights *weights, uint16 *inputs, uint *flat) {
-#define CORNER(k, word) as_float(record->corner##k[word])
-#define INTERPOLATE(word, weight1, weight2) \
-    inputs[word] = as_uint16( \
-        CORNER(0, word) + (CORNER(1, word) - CORNER(0, word)) * weight1 + \
-        (CORNER(2, word) - CORNER(0, word)) * weight2 \
-    );
-#define SMOOTH(word) INTERPOLATE(word, weights->weight1, weights->weight2)
-#define LINEAR(word) INTERPOLATE(word, weights->linear1, weights->linear2)
-#define FLAT(word) flat[word] = record->corner0[word];
-    VARYINGS(SMOOTH, FLAT, LINEAR)
-#undef CORNER
-#undef INTERPOLATE
-#undef SMOOTH
-#undef LINEAR
-#undef FLAT
-}
 
 // Read where a record's planes and its corners' varyings lie. `index`: the record's.
 INLINE void load_shading(const Targets *targets, global const Batch *batch, long index, Record *record) {
@@ -70,9 +47,10 @@ INLINE void load_shading(const Targets *targets, global const Batch *batch, long
     global const uint *varyings = AT(const uint, batch->varyings),
                       *slots = (global const uint *)record->planes + SLOTS;
     if (!VARYING_WORDS) return;
-    record->corner0 = varyings + (SHADES ? (long)slots[0] * VARYING_WORDS : 0);
-    record->corner1 = varyings + (SHADES ? (long)slots[1] * VARYING_WORDS : 0);
-    record->corner2 = varyings + (SHADES ? (long)slots[2] * VARYING_WORDS : 0);
+    const long words = VARYING_WORDS;
+    record->corner0 = varyings + (SHADES ? slots[0] * words : 0);
+    record->corner1 = varyings + (SHADES ? slots[1] * words : 0);
+    record->corner2 = varyings + (SHADES ? slots[2] * words : 0);
 }
 
 // Compute the weights of the corners in the block at texel x, y. `inside`: the texels whose centres are
@@ -96,18 +74,38 @@ FUSED void shade_block(
 ) {
     Weights weights;
     weigh_corners(record, rare, x, y, inside, &weights);
-    uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
-    uint flat[VARYING_WORDS + 1];
-    interpolate_varyings(record, &weights, inputs, flat);
+    uint16 outputs[OUTPUT_WORDS];
     UNROLL_FOR (int i = 0; i < OUTPUT_WORDS; ++i) outputs[i] = (uint16)(0u);
     depth->z = inside ? clamp_to(depth->z, record->lowest, record->highest) : depth->z;
     float16 shaded_depth = depth->z;
+#ifdef CALLS_STAGE
+    Fragments fragments;
+    fragments.x = (float)x + LANE_FX + 0.5f;
+    fragments.y = (float)y + LANE_FY + 0.5f;
+    fragments.depth = depth->z;
+    fragments.weights = weights;
+    fragments.covered = covered;
+    fragments.bindings = draw->bindings;
+    fragments.corner0 = record->corner0;
+    fragments.corner1 = record->corner1;
+    fragments.corner2 = record->corner2;
+    fragments.outputs = outputs;
+    fragments.front = record->front;
+    fragments.primitive = as_int(record->planes[NUMBER]);
+    call_function(draw->stage, &fragments);
+    int16 coverage = fragments.covered;
+    shaded_depth = fragments.depth;
+#else
+    uint16 inputs[VARYING_WORDS + 1];
+    uint flat[VARYING_WORDS + 1];
+    interpolate_varyings(record->corner0, record->corner1, record->corner2, &weights, inputs, flat);
     global const ulong *row = draw->bindings;  // of BINDINGS
     int16 coverage = rhi_fragment(
         BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, depth->z,
         weights.inverse_w, record->front, as_int(record->planes[NUMBER]), weights.weight1, weights.weight2,
         covered, outputs, &shaded_depth
     );
+#endif
     coverage = test_alpha(targets, draw->state, coverage, outputs);
     UNROLL_FOR (int sample = 0; sample < SAMPLES; ++sample) {
         int16 mask = masks[sample] & coverage;

@@ -1,0 +1,123 @@
+"""Kernels that programs share until their own are optimised: the raster kernel, and functions that sample.
+
+- The raster kernel reads formats and states as data (`merger.general_defines`), and calls the program's fragment
+  stage by its address. So a new program builds its stage alone (kernels/stage.cl), in a tenth of the time.
+- The stage in turn calls a function that samples textures of any kind, by an address in their words
+  (`rhi.shading.opencl.opencl_textures`).
+- Programs that flush denormals have one of their own, since that is an option of a kernel.
+- The addresses of functions are known on x86-64 under Linux only. Elsewhere, and if the compiler has removed the
+  function, each program builds a general kernel with its stage in it (`cl_pipelines.Pipeline`).
+- PoCL never unloads a kernel's code (`rhi.backends.cl.pocl.memory_maps`), so an address stays valid.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+from typing import Final
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from rhi.backends.cl.builds import Arguments, Builds, Kernel, Launch
+from rhi.backends.cl.cl_context import ClContext
+from rhi.backends.cl.cl_errors import translate_errors
+from rhi.backends.cl.pocl.kernel_cache import Request
+from rhi.backends.cl.pocl.program_residency import EvictableProgram
+from rhi.backends.cl.raster import kernel_structs, merger
+from rhi.backends.cl.raster.kernel_text import read_kernels
+from rhi.contract.states import MAX_TARGETS
+from rhi.shading.language.builtins import Precision
+from rhi.shading.opencl.opencl_textures import texture_function_text
+
+RASTER: Final = "raster"
+STAGE: Final = "stage"
+_TEXTURES: Final = "textures"
+_DRAW: Final[Arguments] = (kernel_structs.EMPTY_TABLE,)
+_CALL: Final[Arguments] = ((bytes(16), ()),)
+POLYGONS: Final = "common", "triangles", "polygon"
+RASTER_FILES: Final = "varyings", "records", "edges", "depth_tile", "shade", "raster"
+STAGE_FILES: Final = "varyings", "stage"
+_MACROS: Final = """
+#define VARYING_WORDS batch->varying_words
+#define FRAGMENT 1
+#define CACHES_DEPTH 0
+#define BOUNDS_DEPTH 0
+#define CALLS_STAGE
+"""
+
+
+class GeneralRaster:
+    """The shared raster kernels of one device.
+
+    Attributes:
+        calls_stages: whether kernels can call stages by their addresses.
+        texture_functions: the addresses of the functions that sample, exact and fast ones; 0 before their first use.
+    """
+
+    def __init__(self, context: ClContext, builds: Builds, texture_functions: NDArray[np.uint64]) -> None:
+        self.texture_functions = texture_functions
+        self._queue = context.queue
+        self._builds = builds
+        self._programs: dict[bool, EvictableProgram] = {}
+        self.calls_stages = (
+            builds.is_quick
+            and sys.platform == "linux"
+            and platform.machine() == "x86_64"
+            and bool(context.device.type & cl.device_type.CPU)
+        )
+
+    def list_requests(self) -> list[tuple[Request, Launch]]:
+        """Return the requests for all kernels that don't depend on programs, each with a launch."""
+        draws = [(self.request(flushes), Launch((RASTER,), _DRAW)) for flushes in (False, True)]
+        calls = [(self.request_textures(precision), Launch((_TEXTURES,), _CALL)) for precision in Precision]
+        return draws + calls
+
+    def _compile(self, request: Request, arguments: Arguments) -> EvictableProgram:
+        """Compile a kernel quickly, or take the optimised one from the cache."""
+        is_cached = self._builds.is_cached(request, Launch(request.kernels, arguments))
+        return self._builds.compile(request, quick=not is_cached)
+
+    def request(self, flushes_denormals: bool) -> Request:
+        """Return the request for the kernel."""
+        before = *map(read_kernels, POLYGONS), merger.general_defines(4 * MAX_TARGETS), read_kernels("merger")
+        source = "\n".join(
+            (kernel_structs.common_structs(), *before, _MACROS, *map(read_kernels, RASTER_FILES))
+        )
+        return self._builds.request(source, (RASTER,), flushes_denormals)
+
+    def get_program(self, flushes_denormals: bool) -> EvictableProgram:
+        """Return the program of the kernel, building it on first use."""
+        if flushes_denormals not in self._programs:
+            request = self.request(flushes_denormals)
+            self._programs[flushes_denormals] = self._compile(request, _DRAW)
+        return self._programs[flushes_denormals]
+
+    def load_function(self, request: Request) -> int:
+        """Build a kernel that writes the address of a function (kernels/common.cl); return the address, 0 if the
+        compiler has removed the function.
+
+        Raises:
+            pyopencl.Error: the driver rejects the source code.
+        """
+        (name,) = request.kernels
+        program = self._compile(request, _CALL)
+        words = np.zeros(2, np.uint64)
+        with translate_errors("a draw"):
+            Kernel(program, name).launch(self._queue, words.ctypes.data, 1).wait()
+        return int(words[0])
+
+    def load_texture_function(self, precision: Precision) -> bool:
+        """Make the function that samples callable by stages of this precision; return whether it is."""
+        index = int(precision is Precision.FAST)
+        if not self.texture_functions[index]:
+            self.texture_functions[index] = self.load_function(self.request_textures(precision))
+        return bool(self.texture_functions[index])
+
+    def request_textures(self, precision: Precision) -> Request:
+        """Return the request for the kernel of the function that samples."""
+        text = texture_function_text("rhi_run_texture", precision)
+        kernel = "ADDRESS_KERNEL(textures, rhi_run_texture, RhiTextureCall)"
+        source = "\n".join((kernel_structs.common_structs(), read_kernels("common"), text, kernel, ""))
+        return self._builds.request(source, (_TEXTURES,))
