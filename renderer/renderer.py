@@ -36,6 +36,7 @@ from renderer.frame import (
     SceneResources,
     Targets,
     TextureSettings,
+    UploadSettings,
     View,
     VisibleFeatures,
     are_effects_same,
@@ -44,6 +45,7 @@ from renderer.frame import (
     watch_lights,
 )
 from renderer.frame.scene_images import SceneImages
+from renderer.frame.uploads import SceneUploads, check_uploads
 from renderer.scene import Camera, Projection, Scene, Simulator
 from renderer.scene.catch_up import count_steps
 from renderer.scene.finite import LONGEST_TIME, check_finite, check_time
@@ -177,6 +179,7 @@ class Renderer:
         bloom: BloomSettings = EXACT_BLOOM,
         occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
         depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
+        uploads: UploadSettings | None = None,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -194,6 +197,7 @@ class Renderer:
             bloom: how exactly bloom is computed.
             occlusion: how exactly ambient occlusion is computed.
             depth_of_field: how exactly depth of field is computed.
+            uploads: how many bytes of the scene each frame uploads; None uploads all of them now.
             validation: whether to check samples of what is simulated: each batch has one object whose
                 vertices must be inside its bounds (`scene-left-bounds`)."""
         self.device = device
@@ -228,7 +232,7 @@ class Renderer:
             stack.callback(self._targets.destroy)
             self._view = View(device, "eye", visibility)
             stack.callback(self._view.destroy)
-            self._resources = SceneResources(device, scene, textures)
+            self._resources = SceneResources(device, scene, textures, check_uploads(uploads))
             self._validation = self.simulator.validation = validation
             stack.pop_all()
 
@@ -359,6 +363,11 @@ class Renderer:
         return self._resources
 
     @property
+    def uploads(self) -> SceneUploads | None:
+        """The uploads of the scene over its frames: their progress and settings; None if all was uploaded at once."""
+        return self._resources.uploads
+
+    @property
     def images(self) -> SceneImages | None:
         """The scene's images on the device; None if no material reads any."""
         return self._resources.images
@@ -386,6 +395,8 @@ class Renderer:
         """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for
         the GPU, unless something `is_trying`."""
         auto = self.technique
+        if self.uploads is not None and not self.uploads.is_done:
+            self.uploads.advance(self._fit(camera))
         if not isinstance(auto, AutoTechnique):
             return self._draw(camera, seconds)[0]
         auto.check_view(camera, self.size)

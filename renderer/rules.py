@@ -38,6 +38,14 @@ MODEL_LIMIT: Final = Rule(
     "the model file exceeds a limit",
     "if you trust it: load_model(..., limits=ModelLimits(...)), or file.gltf:unlimited",
 )
+FILE_VERSION: Final = Rule(
+    "file-version",
+    "the file's version isn't known",
+    "read it with the version of rhi that wrote it, or a later one",
+)
+LOAD_CANCELLED: Final = Rule("scene-load-cancelled", "the scene was not loaded, because that was cancelled")
+BAD_IMPORT: Final = Rule("scene-bad-import", "an option of a model file is not allowed")
+UNKNOWN_PART: Final = Rule("scene-unknown-part", "no node or mesh of the model file has a name like this")
 EMPTY_MODEL: Final = Rule(
     "scene-empty-model",
     "the model has nothing to draw",
@@ -148,7 +156,7 @@ UNKNOWN_SCENE: Final = Rule(
     "scene-unknown-scene", "the text names neither a scene generator nor a model file"
 )
 SPEC_SYNTAX: Final = Rule("scene-spec-syntax", "the options of a scene are written name:key=value,key=value")
-UNKNOWN_KEY: Final = Rule("scene-unknown-key", "the scene generator has no option of this name")
+UNKNOWN_KEY: Final = Rule("scene-unknown-key", "the scene has no option of this name")
 BAD_VALUE: Final = Rule("scene-bad-value", "the value of a scene's option is not allowed")
 
 # Cameras
@@ -265,6 +273,7 @@ BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique i
 BAD_RENDER_SETTING: Final = Rule(
     "renderer-settings", "a setting of the renderer has a value of the wrong type"
 )
+BAD_UPLOADS: Final = Rule("upload-settings", "a setting of uploads is out of its range")
 BAD_TEXTURES: Final = Rule("texture-settings", "a setting of textures is out of its range")
 
 # Shadows

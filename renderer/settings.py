@@ -18,7 +18,9 @@ from renderer import rules
 from renderer.frame import Blending, BloomSettings, DepthOfFieldSettings, OcclusionSettings, TextureSettings
 from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, PathFrame, Perspective, Scene, StereoRig
+from renderer.scene.file_versions import KEY
 from renderer.scene.files import read_json
+from renderer.scene.settings_versions import SETTINGS_VERSIONS
 from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import Technique, TechniqueSettings
@@ -162,7 +164,16 @@ class RenderSettings:
         it."""
         parts = {setting.name: to_json(getattr(self, setting.name)) for setting in fields(self)}
         path.write_text(
-            json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **metadata}, indent=2) + "\n",
+            json.dumps(
+                {
+                    KEY: SETTINGS_VERSIONS.current,
+                    _FORMAT: parts,
+                    "visibility": parts.pop("visibility"),
+                    **metadata,
+                },
+                indent=2,
+            )
+            + "\n",
             encoding="utf-8",
         )
 
@@ -171,13 +182,13 @@ class RenderSettings:
         """Read a file that `save` or `python -m renderer tune` has written.
 
         Raises:
-            ValidationError: `visibility-bad-settings` if the file holds no settings, or the rule that one of
-                them breaks.
+            ValidationError: `visibility-bad-settings` if the file holds no settings, `file-version` for a newer
+                version, or the rule that one of them breaks.
             OSError: the file can't be read.
         """
         call = f"RenderSettings.load({str(path)!r})"
         try:
-            content = read_json(path)
+            content = SETTINGS_VERSIONS.migrate(dict(read_json(path)), call)
             parts = {
                 **content.get(_FORMAT, {}),
                 **({"visibility": content["visibility"]} if "visibility" in content else {}),

@@ -4,6 +4,9 @@ scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 """
 
+from renderer.content.background import BackgroundLoad as BackgroundLoad
+from renderer.content.background import LoadProgress as LoadProgress
+from renderer.content.import_options import ImportOptions as ImportOptions
 from renderer.content.library import GENERATORS as GENERATORS
 from renderer.content.library import change_options as change_options
 from renderer.content.library import load_scene as load_scene

@@ -18,6 +18,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.content.progress import report
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry
 from rhi import ValidationError, decode_colors, open_image
@@ -42,8 +43,15 @@ def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | st
     }
     missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in decoded}
     with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
-        for key, pixels in zip(missing, pool.map(_decode, missing.values()), strict=True):
-            decoded[key] = pixels if isinstance(pixels, str) else _share(_images, key, pixels)
+        try:
+            for number, (key, pixels) in enumerate(
+                zip(missing, pool.map(_decode, missing.values()), strict=True)
+            ):
+                report("images", number, len(missing))
+                decoded[key] = pixels if isinstance(pixels, str) else _share(_images, key, pixels)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     return [decoded[key] for key in ids]
 
 

@@ -17,7 +17,7 @@ from renderer.content.city import CITY
 from renderer.content.glass import GLASS
 from renderer.content.grid import GRID
 from renderer.content.hall import HALL
-from renderer.content.limits import ModelLimits
+from renderer.content.import_options import parse_model_options
 from renderer.content.models import FORMATS, load_model
 from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
@@ -38,7 +38,7 @@ _FARTHEST: Final = 1e18  # metres; squares of more aren't float32
 
 def load_scene(text: str) -> Scene:
     """Load the scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file,
-    with `:outside` if it may name files that aren't in its folder, and `:unlimited` if it may be of any size.
+    with `:` and options of `parse_model_options`: `engine.glb:scale=0.01,centre`.
 
     Unknown names, keys and values are refused, listing what is allowed; files are refused as by `load_model`.
     """
@@ -49,21 +49,28 @@ def load_scene(text: str) -> Scene:
     if not any(Path(file).suffix.lower() in FORMATS or Path(file).is_file() for file in (text, name)):
         accepted = [*GENERATORS, *(f"a file{end}" for end in FORMATS)]
         rules.refuse_name(rules.UNKNOWN_SCENE, f"load_scene({text!r})", name, accepted)
-    path, limits = text, None
-    if not Path(text).is_file() and (parsed := ModelLimits.parse(options)) is not None:
-        path, limits = name, parsed
-    scene = load_model(path, limits)
+    if _has_options(text):
+        scene = load_model(name, *parse_model_options(f"load_scene({text!r})", options))
+    else:
+        scene = load_model(text)
     scene.name = text
     return scene
 
 
+def _has_options(text: str) -> bool:
+    """True if a scene's text names a model file with options."""
+    name, colon, _ = text.partition(":")
+    return bool(colon) and Path(name).suffix.lower() in FORMATS and not Path(text).is_file()
+
+
 def change_options(scene: str, text: str) -> str:
-    """Return `text`, or, if it has options alone (`lights=300`), that of a generated `scene` with these."""
+    """Return `text`, or, if it has options alone (`lights=300`), that of a `scene` with these."""
+    is_file = _has_options(f"{scene}:" if ":" not in scene else scene)
     name, _, options = scene.partition(":")
-    if name not in GENERATORS or "=" not in text.partition(":")[0]:
+    if not (name in GENERATORS or is_file) or "=" not in text.partition(":")[0]:
         return text
     values = dict(part.partition("=")[::2] for part in f"{options},{text}".split(",") if part)
-    return f"{name}:{','.join(f'{key}={value}' for key, value in values.items())}"
+    return f"{name}:{','.join(f'{key}={value}' if value else key for key, value in values.items())}"
 
 
 def parse_camera_path(text: str, scene: Scene) -> CameraPath:

@@ -7,13 +7,14 @@ Limits are generous, and said by `load_model(…, limits=…)`, or in a scene's 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from typing import Final
 
 from renderer import rules
 from renderer.content.file_index import FileIndex
+from renderer.content.progress import report
 from renderer.scene.files import read_file
 from rhi import ValidationError, open_image
 from rhi.errors import refuse
@@ -49,16 +50,6 @@ class ModelLimits:
                     rules.BAD_LIMIT, f"ModelLimits({name}=...)", getattr(self, name), "0 or more; may be inf"
                 )
 
-    @classmethod
-    def parse(cls, words: str) -> ModelLimits | None:
-        """Parse the options of a model file in a scene's text: `outside`, `unlimited` or both; None for other
-        words."""
-        choices = set(words.split(","))
-        if not choices <= {"outside", "unlimited"}:
-            return None
-        limits = cls(inf, inf, inf, inf) if "unlimited" in choices else cls()
-        return replace(limits, outside="outside" in choices)
-
 
 @dataclass(slots=True)
 class Budget:
@@ -69,6 +60,7 @@ class Budget:
     start_time: float = field(default_factory=time.monotonic)
     used: dict[str, int] = field(default_factory=dict)
     index: FileIndex = field(default_factory=FileIndex)
+    used_files: set[str] = field(default_factory=set)
 
     def spend(self, kind: str, amount: int, maximum: float | None = None) -> None:
         """Count `amount` of a kind: a field of the limits, or what has at most `maximum`.
@@ -106,7 +98,9 @@ class Budget:
             OSError, ValueError: as of `read_file`.
         """
         left = min(self.limits.bytes, 1 << 62) - self.used.get("bytes", 0)
+        report("files", len(self.used_files), len(self.used_files) + 1)
         content = read_file(file, int(max(left, 0)))
+        self.used_files.add(str(file))
         self.spend("bytes", len(content))
         self.index.note(file, content, self.path)
         return content

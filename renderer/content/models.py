@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from math import inf
 from pathlib import Path
@@ -21,7 +21,9 @@ import numpy as np
 from renderer import rules
 from renderer.content.assets import share_geometry, share_image
 from renderer.content.file_index import FileIndex
+from renderer.content.import_options import ImportOptions, ModelPlacement
 from renderer.content.limits import Budget, ModelLimits
+from renderer.content.progress import report
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, join, make_geometry
 from renderer.scene.omissions import Omission, Omissions
@@ -54,18 +56,20 @@ class _FileNode:
     mesh: str | None
 
 
-def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
+def load_model(
+    path: str | Path, limits: ModelLimits | None = None, options: ImportOptions | None = None
+) -> Scene:
     """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light. Its name is
     the path.
 
     A glTF file with only lights, cameras or empty nodes is a scene with one object that is reserved, and so
     hidden. `Scene.omissions` lists what the file has and the scene hasn't. `limits`: what the file may ask
-    for. Refused as by `add_model`.
+    for. `options`: how it is scaled and placed, and what is left out or merged. Refused as by `add_model`.
     """
     path = _find_file(path)
     builder = SceneBuilder(path)
     builder.background = (0.30, 0.36, 0.44)
-    scene_extras = _add(builder, path, limits)
+    scene_extras = _add(builder, path, limits, options)
     if scene_extras is not None:
         builder.background, builder.haze = scene_extras.background, scene_extras.haze
         builder.lights.sky, builder.lights.ground = scene_extras.sky, scene_extras.ground
@@ -78,6 +82,7 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
         builder.reserve(
             1, builder.add_mesh(triangle), builder.add_material()
         )  # the renderer's arrays have rows
+    report("scene")
     scene = builder.build()
     scene.files = tuple(builder.files)
     if scene_extras is None:
@@ -85,14 +90,19 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
     return scene
 
 
-def add_model(builder: SceneBuilder, path: str | Path, limits: ModelLimits | None = None) -> None:
-    """Add everything in a model file to a scene under construction. An image or a mesh that is there already,
-    from whichever file, is added once.
+def add_model(
+    builder: SceneBuilder,
+    path: str | Path,
+    limits: ModelLimits | None = None,
+    options: ImportOptions | None = None,
+) -> None:
+    """Add everything in a model file to a scene under construction, or nothing if it is refused. An image or a
+    mesh that is there already, from whichever file, is added once.
 
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
-    `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`, `scene-model-limit`.
+    `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`, `scene-model-limit`, `scene-unknown-part`.
     """
-    _add(builder, _find_file(path), limits)
+    _add(builder, _find_file(path), limits, options)
 
 
 def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
@@ -109,18 +119,26 @@ def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     return write_gltf(scene, path)
 
 
-def _add(builder: SceneBuilder, path: str, limits: ModelLimits | None) -> SceneExtras | None:
+def _add(
+    builder: SceneBuilder, path: str, limits: ModelLimits | None, options: ImportOptions | None
+) -> SceneExtras | None:
     """Add everything in a model file; return the scene extras of a saved scene."""
     _check_file(path)
-    budget = Budget(path, limits or ModelLimits())
-    scene_extras = None
-    if Path(path).suffix.lower() in _GLTF:
-        from renderer.content.gltf import add_gltf
+    budget, options = Budget(path, limits or ModelLimits()), options or ImportOptions()
+    with builder.undo_on_error():
+        placement = ModelPlacement(builder, options)
+        scene_extras = None
+        if Path(path).suffix.lower() in _GLTF:
+            from renderer.content.gltf import add_gltf
 
-        scene_extras = add_gltf(builder, path, budget)
-    else:
-        _add_by_trimesh(builder, path, budget)
+            scene_extras = add_gltf(builder, path, budget, options, placement.root)
+        else:
+            _add_by_trimesh(builder, path, budget, options, placement.root)
+        placement.finish(budget)
     budget.index.save()
+    if scene_extras is not None and options.moves:
+        paths = {name: placement.move_path(path) for name, path in scene_extras.paths.items()}
+        return replace(scene_extras, haze=scene_extras.haze / options.scale, paths=paths)
     return scene_extras
 
 
@@ -129,22 +147,44 @@ def _find_file(path: str | Path) -> str:
     return str(path) if Path(path).exists() else str(FileIndex().find(Path(path), Path(path).parent))
 
 
-def _add_by_trimesh(builder: SceneBuilder, path: str, budget: Budget) -> None:
-    meshes, nodes, files = _read(path, budget, builder.omissions)
+def _add_by_trimesh(
+    builder: SceneBuilder, path: str, budget: Budget, options: ImportOptions, root: int
+) -> None:
+    meshes, nodes, files = _read(path, budget, builder.omissions, splits_objects=bool(options.without))
     builder.files += files
+    options.check_names(path, [*meshes, *(node.name for node in nodes)])
+    nodes = list(_leave_out(nodes, options))
+    used = {node.mesh for node in nodes}
+    if used <= {None}:
+        refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{path} without {', '.join(options.without)}")
     ids: dict[str, tuple[int, int, Floats]] = {}
-    for name, mesh in meshes.items():
-        budget.spend("vertices", len(mesh.vertices) + 3 * len(mesh.faces))
-        geometry, centre = _convert(path, mesh)
-        ids[name] = (builder.add_mesh(share_geometry(geometry), name), _add_material(builder, mesh), centre)
+    for number, (name, mesh) in enumerate(meshes.items()):
+        if name in used:
+            report("meshes", number, len(meshes))
+            budget.spend("vertices", len(mesh.vertices) + 3 * len(mesh.faces))
+            geometry, centre = _convert(path, mesh)
+            ids[name] = (
+                builder.add_mesh(share_geometry(geometry), name),
+                _add_material(builder, mesh),
+                centre,
+            )
     rows: list[int] = []
     for node in nodes:
-        parent = -1 if node.parent < 0 else rows[node.parent]
+        parent = root if node.parent < 0 else rows[node.parent]
         rows.append(builder.add_node(node.local, parent, name=node.name))
         if node.mesh is not None:
             mesh_id, material, centre = ids[node.mesh]
             at = builder.add_node(translation(centre), rows[-1]) if centre.any() else rows[-1]
             builder.add_objects(at, mesh_id, material)
+
+
+def _leave_out(nodes: list[_FileNode], options: ImportOptions) -> Iterator[_FileNode]:
+    """Yield the nodes; those that are left out, or below such a node, have no mesh."""
+    is_out: list[bool] = []
+    for node in nodes:
+        is_out.append((node.parent >= 0 and is_out[node.parent]) or options.leaves_out(node.name))
+        has_mesh = node.mesh is not None and not is_out[-1] and not options.leaves_out(node.mesh)
+        yield node if has_mesh else replace(node, mesh=None)
 
 
 def read_geometry(path: str) -> MeshGeometry:
@@ -160,10 +200,10 @@ def read_geometry(path: str) -> MeshGeometry:
 
 
 def _read(
-    path: str, budget: Budget, omissions: Omissions
+    path: str, budget: Budget, omissions: Omissions, *, splits_objects: bool
 ) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
     """Read the file's triangle meshes by name, its nodes, parents before children, and which files that
-    took."""
+    took. Objects of an OBJ file are joined by material, unless `splits_objects`."""
     file, call = Path(path), f"load_model({path!r})"
     with _quiet():
         import trimesh
@@ -172,7 +212,8 @@ def _read(
             noted = _make_resolver(file, budget)
             content = BytesIO(budget.read(file))
             kind = file.suffix.lower().lstrip(".")
-            loaded = trimesh.load_scene(content, file_type=kind, process=False, resolver=noted)
+            split: dict[str, Any] = {"split_objects": True, "group_material": False} if splits_objects else {}
+            loaded = trimesh.load_scene(content, file_type=kind, process=False, resolver=noted, **split)
             if noted.refusal is not None:
                 raise noted.refusal
             for name, reason in noted.unreadable:

@@ -42,6 +42,8 @@ from renderer.frame.scene_images import TextureSettings as TextureSettings
 from renderer.frame.targets import DEPTH_FORMAT as DEPTH_FORMAT
 from renderer.frame.targets import IMAGE_FORMAT as IMAGE_FORMAT
 from renderer.frame.targets import Targets as Targets
+from renderer.frame.uploads import UploadProgress as UploadProgress
+from renderer.frame.uploads import UploadSettings as UploadSettings
 from renderer.frame.view import View as View
 from renderer.frame.visible_features import VisibleFeatures as VisibleFeatures
 from rhi.errors.exports import list_public as _list_public

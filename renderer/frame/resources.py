@@ -36,6 +36,7 @@ from renderer.frame.mirrors import (
     split_doubles,
 )
 from renderer.frame.scene_images import SAMPLER_DEFAULTS, SceneImages, TextureSettings
+from renderer.frame.uploads import SceneUploads, UploadSettings
 from renderer.light_kinds.bounds import BOUND_FIELDS
 from renderer.light_kinds.directional import pack_directional
 from renderer.light_kinds.kind import LocalLightKind
@@ -113,9 +114,17 @@ class SceneResources:
         resume: brings paused height fields to this frame's view, given object indices that include theirs.
     """
 
-    def __init__(self, device: Device, scene: Scene, textures: TextureSettings = SAMPLER_DEFAULTS) -> None:
-        """Upload a scene, with these settings of its textures. If anything can't be created, nothing is
-        left on the device."""
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        textures: TextureSettings = SAMPLER_DEFAULTS,
+        uploads: UploadSettings | None = None,
+    ) -> None:
+        """Upload a scene, with these settings of its textures, at once or by later frames. If anything can't be
+        created, nothing is left on the device."""
+        self.upload_settings = uploads
+        self.uploads: SceneUploads | None = None
         self.may_simulate = bool(scene.simulated or scene.height_fields)
         with ExitStack() as stack:
             self._stack = stack
@@ -158,8 +167,7 @@ class SceneResources:
         self.tessellations = 0
         self.draws = self._make_draws()
         self.tessellated_indices: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
-        has_images = len(scene.textures) > 0
-        self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
+        self.images = self._make_images(device, scene, textures)
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
         self.object_positions = keep(MirroredArray(device, shaders.ObjectPosition, "object_positions"))
@@ -195,6 +203,18 @@ class SceneResources:
         self._follow_materials()
         self._transform(np.arange(len(objects)))
 
+    def _make_images(self, device: Device, scene: Scene, textures: TextureSettings) -> SceneImages | None:
+        """Create the scene's images, and prepare the uploads of later frames if there are any."""
+        settings, images = self.upload_settings, None
+        if len(scene.textures):
+            images = self._keep(SceneImages(device, scene, textures, is_streamed=settings is not None))
+        if settings is not None:
+            vertices, indices = self.mesh.vertices, self.mesh.indices
+            assert vertices is not None
+            assert indices is not None
+            self.uploads = self._keep(SceneUploads(device, scene, settings, vertices, indices, images))
+        return images
+
     def _make_draws(self) -> NDArray[Any]:
         """Draw arguments of each object."""
         ranges = self.scene.meshes.ranges[self.scene.objects.mesh]
@@ -211,11 +231,16 @@ class SceneResources:
         meshes = scene.meshes
         vertices: NDArray[Any] | Buffer = meshes.vertices
         indices: NDArray[Any] | Buffer = meshes.indices
+        is_streamed = self.upload_settings is not None
+        if self._is_computed is not None or is_streamed:
+            vertices = self._keep(_make_buffer(device, meshes.vertices, is_streamed, "vertices"))
         if self._is_computed is not None:
-            vertices = self._keep(device.buffer(meshes.vertices, label="vertices"))
+            assert isinstance(vertices, Buffer)
             self._vertex_floats = device.storage(float, vertices)
+        if scene.height_fields or is_streamed:
+            indices = self._keep(_make_buffer(device, meshes.indices, is_streamed, "indices"))
         if scene.height_fields:
-            indices = self._keep(device.buffer(meshes.indices, label="indices"))
+            assert isinstance(indices, Buffer)
             self.indices = device.storage(uint, indices)
         return self._keep(device.mesh(vertices, indices, label="meshes"))
 
@@ -466,7 +491,8 @@ class SceneResources:
         has_others = False
         if self._material_version != scene.material_version:
             self._material_version = scene.material_version
-            self.materials.write(scene.materials)
+            materials = scene.materials if self.uploads is None else self.uploads.mask(scene.materials)
+            self.materials.write(materials)
             for mirrored, values in zip(self.parameters, scene.parameters, strict=True):
                 mirrored.write(values)
             has_others = self._follow_materials()
@@ -595,6 +621,13 @@ class SceneResources:
     def destroy(self) -> None:
         """Destroy all resources."""
         self._stack.close()
+
+
+def _make_buffer(device: Device, elements: NDArray[Any], is_streamed: bool, label: str) -> Buffer:
+    """Create a buffer with these elements, or with room for them."""
+    if is_streamed:
+        return device.buffer(len(elements), elements.dtype, label=label)
+    return device.buffer(elements, label=label)
 
 
 def _ambient(scene: Scene) -> shaders.Ambient:

@@ -11,8 +11,9 @@ size, mip levels and sampler.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from math import inf
 from typing import Any, Final
 
@@ -105,6 +106,27 @@ class ImageArray:
         return len(self.images) * count_bytes(self.size)
 
 
+@dataclass(slots=True)
+class ImageUpload:
+    """An image that is to be uploaded: to a texture of its own, whose levels are then copied where shaders read them.
+
+    Attributes:
+        image: its index in the scene.
+        is_color: whether it is uploaded as colours.
+        size: in texels, on the device.
+        read: returns its texels (height, width, 4) of uint8.
+        copies: copy a texture with all levels to where shaders read them.
+        textures: (k,) the indices of the scene's textures that are complete then.
+    """
+
+    image: int
+    is_color: bool
+    size: Size
+    read: Callable[[], NDArray[np.uint8]]
+    copies: tuple[Callable[[Texture], None], ...]
+    textures: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
 def count_bytes(size: Size) -> int:
     """Bytes of an image with its mip levels."""
     width, height = size
@@ -157,7 +179,18 @@ class SceneImages:
         image_bytes: that of the images, each by itself.
     """
 
-    def __init__(self, device: Device, scene: Scene, settings: TextureSettings = SAMPLER_DEFAULTS) -> None:
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        settings: TextureSettings = SAMPLER_DEFAULTS,
+        *,
+        is_streamed: bool = False,
+    ) -> None:
+        """Create the arrays or tables, and upload the images unless `is_streamed`: then `uploads` lists what is to
+        be uploaded."""
+        self.uploads: list[ImageUpload] = []
+        self._is_streamed = is_streamed
         self.gradient_scale = 2.0**settings.mip_bias
         textures, limit = scene.textures, device.capabilities.max_texture_size
         uses = [(int(row["image"]), bool(row["is_color"]), int(row["sampler"])) for row in textures]
@@ -193,7 +226,13 @@ class SceneImages:
         """Make an array for each size, and write where each texture is into the table."""
         planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
         self.bytes = sum(array.bytes for array in planned)
-        self.textures: tuple[Texture, ...] = tuple(_make_array(device, scene, array) for array in planned)
+        self.textures: tuple[Texture, ...] = tuple(
+            self._make_streamed_array(device, scene, array)
+            if self._is_streamed
+            else _make_array(device, scene, array)
+            for array in planned
+        )
+        self._list_textures(uses)
         bound = [
             (array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)
         ]
@@ -235,11 +274,16 @@ class SceneImages:
             if not entries:
                 tables.append(None)
                 continue
-            images = [scene.images[image] for image, _ in entries]
-            images = [
-                _resize(image, (min(image.shape[1], limit), min(image.shape[0], limit)), nearest=False)
-                for image in images
+            sizes = [
+                (min(scene.images[image].shape[1], limit), min(scene.images[image].shape[0], limit))
+                for image, _ in entries
             ]
+            images: Sequence[Size | NDArray[np.uint8]] = sizes
+            if not self._is_streamed:
+                images = [
+                    _resize(scene.images[image], size, nearest=False)
+                    for (image, _), size in zip(entries, sizes, strict=True)
+                ]
             tables.append(
                 device.texture_table(
                     images,
@@ -248,12 +292,59 @@ class SceneImages:
                     label="images" if of_colors else "maps",
                 )
             )
+            if self._is_streamed:
+                self._stream_table(scene, tables[-1], entries, sizes, of_colors)
         self.tables = tables[0], tables[1]
+        self._list_textures(uses)
         existing = [texture_table for texture_table in tables if texture_table is not None]
         self.textures = tuple(texture_table.pages for texture_table in existing)
         self.arrays = self.colors = self.data = ()
         self.samplers = ()
         self.bytes = sum(texture_table.bytes for texture_table in existing)
+
+    def _make_streamed_array(self, device: Device, scene: Scene, array: ImageArray) -> Texture:
+        """Create an array without texels, and list the uploads of its layers."""
+        format = Format.RGBA8_SRGB if array.is_color else Format.RGBA8
+        texture = device.texture(
+            array.size,
+            format,
+            kind=TextureKind.D2_ARRAY,
+            layers=len(array.images),
+            levels=None,
+            label="images" if array.is_color else "maps",
+        )
+        nearest = _is_nearest(scene, array)
+        for layer, image in enumerate(array.images):
+            read = partial(_resize, scene.images[image], array.size, nearest=nearest)
+            copy = partial(_copy_levels, texture, layer)
+            self.uploads.append(ImageUpload(image, array.is_color, array.size, read, (copy,)))
+        return texture
+
+    def _stream_table(
+        self,
+        scene: Scene,
+        table: TextureTable | None,
+        entries: Sequence[tuple[int, int]],
+        sizes: Sequence[Size],
+        is_color: bool,
+    ) -> None:
+        """List the uploads of the images of a table, each once for all its samplers."""
+        assert table is not None
+        for image, size in dict(zip([image for image, _ in entries], sizes, strict=True)).items():
+            copies = [
+                partial(_copy_to_table, table, index)
+                for index, (entry_image, _) in enumerate(entries)
+                if entry_image == image
+            ]
+            read = partial(_resize, scene.images[image], size, nearest=False)
+            self.uploads.append(ImageUpload(image, is_color, size, read, tuple(copies)))
+
+    def _list_textures(self, uses: Sequence[tuple[int, bool, int]]) -> None:
+        """Note which textures of the scene each upload completes."""
+        for upload in self.uploads:
+            upload.textures = np.flatnonzero(
+                [(image, is_color) == (upload.image, upload.is_color) for image, is_color, _ in uses]
+            )
 
     def destroy(self) -> None:
         """Destroy the textures and the tables."""
@@ -266,8 +357,21 @@ class SceneImages:
             self.table.destroy()
 
 
+def _is_nearest(scene: Scene, array: ImageArray) -> bool:
+    return all(scene.samplers[sampler].magnify is Filter.NEAREST for sampler in array.samplers)
+
+
+def _copy_levels(target: Texture, layer: int, source: Texture) -> None:
+    for level in range(source.levels):
+        source.copy_to(target, level=level, target_level=level, layer=layer)
+
+
+def _copy_to_table(table: TextureTable, index: int, source: Texture) -> None:
+    table.copy_from(source, index)
+
+
 def _make_array(device: Device, scene: Scene, array: ImageArray) -> Texture:
-    nearest = all(scene.samplers[sampler].magnify is Filter.NEAREST for sampler in array.samplers)
+    nearest = _is_nearest(scene, array)
     layers = np.stack([_resize(scene.images[image], array.size, nearest=nearest) for image in array.images])
     return device.texture(
         layers,

@@ -12,13 +12,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from renderer import rules
 from renderer.scene.arrays import Floats
+from renderer.scene.file_versions import KEY, FileVersions, rename_fields
 from renderer.scene.files import read_json
 from renderer.scene.finite import check_finite, read_points
 from rhi.errors import RhiError, refuse
@@ -121,7 +122,10 @@ class CameraPath:
             [self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1
         )
         path.write_text(
-            json.dumps({"projection": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n",
+            json.dumps(
+                {KEY: VERSIONS.current, "projection": {"kind": kind, **numbers}, "frames": rows.tolist()}
+            )
+            + "\n",
             encoding="utf-8",
         )
 
@@ -130,13 +134,13 @@ class CameraPath:
         """Read a file that `save` has written.
 
         Raises:
-            ValidationError: `camera-bad-path` if the file is no walk-through, `camera-bad-value` for a bad
-                projection.
+            ValidationError: `camera-bad-path` if the file is no walk-through, `file-version` for a newer version,
+                `camera-bad-value` for a bad projection.
             OSError: the file can't be read.
         """
         call = f"CameraPath.load({str(path)!r})"
         try:
-            document = read_json(path)
+            document = VERSIONS.migrate(dict(read_json(path)), call)
             fields = dict(document["projection"])
             projection = _PROJECTIONS[fields.pop("kind")](**fields | {"depth": Depth(fields["depth"])})
             rows = np.array(document["frames"], np.float64)
@@ -147,6 +151,15 @@ class CameraPath:
         if rows.ndim != 2 or rows.shape[1] != 9 or not len(rows) or not np.isfinite(rows).all():
             refuse(rules.BAD_CAMERA_PATH, call, f"frames of shape {rows.shape}", "(frames, 9) finite numbers")
         return cls(rows[:, :3], rows[:, 3:6], projection, rows[:, 6:])
+
+
+def _migrate_1(document: dict[str, Any]) -> dict[str, Any]:
+    rename_fields(document, {"lens": "projection"})
+    return document
+
+
+VERSIONS: Final = FileVersions("walk-throughs", (_migrate_1,))
+"""The versions of files of walk-throughs."""
 
 
 def make_path(

@@ -8,7 +8,9 @@ mesh with a material at a node. `Scene.update` is the only call that a frame nee
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -40,11 +42,13 @@ from renderer.scene.material_instances import (
 from renderer.scene.materials import (
     TEXTURE,
     TEXTURES,
+    AlphaMode,
     ImagePixels,
     TextureList,
     TextureMap,
     check_image,
 )
+from renderer.scene.merging import NodeAnchors, group_equal, merge_group
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.negligible import (
     SurfaceBounds,
@@ -67,9 +71,10 @@ from renderer.scene.simulation import (
     check_simulation,
 )
 from renderer.scene.tangents import add_stretch, add_tangents
+from renderer.scene.unique_names import UniqueNames
 from rhi import FixedStack, SamplerDescriptor
 from rhi.errors import refuse
-from rhi.math import Camera, is_affine, relative_to
+from rhi.math import Camera, is_affine, relative_to, transform_bounds, translation
 from rhi.math.arguments import read_floats
 
 _PATIENCE: Final = 60
@@ -185,6 +190,8 @@ class Scene:
         self._emitters: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # the same
         self._unseen: NDArray[np.bool_] = np.zeros(len(objects), bool)  # which cover nothing
         self._unseen_from = -1  # the version of the materials of which that is
+        self._waiting: NDArray[np.bool_] = np.zeros(len(objects), bool)  # which aren't on the device yet
+        self._is_waiting_new = False
         self._static, self._movable = select_placed(objects)
         self._static_nodes = np.unique(objects.node[self._static])
         self._points: NDArray[np.bool_] = np.zeros(len(objects), bool)  # which have no size
@@ -224,8 +231,10 @@ class Scene:
             self._edits += 1
         moved = self.nodes.update()
         has_moved = bool(moved.any())
-        if self._flag_unseen(moved if has_moved else None) | self.nodes.update_hidden():
-            self.objects.is_shown[:] = ~self.nodes.hidden[self.objects.node] & ~self._unseen
+        is_waiting_new, self._is_waiting_new = self._is_waiting_new, False
+        if self._flag_unseen(moved if has_moved else None) | self.nodes.update_hidden() | is_waiting_new:
+            hidden = self.nodes.hidden[self.objects.node]
+            self.objects.is_shown[:] = ~hidden & ~self._unseen & ~self._waiting
             self._edits += 1
         self.attachments.follow(self.nodes, self.lights, self.views)
         self.lights.refresh()
@@ -257,6 +266,12 @@ class Scene:
             self.depth_of_field,
             tuple(self.height_fields),
         )
+
+    def set_waiting(self, waiting: NDArray[np.bool_]) -> None:
+        """Hide the objects that are `waiting` (n,) for their uploads, until a later call; the others are shown unless
+        their nodes are hidden. Textures of all materials count as changed."""
+        self._waiting, self._is_waiting_new = waiting.copy(), True
+        self._edits += 1
 
     def skip_refresh(self) -> None:
         """Count a `refresh` that would change nothing."""
@@ -639,6 +654,123 @@ class SceneBuilder:
         """The number of objects that have been added."""
         return self._object_count
 
+    @property
+    def attached_views(self) -> frozenset[str]:
+        """The names of the views that follow nodes."""
+        return frozenset(self._attached_views)
+
+    def list_attached_lights(self, kind: LightKind) -> Indices:
+        """Return the indices of the lights of a kind that follow nodes."""
+        rows = [lights for attached_kind, lights, _ in self._attached_lights if attached_kind is kind]
+        return np.concatenate([np.zeros(0, np.int64), *rows])
+
+    def set_local(self, node: int, local: Floats) -> None:
+        """Give the node of this id another local transform (4, 4)."""
+        for locals in self._locals:
+            if node < len(locals):
+                locals[node] = local
+                return
+            node -= len(locals)
+
+    def compute_bounds(self, first: int = 0) -> MeshBounds:
+        """Return the bounding box of the objects from the index `first` on, with all nodes as they are added."""
+        table = np.concatenate(self._objects)[first:]
+        parents, locals = np.concatenate(self._parents), np.concatenate(self._locals)
+        worlds = NodeAnchors.make(parents, locals, np.zeros(len(parents), bool)).transforms
+        corners = np.array([self.mesh_bounds(mesh) for mesh in table[:, 1].tolist()])
+        lower, upper = transform_bounds(worlds[table[:, 0]], corners[:, 0], corners[:, 1])
+        return lower.min(axis=0), upper.max(axis=0)
+
+    @contextmanager
+    def undo_on_error(self) -> Iterator[None]:
+        """Restore the builder as it was if the block raises an error."""
+        restores = _snapshot(self)
+        try:
+            yield
+        except BaseException:
+            for restore in restores:
+                restore()
+            raise
+
+    @property
+    def mesh_count(self) -> int:
+        """The number of meshes that have been added."""
+        return len(self._geometries)
+
+    def merge_objects(
+        self, first: int, first_mesh: int, spend: Callable[[int], None] = lambda count: None
+    ) -> None:
+        """Merge the objects from the index `first` on that have equal materials, where they never move apart.
+
+        Simulated, reserved and blended objects stay as they are, and so do meshes with declared bounds. Meshes from
+        the id `first_mesh` on that no object has any more are dropped. Ids from these on no longer hold.
+
+        Args:
+            spend: called with the number of vertices and indices of all merged meshes before they are created,
+                which it may refuse.
+        """
+        table = np.concatenate(self._objects)
+        parents, locals = np.concatenate(self._parents), np.concatenate(self._locals)
+        is_anchor = np.concatenate(self._dynamic)
+        is_anchor[np.concatenate(self._hidden)] = True
+        nodes = NodeAnchors.make(parents, locals, is_anchor)
+        materials, parameters = self._table.make_arrays()
+        values = [
+            b"".join(
+                [materials[row].tobytes(), *(array[row].tobytes() for array in parameters if len(array))]
+            )
+            for row in range(len(materials))
+        ]
+        is_mergeable = np.arange(len(table)) >= first
+        for rows in (*self._reserved, *(moved.objects for moved in self._simulated)):
+            is_mergeable[rows] = False
+        is_mergeable &= (materials["alpha_mode"] != AlphaMode.BLEND)[table[:, 2]]
+        is_mergeable &= np.array([bounds is None for bounds in self._bounds])[table[:, 1]]
+        is_mergeable &= np.linalg.det(nodes.transforms[table[:, 0], :3, :3]) != 0.0
+        keys = [
+            (
+                int(nodes.anchors[node]),
+                values[material],
+                casts,
+                "tangent" in self._geometries[mesh].attributes,
+            )
+            for node, mesh, material, casts in table.tolist()
+        ]
+        groups = group_equal(keys, is_mergeable)
+        geometries = [[self._geometries[mesh] for mesh in table[group, 1].tolist()] for group in groups]
+        spend(sum(len(part.vertices) + len(part.indices) for parts in geometries for part in parts))
+        remaining = np.ones(len(table), bool)
+        for group, parts in zip(groups, geometries, strict=True):
+            merged = merge_group(group, keys[group[0]][0], nodes.transforms[table[group, 0]], parts)
+            node = self.add_node(translation(merged.centre), merged.anchor)
+            mesh = self.add_mesh(merged.geometry, self._mesh_names[table[group[0], 1]])
+            table[group[0], :2] = node, mesh
+            remaining[group[1:]] = False
+        self._keep_objects(table, remaining)
+        self._drop_unused_meshes(first_mesh)
+
+    def _keep_objects(self, table: NDArray[np.int64], remaining: NDArray[np.bool_]) -> None:
+        """Replace the objects by the rows of `table` (n, 4) that are `remaining`."""
+        rows = np.cumsum(remaining) - 1
+        self._objects, self._object_count = [table[remaining]], int(remaining.sum())
+        self._reserved = [rows[reserved] for reserved in self._reserved]
+        self._simulated = [
+            SceneSimulation(moved.simulation, rows[moved.objects]) for moved in self._simulated
+        ]
+
+    def _drop_unused_meshes(self, first: int) -> None:
+        """Drop the meshes from the id `first` on that no object has."""
+        table = np.concatenate(self._objects)
+        used = np.union1d(np.arange(first), table[:, 1])
+        table[:, 1] = np.searchsorted(used, table[:, 1])
+        self._objects = [table]
+        ids = {int(mesh): number for number, mesh in enumerate(used)}
+        self._geometries = [self._geometries[mesh] for mesh in ids]
+        self._bounds = [self._bounds[mesh] for mesh in ids]
+        self._mesh_names = [self._mesh_names[mesh] for mesh in ids]
+        self._mesh_ids = {key: ids[mesh] for key, mesh in self._mesh_ids.items() if mesh in ids}
+        self._height_fields = {ids[mesh]: field for mesh, field in self._height_fields.items() if mesh in ids}
+
     def mesh_name(self, mesh: int) -> str:
         """Return the name of a mesh."""
         return self._mesh_names[mesh]
@@ -968,6 +1100,34 @@ class SceneBuilder:
             if mesh in turned:
                 geometries[mesh] = add_stretch(geometries[mesh], uv)
         return [geometry.with_attributes(geometry.attributes & attributes) for geometry in geometries]
+
+
+_BUILDER_PARTS: Final = (Lights, MaterialTable, TextureList, Clips, Omissions, UniqueNames)
+"""The parts of a builder that have attributes of their own."""
+
+
+def _snapshot(part: Any) -> list[Callable[[], None]]:
+    """Return functions that restore a part of a builder, and the lists and dictionaries in it, as they are now."""
+
+    def restore_items(items: Any) -> None:
+        part.clear()
+        (part.extend if isinstance(part, list) else part.update)(items)
+
+    def restore_attributes(items: dict[str, Any]) -> None:
+        for name, value in items.items():
+            setattr(part, name, value)
+
+    if isinstance(part, list | dict):
+        items = part.copy()
+        values = items if isinstance(items, list) else list(items.values())
+        restores = [partial(restore_items, items)]
+    else:
+        names = getattr(type(part), "__slots__", None) or vars(part)
+        attributes = {name: getattr(part, name) for name in names}
+        values = list(attributes.values())
+        restores = [partial(restore_attributes, attributes)]
+    inner = [value for value in values if isinstance(value, (list, dict, *_BUILDER_PARTS))]
+    return restores + [restore for value in inner for restore in _snapshot(value)]
 
 
 def _turns_tangents(rows: NDArray[Any], textures: NDArray[Any]) -> NDArray[np.bool_]:

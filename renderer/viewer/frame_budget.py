@@ -16,14 +16,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from renderer import rules
+from renderer.scene.file_versions import KEY, FileVersions
 from renderer.scene.files import read_json
+from renderer.scene.settings_versions import rename_settings
 from renderer.settings import RenderSettings, from_json, to_json
-from rhi.errors import refuse
+from rhi.errors import RhiError, refuse
 
 _FRAMES: Final = 9
 """The budget is compared with the median of this many frames."""
@@ -45,20 +47,26 @@ class BudgetStep:
 
 def save_steps(path: Path, steps: Sequence[BudgetStep]) -> None:
     """Write a Pareto front as JSON."""
-    path.write_text(json.dumps([to_json(step) for step in steps], indent=2) + "\n", encoding="utf-8")
+    content = {KEY: VERSIONS.current, "steps": [to_json(step) for step in steps]}
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def load_steps(path: Path) -> list[BudgetStep]:
     """Read the JSON of `save_steps`.
 
     Raises:
-        ValidationError: `visibility-bad-settings` if the file holds something else.
+        ValidationError: `visibility-bad-settings` if the file holds something else, `file-version` for a newer
+            version.
         OSError: the file can't be read.
     """
     call, default = f"load_steps({str(path)!r})", BudgetStep(RenderSettings(), 1.0, 0.0)
     try:
-        steps = [from_json(BudgetStep, fields, call, default) for fields in read_json(path)]
-    except (ValueError, TypeError):
+        content = read_json(path)
+        fields = VERSIONS.migrate({"steps": content} if isinstance(content, list) else dict(content), call)
+        steps = [from_json(BudgetStep, values, call, default) for values in fields["steps"]]
+    except RhiError:
+        raise
+    except (ValueError, TypeError, KeyError):
         steps = []
     if not steps or not all(step.milliseconds > 0.0 for step in steps):
         refuse(
@@ -68,6 +76,17 @@ def load_steps(path: Path) -> list[BudgetStep]:
             "pareto_front.json, as `accuracy --output` writes it",
         )
     return steps
+
+
+def _migrate_1(content: dict[str, Any]) -> dict[str, Any]:
+    """Rename settings; files of version 1 were the list of steps alone."""
+    for step in content.get("steps", ()):
+        rename_settings(step.get("settings") if isinstance(step, dict) else None)
+    return content
+
+
+VERSIONS: Final = FileVersions("Pareto fronts", (_migrate_1,))
+"""The versions of files of Pareto fronts."""
 
 
 class FrameBudget:

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from renderer import rules
+from renderer.scene.file_versions import KEY
 from renderer.scene.files import read_json
-from rhi import refuse
+from renderer.scene.settings_versions import SETTINGS_VERSIONS
+from rhi import RhiError, refuse
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,9 @@ class VisibilitySettings:
         """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores
         it."""
         path.write_text(
-            json.dumps({"visibility": asdict(self), **metadata}, indent=2) + "\n", encoding="utf-8"
+            json.dumps({KEY: SETTINGS_VERSIONS.current, "visibility": asdict(self), **metadata}, indent=2)
+            + "\n",
+            encoding="utf-8",
         )
 
     @classmethod
@@ -65,12 +69,15 @@ class VisibilitySettings:
         """Read a file that `save` has written; missing parameters have their defaults.
 
         Raises:
-            ValidationError: `visibility-bad-settings` if the file holds no settings.
+            ValidationError: `visibility-bad-settings` if the file holds no settings, `file-version` for a newer
+                version.
             OSError: the file can't be read.
         """
         call = f"VisibilitySettings.load({str(path)!r})"
         try:
-            numbers = read_json(path)["visibility"]
+            numbers = SETTINGS_VERSIONS.migrate(dict(read_json(path)), call)["visibility"]
+        except RhiError:
+            raise
         except (ValueError, KeyError, TypeError) as error:
             refuse(rules.BAD_SETTINGS, call, f"{type(error).__name__}: {error}")
         if not isinstance(numbers, Mapping):

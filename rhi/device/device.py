@@ -528,7 +528,7 @@ class Device(Encoder):
     @_creates
     def texture_table(
         self,
-        images: Sequence[Texture | TextureBinding | NDArray[Any] | ImageLike],
+        images: Sequence[Texture | TextureBinding | NDArray[Any] | ImageLike | tuple[int, int]],
         format: Format | None = None,
         *,
         samplers: Sampler | SamplerDescriptor | Sequence[Sampler | SamplerDescriptor] | None = None,
@@ -544,7 +544,8 @@ class Device(Encoder):
 
         Args:
             images: arrays and images of Pillow as for `texture`, or 2D textures with their levels. One that is
-                bound with a sampler (`texture.sampled(…)`) is read through that.
+                bound with a sampler (`texture.sampled(…)`) is read through that. A (width, height) makes room
+                for an image, zeroed, for `copy_from`.
             format: None follows from the first image.
             samplers: how images are read: one for all, or one for each; None for the default sampler. The
                 device needs no capability for anisotropy and borders; samplers that compare are refused.

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.extras import migrate_document
 from renderer.content.limits import Budget
 from rhi.errors import RhiError, refuse
 
@@ -83,6 +84,7 @@ class GltfFile:
             _refuse(path, "its JSON: too deep")
         except ValueError as error:  # of its encoding, its syntax, or a number
             _refuse(path, f"its JSON: {error}")
+        migrate_document(parsed, f"load_model({path!r})")
         self.root = JsonObject(path, "", parsed)
         self._check_version()
         self.views = self.root.children("bufferViews")

@@ -22,6 +22,8 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.content.gltf.document import LARGEST, JsonObject
+from renderer.scene.file_versions import KEY as VERSION_KEY
+from renderer.scene.file_versions import FileVersions, rename_fields
 from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
 from rhi.math import Depth, Orthographic, Perspective, Projection
@@ -74,6 +76,7 @@ def is_holder(fields: JsonObject) -> bool:
 def write_scene_extras(scene: Scene) -> dict[str, Any]:
     """Return scene extras as JSON values, for `read_scene_extras`."""
     return {
+        VERSION_KEY: SCENE_VERSIONS.current,
         "background": list(map(float, scene.background)),
         "haze": float(scene.haze),
         "sky": list(map(float, scene.lights.sky)),
@@ -87,6 +90,38 @@ def read_scene_extras(fields: JsonObject) -> SceneExtras:
     colors = [tuple(fields.reals(name, 3).tolist()) for name in ("background", "sky", "ground")]
     paths = {path_fields.text("name"): _read_path(path_fields) for path_fields in fields.children("paths")}
     return SceneExtras(colors[0], fields.real("haze", low=0.0), colors[1], colors[2], paths)
+
+
+def migrate_document(document: Any, call: str) -> None:
+    """Bring a document that an older `save_scene` has written to the current version, in place.
+
+    Raises:
+        ValidationError: `file-version` if a newer one has written it.
+    """
+    for scene in _list_objects(document, "scenes"):
+        extras = scene.get("extras")
+        private = extras.get(KEY) if isinstance(extras, dict) else None
+        if isinstance(private, dict):
+            SCENE_VERSIONS.migrate({VERSION_KEY: private.pop(VERSION_KEY, 1), "document": document}, call)
+            return
+
+
+def _migrate_1(values: dict[str, Any]) -> dict[str, Any]:
+    """Rename the mark of nodes that only hold a light or a camera."""
+    for node in _list_objects(values["document"], "nodes"):
+        extras = node.get("extras")
+        rename_fields(extras.get(KEY) if isinstance(extras, dict) else None, {"placed": HOLDER})
+    return values
+
+
+def _list_objects(document: Any, name: str) -> list[dict[str, Any]]:
+    """Return the JSON objects in a list of a document, which may be anything."""
+    values = document.get(name) if isinstance(document, dict) else None
+    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+
+
+SCENE_VERSIONS: Final = FileVersions("scenes", (_migrate_1,))
+"""The versions of scenes that `save_scene` writes."""
 
 
 def _write_path(name: str, path: CameraPath) -> dict[str, Any]:

@@ -6,6 +6,7 @@ out, and materials go without it: the rest of the file can still be seen, and th
 
 from __future__ import annotations
 
+from collections.abc import Set
 from typing import Any, Final
 
 import numpy as np
@@ -59,12 +60,15 @@ class Materials:
         self._read_values: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {-1: (_DEFAULT, {})}
         self._material_ids: dict[tuple[int, bool], int] = {}
 
-    def add_all(self) -> None:
-        """Add all materials of the file, and the images that they use."""
-        materials = self._file.root.children("materials")
-        read = [self._read(fields) for fields in materials]
-        self._add_images({use[0] for _, maps in read for use in maps.values()})
-        for number, (values, maps) in enumerate(read):
+    def add_all(self, selected: Set[int] | None = None) -> None:
+        """Add all materials of the file, or those with the numbers `selected`, and the images that they use."""
+        read = {
+            number: self._read(fields)
+            for number, fields in enumerate(self._file.root.children("materials"))
+            if selected is None or number in selected
+        }
+        self._add_images({use[0] for _, maps in read.values() for use in maps.values()})
+        for number, (values, maps) in read.items():
             used = {name: (image, rest) for name, (image, rest) in maps.items() if image in self._ids}
             textures = {name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()}
             self._read_values[number] = values, textures

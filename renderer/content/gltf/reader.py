@@ -12,6 +12,7 @@ their nodes. So a scene that `save_scene` has written is read back row by row.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -33,7 +34,9 @@ from renderer.content.gltf.nodes import (
 )
 from renderer.content.gltf.primitives import Primitives
 from renderer.content.gltf.tracks import ROTATION, SCALE, TRANSLATION, WEIGHTS
+from renderer.content.import_options import ImportOptions
 from renderer.content.limits import Budget
+from renderer.content.progress import report
 from renderer.scene.arrays import Floats
 from renderer.scene.attachments import orthonormalize_axes
 from renderer.scene.meshes import MeshGeometry
@@ -41,16 +44,24 @@ from renderer.scene.scene import SceneBuilder
 from renderer.scene.unique_names import UniqueNames
 from rhi.errors import ValidationError, refuse
 
+_EVERYTHING: Final = ImportOptions()
 
-def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> SceneExtras | None:
-    """Add everything in a glTF file to a scene under construction; return the scene extras of a scene that
-    `save_scene` has written, or None.
+
+def add_gltf(
+    builder: SceneBuilder,
+    path: str,
+    budget: Budget | None = None,
+    options: ImportOptions = _EVERYTHING,
+    root: int = -1,
+) -> SceneExtras | None:
+    """Add everything in a glTF file, except what the options leave out, to a scene under construction, below its
+    node `root`; return the scene extras of a scene that `save_scene` has written, or None.
 
     Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`.
     """
     file = GltfFile(path, budget)
-    reader = _GltfReader(builder, file)
+    reader = _GltfReader(builder, file, options, root)
     before = builder.object_count
     reader.add_all()
     if builder.object_count == before and (reason := reader.explain_emptiness()):
@@ -75,8 +86,11 @@ class _GltfPart:
 class _GltfReader:
     """Adds one file to a builder."""
 
-    def __init__(self, builder: SceneBuilder, file: GltfFile) -> None:
+    def __init__(self, builder: SceneBuilder, file: GltfFile, options: ImportOptions, root: int) -> None:
         self._builder = builder
+        self._options, self._root_id = options, root
+        self._unread: frozenset[int] = frozenset()  # numbers of meshes
+        self._left_out: frozenset[int] = frozenset()  # numbers of nodes, and of all below them
         self._file = file
         self._omissions = builder.omissions
         self._root = file.root
@@ -88,6 +102,7 @@ class _GltfReader:
         self._materials = Materials(file, builder, builder.omissions)
         self._primitives = Primitives(self._accessors, builder.omissions)
         self._meshes: list[list[_GltfPart]] = []  # of each mesh of the file
+        self._part_counts: list[int] = []  # of each mesh of the file, the number of its parts
         self._has_nodes = False
         self._dynamic = frozenset(self._private.indices("dynamic", file.root.length("nodes")))
         self._view_names = UniqueNames()
@@ -101,9 +116,10 @@ class _GltfReader:
         for name, where in used:
             if where or name not in {other for other, path in used if path}:  # else the file only lists parts
                 self._omissions.add(name, where or "the file")
-        self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)
         self._has_nodes = bool(nodes)
+        self._leave_out(nodes)
+        self._add_meshes()
         tracks = read_tracks(self._root, self._accessors, self._omissions, self._builder.clips)
         worlds = compute_world_transforms(nodes)
         tree = deformations.NodeTree.make(
@@ -114,9 +130,29 @@ class _GltfReader:
         self._add_cameras(nodes, worlds, anchors)
         self._add_lights(nodes, worlds, anchors)
 
+    def _leave_out(self, nodes: list[GltfNode]) -> None:
+        """Find the nodes that the options leave out, and refuse patterns that match nothing."""
+        if not self._options.without:
+            return
+        names = [node.fields.text("name", "") for node in nodes]
+        meshes = [mesh.text("name", "") for mesh in self._root.children("meshes")]
+        self._options.check_names(self._file.path, [*names, *meshes])
+        is_out: list[bool] = []
+        for node, name in zip(nodes, names, strict=True):
+            is_out.append((node.parent >= 0 and is_out[node.parent]) or self._options.leaves_out(name))
+        self._left_out = frozenset(node.number for node, out in zip(nodes, is_out, strict=True) if out)
+        used = {node.fields.index("mesh", len(meshes)) for node in nodes if node.number not in self._left_out}
+        self._unread = frozenset(
+            number
+            for number, name in enumerate(meshes)
+            if number not in used or self._options.leaves_out(name)
+        )
+
     def explain_emptiness(self) -> str:
         """Return why nothing of the file is drawn; an empty text if it has only lights, cameras or empty
         nodes."""
+        if self._options.without and any("mesh" in node for node in self._root.children("nodes")):
+            return f"nothing is left without {', '.join(self._options.without)}"
         nodes, scenes = self._root.children("nodes"), self._root.children("scenes")
         if not self._meshes:
             return "" if self._has_nodes else "it has no meshes, and its scene has no nodes"
@@ -130,14 +166,19 @@ class _GltfReader:
 
     def _add_meshes(self) -> None:
         """Add the materials and the meshes of the file, a mesh for each set of accessors."""
-        self._materials.add_all()
         count = self._root.length("materials")
         reader = self._primitives
         meshes = self._root.children("meshes")
         parts = [
-            [primitive for primitive in mesh.children("primitives") if reader.has_positions(primitive)]
-            for mesh in meshes
+            [
+                primitive
+                for primitive in mesh.children("primitives")
+                if number not in self._unread and reader.has_positions(primitive)
+            ]
+            for number, mesh in enumerate(meshes)
         ]
+        used = {primitive.index("material", count) for primitives in parts for primitive in primitives}
+        self._materials.add_all(used if self._options.without else None)
         firsts: dict[object, tuple[int, int, JsonObject, str]] = {}
         for number, (mesh, primitives) in enumerate(zip(meshes, parts, strict=True)):
             name = mesh.text("name", "")
@@ -150,7 +191,9 @@ class _GltfReader:
         mesh_ids: dict[object, int] = {}
         is_saved = self.scene_extras is not None  # then equal meshes were several in the scene, and stay so
         added: set[int] = set()
-        for key, (_, _, primitive, name) in sorted(firsts.items(), key=lambda item: item[1][:2]):
+        ordered = sorted(firsts.items(), key=lambda item: item[1][:2])
+        for number, (key, (_, _, primitive, name)) in enumerate(ordered):
+            report("meshes", number, len(ordered))
             shape = reader.read(primitive)
             if shape is None:
                 continue
@@ -166,6 +209,7 @@ class _GltfReader:
                 if (mesh_id := mesh_ids.get(reader.key(primitive), -1)) >= 0:
                     mesh_parts.append(_GltfPart(mesh, primitive, mesh_id, material))
             self._meshes.append(mesh_parts)
+            self._part_counts.append(len(mesh_parts) or mesh.length("primitives"))
 
     def _anchor(
         self, row: int, tree: deformations.NodeTree, ids: list[int], worlds: Floats
@@ -190,6 +234,8 @@ class _GltfReader:
         hidden = frozenset(self._private.indices("hidden", self._root.length("nodes")))
         ids: list[int] = []
         objects: list[tuple[int, int, int]] = []
+        numbers: list[int] = []  # of these objects in the file
+        file_count = 0
         bounds: dict[int, tuple[Floats, Floats]] = {}
         contents: list[tuple[int, tuple[Floats, Floats]]] = []
         for row, node in enumerate(tree.nodes):
@@ -197,14 +243,15 @@ class _GltfReader:
             if not is_animated and is_holder(node.fields):
                 ids.append(-1)
                 continue
-            above = -1 if node.parent < 0 else ids[node.parent]
+            above = self._root_id if node.parent < 0 else ids[node.parent]
             name = node.fields.text("name", "")
             is_dynamic = is_animated or node.number in self._dynamic
             ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
             if node.number in hidden:
                 self._builder.hide(ids[-1])
             mesh = node.fields.index("mesh", len(self._meshes))
-            for part in self._meshes[mesh] if mesh >= 0 else ():
+            is_drawn, first = mesh >= 0 and self._is_read(node), len(numbers)
+            for part in self._meshes[mesh] if is_drawn else ():
                 change = self._read_deformed(node, part, tracks, skeletons)
                 geometry, at = part.mesh, row
                 if change is not None:
@@ -214,14 +261,20 @@ class _GltfReader:
                         deformed.append((len(objects), change))
                 material = self._materials.get(part.material, self._primitives.is_unlit(part.primitive))
                 objects.append((at, geometry, material))
+                numbers.append(file_count + len(numbers) - first)
                 if tree.motion is not None and geometry not in bounds:
                     bounds[geometry] = self._builder.mesh_bounds(geometry)
                 if tree.motion is not None and at >= 0:
                     contents.append((at, bounds[geometry]))
+            file_count += self._part_counts[mesh] if mesh >= 0 else 0
         if any(at < 0 for at, _, _ in objects):
-            ids.append(self._builder.add_node(name="skins"))  # for skins without a node above all joints
+            ids.append(
+                self._builder.add_node(parent=self._root_id, name="skins")
+            )  # for skins without a node above all joints
         before = self._builder.object_count
-        self._add_objects([(ids[at], geometry, material) for at, geometry, material in objects])
+        self._add_objects(
+            [(ids[at], geometry, material) for at, geometry, material in objects], numbers, file_count
+        )
         if deformed:
             uv_gradients = deformations.Deformations([change for _, change in deformed], self._builder.clips)
             self._builder.simulate([before + number for number, _ in deformed], uv_gradients)
@@ -274,30 +327,36 @@ class _GltfReader:
         geometry = MeshGeometry(vertices, change.geometry.indices)
         return self._builder.add_mesh(geometry, name, change.bounds() if change.is_animated else None)
 
-    def _add_objects(self, objects: list[tuple[int, int, int]]) -> None:
-        """Add objects (node, mesh, material); objects of a saved scene keep their order."""
+    def _add_objects(self, objects: list[tuple[int, int, int]], numbers: list[int], file_count: int) -> None:
+        """Add objects (node, mesh, material); objects of a saved scene keep their order.
+
+        Args:
+            numbers: those of the objects in the file, which has `file_count`.
+        """
         if not objects:
             return
-        count = len(objects)
-        table = np.array(objects, np.int64)
-        if self._private.length("objects") == count:  # else another program has changed them
-            order = self._private.indices("objects", count)
-            if len(set(order)) < count:
+        table, rows = np.array(objects, np.int64), np.array(numbers)
+        if self._private.length("objects") == file_count:  # else another program has changed them
+            order = self._private.indices("objects", file_count)
+            if len(set(order)) < file_count:
                 self._private.refuse("objects", "a row twice", "each row once")
-            table[order] = table.copy()
-        casts = np.ones(count, bool)
-        casts[self._private.indices("shadowless", count)] = False
-        ends = [*(np.flatnonzero(np.diff(casts)) + 1).tolist(), count]
+            rows = np.array(order)[rows]
+            table, rows = table[np.argsort(rows)], np.sort(rows)
+        casts = ~np.isin(rows, self._private.indices("shadowless", file_count))
+        ends = [*(np.flatnonzero(np.diff(casts)) + 1).tolist(), len(table)]
         for start, end in zip([0, *ends], ends, strict=False):
             nodes, meshes, materials = table[start:end].T
             self._builder.add_objects(nodes, meshes, materials, bool(casts[start]))
+
+    def _is_read(self, node: GltfNode) -> bool:
+        return node.number not in self._left_out
 
     def _add_cameras(self, nodes: list[GltfNode], worlds: Floats, anchors: list[tuple[Floats, int]]) -> None:
         cameras = self._root.children("cameras")
         used = [
             (number, node, world, anchor)
             for node, world, anchor in zip(nodes, worlds, anchors, strict=True)
-            if (number := node.fields.index("camera", len(cameras))) >= 0
+            if (number := node.fields.index("camera", len(cameras))) >= 0 and self._is_read(node)
         ]
         if self.scene_extras is not None:  # views of a saved scene keep their order
             used.sort(key=lambda camera_and_anchor: camera_and_anchor[0])
@@ -323,7 +382,7 @@ class _GltfReader:
         used = [
             (fields.index("light", len(lights), required=True), anchor)
             for node, anchor in zip(nodes, anchors, strict=True)
-            if (fields := node.fields.extension("KHR_lights_punctual")) is not None
+            if (fields := node.fields.extension("KHR_lights_punctual")) is not None and self._is_read(node)
         ]
         if self.scene_extras is not None:  # lights of a saved scene keep their order
             used.sort(key=lambda light_and_anchor: light_and_anchor[0])

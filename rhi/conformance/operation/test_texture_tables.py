@@ -350,6 +350,25 @@ def test_textures_bring_their_own_levels_and_are_copied_again(device: Device) ->
 
 
 @pytest.mark.requires("compute")
+def test_images_of_sizes_are_zero_until_textures_are_copied_to_them(device: Device) -> None:
+    texels = np.full((4, 8, 4), 90, np.uint8)
+    positions = np.array([(7, 3, 0, 0), (0, 0, 2, 1), (1, 3, 1, 2)], np.int32)
+    with (
+        device.texture_table([(8, 4), texels, (4, 8)], Format.RGBA8) as table,
+        device.texture(texels, levels=None) as wide,
+        device.texture(texels.swapaxes(0, 1).copy() // 2, levels=None) as tall,
+    ):
+        assert table.sizes == ((8, 4), (8, 4), (4, 8))
+        assert table.levels == (4, 4, 4)
+        before = run(device, ReadTable, positions, 3, images=table)[::3, 0] * 255
+        table.copy_from(wide, 0)
+        table.copy_from(tall, 2)
+        after = run(device, ReadTable, positions, 3, images=table)[::3, 0] * 255
+    assert_same(np.round(before), [0, 90, 0])
+    assert_same(np.round(after), [90, 90, 45])
+
+
+@pytest.mark.requires("compute")
 @pytest.mark.parametrize("wrap", Wrap, ids=lambda wrap: wrap.name)
 def test_long_strips_along_both_axes_need_no_square_page(device: Device, wrap: Wrap) -> None:
     rng = np.random.default_rng(7)

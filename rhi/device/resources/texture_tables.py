@@ -23,7 +23,7 @@ from rhi.device.resources.images import as_texels, infer_format
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.textures import Sampler, Texture
 from rhi.errors import rules
-from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.arguments import ArgumentChecker, to_integer
 from rhi.shading.ir.texture_pages import (
     GUTTER,
     PAGE_SAMPLER,
@@ -191,15 +191,23 @@ def create_table(
         check.fail("images", images, "a list of one or more images")
     requested = _list_samplers(check, samplers, len(images))
     sources = [
-        image if isinstance(image, TextureBinding | np.ndarray) else as_texels(image) for image in images
+        image if isinstance(image, TextureBinding | np.ndarray | tuple) else as_texels(image)
+        for image in images
     ]
     if format is None:
         format = _infer_format(check, sources[0])
     check.choice("format", format, Format)
     check_format(core, format)
-    textures, descriptors, created = [], [], []
+    textures: list[Texture | None] = []
+    sizes: list[list[Size]] = []  # of the levels of each image
+    descriptors, created = [], []
     try:
         for source, sampler in zip(sources, requested, strict=True):
+            descriptors.append(_check_sampler(check, sampler))
+            if isinstance(source, tuple):
+                textures.append(None)
+                sizes.append(_list_level_sizes(check, source, levels))
+                continue
             if isinstance(source, np.ndarray):
                 texture = make_texture(source, format, levels=_limit_levels(source, levels), label=label)
                 created.append(texture)
@@ -207,22 +215,17 @@ def create_table(
                 texture = _get_texture(check, source)
                 check_source(core, CALL, texture, format)
                 if source is not texture:
-                    sampler = core.sampler_descriptors[source.sampler]
+                    descriptors[-1] = _check_sampler(check, core.sampler_descriptors[source.sampler])
             textures.append(texture)
-            descriptors.append(_check_sampler(check, sampler))
-        plan = plan_table(
-            core,
-            [
-                [texture.descriptor.level_size(level) for level in range(texture.levels)]
-                for texture in textures
-            ],
-        )
-        sizes = [texture.size for texture in textures]
+            sizes.append([texture.descriptor.level_size(level) for level in range(texture.levels)])
+        plan = plan_table(core, sizes)
+        largest = [levels_of_image[0] for levels_of_image in sizes]
         pages = Texture(core, page_descriptor(plan, format, label))
-        words = make_texture(describe_pages(plan, sizes, descriptors), WORDS_FORMAT, label=label)
-        table = TextureTable(core, plan, pages, words, sizes, descriptors)
-        for index, texture in enumerate(textures):
-            table.fill(texture, index)
+        words = make_texture(describe_pages(plan, largest, descriptors), WORDS_FORMAT, label=label)
+        table = TextureTable(core, plan, pages, words, largest, descriptors)
+        for index, filled in enumerate(textures):
+            if filled is not None:
+                table.fill(filled, index)
     finally:
         for texture in created:
             texture.destroy()
@@ -237,6 +240,16 @@ def _list_samplers(check: ArgumentChecker, samplers: Any, count: int) -> Sequenc
     if len(requested) != count:
         check.fail("samplers", f"{len(requested)} samplers", f"one, or {count}, one for each image")
     return requested
+
+
+def _list_level_sizes(check: ArgumentChecker, size: tuple[Any, ...], levels: int | None) -> list[Size]:
+    """Return the sizes of the levels of an image of `size`, or refuse it."""
+    numbers = [to_integer(value) for value in size]
+    if len(numbers) != 2 or not all(number is not None and number > 0 for number in numbers):
+        check.fail("images", size, "(width, height) above 0, textures, arrays and images")
+    width, height = (number or 1 for number in numbers)
+    count = full_levels(width, height) if levels is None else min(max(levels, 1), full_levels(width, height))
+    return [(max(width >> level, 1), max(height >> level, 1)) for level in range(count)]
 
 
 def _check_sampler(check: ArgumentChecker, sampler: Any) -> SamplerDescriptor:
@@ -255,8 +268,10 @@ def _get_texture(check: ArgumentChecker, source: TextureBinding) -> Texture:
     return source.owner
 
 
-def _infer_format(check: ArgumentChecker, source: NDArray[Any] | TextureBinding) -> Format:
+def _infer_format(check: ArgumentChecker, source: NDArray[Any] | TextureBinding | tuple[Any, ...]) -> Format:
     """Return the format of a table whose first image this is, or refuse it."""
+    if isinstance(source, tuple):
+        check.fail("format", None, "a format: that of images given by their sizes doesn't follow")
     if not isinstance(source, np.ndarray):
         return _get_texture(check, source).format
     format = infer_format(source)
