@@ -107,8 +107,8 @@ def skipping_without_drivers() -> Iterator[None]:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_fixture_setup() -> Generator[None, object, object]:
-    """Skip tests whose fixture creates a device without a driver."""
+def pytest_runtest_setup() -> Generator[None, object, object]:
+    """Skip a test whose fixtures create a device without a driver."""
     with skipping_without_drivers():
         return (yield)
 

@@ -266,10 +266,10 @@ class Controller:
 
     def _estimate_tests(self) -> int:
         """Return the number of all tests; groups that haven't begun have as many a byte as the others."""
-        known = [group for group in self._groups if group.collected is not None]
-        tests = sum(group.collected or 0 for group in known)
-        size = sum(group.size for group in known)
-        return tests if len(known) == len(self._groups) else round(tests * self._size / max(size, 1))
+        begun = [group for group in self._groups if group.collected is not None]
+        tests = sum(group.collected or 0 for group in begun)
+        size = sum(group.size for group in begun)
+        return tests if len(begun) == len(self._groups) else round(tests * self._size / max(size, 1))
 
     def _report_death(self, group: Group, status: int) -> None:
         """Report a failure of the test in which a process has died, or of the group's first file."""
