@@ -17,7 +17,8 @@ morph targets are functions of time, and have no integrator.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from time import process_time
 from typing import Final
 
@@ -42,6 +43,11 @@ SUB_STEPS: Final = (1, 2, 4, 8, 16, 32)
 WAVE_SECONDS: Final = 5.0
 CELLS: Final = 32
 FLIGHT: Final = 0.8
+EULER: Final = ("semi-implicit Euler", "forward Euler")
+
+Comparison = tuple[Callable[[str, int], float], Sequence[str], Sequence[int], float, float, str]
+"""A simulation by integrator and steps, which returns its error; the names and the rates of integrators, the
+seconds that are simulated, and the scale and the unit of errors."""
 
 
 def list_chain_points() -> Floats:
@@ -198,20 +204,18 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     for name, swing in chains.items():
         for sub_steps in SUB_STEPS:
             error = float(np.linalg.norm(swing(sub_steps) - exact, axis=1).mean())
-            taken = time(lambda: swing(sub_steps), SWING_SECONDS)  # noqa: B023 (called at once)
+            taken = time(partial(swing, sub_steps), SWING_SECONDS)
             yield _make_row("chain", name, RATE * sub_steps, f"{1e3 * error:.3g} mm", taken)
-    for name in ("leapfrog", "semi-implicit Euler", "forward Euler"):
-        for rate in (60, 120, 240):
-            steps = round(WAVE_SECONDS * rate)
-            error = 100.0 * roll_wave(name, steps)
-            taken = time(lambda: roll_wave(name, steps), WAVE_SECONDS)  # noqa: B023
-            yield _make_row("wave", name, rate, f"{error:.3g} %", taken)
-    for name in ("renderer", "semi-implicit Euler", "forward Euler"):
-        for rate in (10, 20, 60):
-            steps = round(FLIGHT * rate)
-            error = 1e3 * throw_drop(name, steps)
-            taken = time(lambda: throw_drop(name, steps), FLIGHT)  # noqa: B023
-            yield _make_row("drop", name, rate, f"{error:.3g} mm", taken)
+    others: dict[str, Comparison] = {
+        "wave": (roll_wave, ("leapfrog", *EULER), (60, 120, 240), WAVE_SECONDS, 100.0, "%"),
+        "drop": (throw_drop, ("renderer", *EULER), (10, 20, 60), FLIGHT, 1e3, "mm"),
+    }
+    for simulation, (simulate, names, rates, seconds, scale, unit) in others.items():
+        for name in names:
+            for rate in rates:
+                work = partial(simulate, name, round(seconds * rate))
+                error = f"{scale * work():.3g} {unit}"
+                yield _make_row(simulation, name, rate, error, time(work, seconds))
 
 
 def _make_row(simulation: str, integrator: str, rate: int, error: str, milliseconds: float) -> Record:

@@ -314,6 +314,9 @@ UNKNOWN_QUALITY_SETTING: Final = Rule(
 OUT_OF_REACH: Final = Rule(
     "accuracy-out-of-reach", "none of the settings tried is that fast and that accurate"
 )
+OTHER_SETTINGS: Final = Rule(
+    "accuracy-other-settings", "settings in use are values of other quality settings than those to choose"
+)
 NO_QUALITY_SETTINGS: Final = Rule(
     "accuracy-no-settings", "none of these quality settings matters for this scene and device"
 )

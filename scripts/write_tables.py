@@ -34,6 +34,7 @@ import rhi  # noqa: E402
 from renderer.content import load_scene, parse_camera  # noqa: E402
 from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING  # noqa: E402
 from renderer.lab.visibility_comparison import Contender, compare_algorithms, list_frames  # noqa: E402
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS  # noqa: E402
 from renderer.lights.object_lists import list_lights  # noqa: E402
 from renderer.renderer import Renderer  # noqa: E402
 from renderer.stereo import Stereo, compute_rig  # noqa: E402
@@ -126,13 +127,9 @@ def count_light_lists() -> Cells:
     rows = {}
     for name in ("night:lights=64", "night:lights=512", "night:lights=4096", "hall:lights=4096"):
         scene = load_scene(name)
-        positions, ranges = (
-            np.concatenate([lights[field] for lights in (scene.lights.point, scene.lights.spot)]).astype(
-                np.float64
-            )
-            for field in ("position", "range")
-        )
-        ends, _ = list_lights(scene.objects.lower, scene.objects.upper, positions, ranges)
+        spheres = [kind.bound_lights(scene.lights.of_kind(kind)) for kind in LOCAL_LIGHT_KINDS]
+        centers, radii = (np.concatenate(parts) for parts in zip(*spheres, strict=True))
+        ends, _ = list_lights(scene.objects.lower, scene.objects.upper, centers, radii)
         rows[f"`{name}`"] = [f"{len(scene.objects):,}", f"{ends[-1]:,}, {np.diff(ends).max():,}"]
     return rows
 

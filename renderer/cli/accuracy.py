@@ -19,9 +19,11 @@ there: an interrupted sweep continues where it stopped. With --budget-ms or --ma
 that change images of this scene are combined greedily, drawn and timed. Their error is the mean error plus
 the flicker, the change of a pixel's error from frame to frame, times the weight of --flicker: --flicker 0
 looks at stills alone, and takes textures without mip levels. The choice is checked with ten more
-views, where the mean of their errors plus four standard deviations must be within the bound, and tried in
-twenty others. It is written to DIR/settings.json, which `render`, `compare techniques`, `compare visibility`
-and `accuracy` read with --settings. An older one is removed before anything is measured, so none is left if
+views, where the mean of their errors plus four standard deviations must be within the bound, and tried in twenty
+others. With --keep, an earlier choice remains as long as it may be within the bound and no other is better by
+more than what was measured is uncertain, so noise changes nothing. The choice is written to
+DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with
+--settings. An older one is removed before anything is measured, so none is left if
 the choice is refused.
 """
 
@@ -63,6 +65,7 @@ from renderer.lab.accuracy import (
 from renderer.lab.measure import format_table
 from renderer.lab.measure.disturbance import DISTURBED
 from renderer.scene import Scene
+from renderer.scene.files import read_json
 from renderer.settings import to_json
 from renderer.viewer.frame_budget import BudgetStep, save_steps
 from rhi import RhiError, refuse
@@ -105,6 +108,12 @@ _OPTIONS: Final = (
         type=options.parse_weight,
         metavar="WEIGHT",
     ),
+    option(
+        "--keep",
+        "settings.json of an earlier choice: its values are left only for surely better ones",
+        type=Path,
+        metavar="F.json",
+    ),
     options.executor("shards of quality settings run", KINDS),
     options.output_file("--plot", "write charts of errors and times"),
     options.output_folder("--output", "folder for the results; an interrupted sweep is resumed from it"),
@@ -143,14 +152,35 @@ def _run(arguments: argparse.Namespace) -> None:
         prepare_chart(arguments.plot)
     setup = _make_setup(arguments)
     settings_path = (arguments.output or Path()) / "settings.json"
+    values_in_use = load_values_in_use(arguments.keep, is_bounded=_is_bounded(arguments))
     if _is_bounded(arguments):
         remove_old_settings(settings_path, arguments.settings)
     with keep_references(_jobs_folder(arguments)):
-        _measure(arguments, setup, scene)
+        _measure(arguments, setup, scene, values_in_use)
 
 
-def _measure(arguments: argparse.Namespace, setup: SweepSetup, scene: Scene) -> None:
-    """Sweep the quality settings, choose settings if there is a bound, and write and print the results."""
+def load_values_in_use(path: Path | None, *, is_bounded: bool) -> dict[str, str] | None:
+    """The values of quality settings in a file of an earlier choice; None without a file.
+
+    Raises:
+        OutputError: the file has none, or there is no bound to choose within.
+    """
+    if path is None:
+        return None
+    if not is_bounded:
+        raise OutputError("--keep: there is nothing to choose without --budget-ms or --max-error")
+    try:
+        values = read_json(path)["values"]
+        return {str(name): str(value) for name, value in values.items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise OutputError(f"--keep: {path} isn't the settings.json of a choice") from None
+
+
+def _measure(
+    arguments: argparse.Namespace, setup: SweepSetup, scene: Scene, values_in_use: dict[str, str] | None
+) -> None:
+    """Sweep the quality settings, choose settings if there is a bound, and write and print the results.
+    Settings in use, `values_in_use`, are left only for better ones."""
     reports = _sweep(arguments, setup)
     measured = [report for report in reports if report.rows]
     if not measured:
@@ -161,13 +191,21 @@ def _measure(arguments: argparse.Namespace, setup: SweepSetup, scene: Scene) -> 
         arguments.output is not None and select_effective_reports(scene, setup.settings, measured)
     ):
         progress = partial(show_progress, task="combine quality settings")
-        points = load_or_compute_pareto_front(setup, measured, _jobs_folder(arguments), progress)
+        points = load_or_compute_pareto_front(
+            setup, measured, _jobs_folder(arguments), progress, values_in_use
+        )
         note_disturbance(points)
     choice: CheckedChoice | None = None
     refusal: RhiError | None = None
     if is_bounded:
         try:
-            choice = choose(setup, points, budget_ms=arguments.budget_ms, max_error=arguments.max_error)
+            choice = choose(
+                setup,
+                points,
+                budget_ms=arguments.budget_ms,
+                max_error=arguments.max_error,
+                values_in_use=values_in_use,
+            )
         except RhiError as error:  # raised at the end: the results show which bounds could be kept
             refusal = error
     report = describe(setup, measured, points, choice) | report_omissions(scene)
@@ -211,6 +249,7 @@ def _make_setup(arguments: argparse.Namespace) -> SweepSetup:
         flicker_weight=arguments.flicker,
         # The sweep only begins a choice: it shares the traced pixels of the front.
         traced_pixels=FRONT_PIXELS if _is_bounded(arguments) else TRACED_PIXELS,
+        begins_choice=_is_bounded(arguments),
     )
 
 
@@ -320,6 +359,7 @@ def describe(
             "held_out_error": choice.held_out_error,
             "held_out_views": choice.held_out_views,
             "frames_over_budget": choice.over_budget,
+            "kept": choice.is_kept,
         },
     }
 

@@ -73,6 +73,7 @@ def format_choice(choice: CheckedChoice) -> str:
             if choice.over_budget is None
             else f", {choice.over_budget:.0%} of a walk's frames over the budget"
         )
+        + (", kept from an earlier choice" if choice.is_kept else "")
     )
 
 

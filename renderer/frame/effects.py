@@ -218,7 +218,7 @@ class EffectSources:
     Attributes:
         counts: of each effect, how many causes there are.
         features: the names of those that materials and meshes have.
-        local_lights: the positions (k, 3) and ranges (k,) of the point and of the spot lights.
+        local_lights: the spheres around what the point and the spot lights may light: centres (k, 3), radii (k,).
         height_fields: the object indices of the height fields.
         shaders: those that materials have of their own.
         layers: those of transparent objects.
@@ -673,7 +673,8 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         counts[row.spheres] = int(np.count_nonzero(lights_of_kind["source_radius"]))
         spheres = lights_of_kind[lights_of_kind["source_radius"] > 0.0]
         counts[Effect.LOCAL_PENUMBRAS] += _count_casting(scene, spheres)
-        local_lights.append((lights_of_kind["position"].copy(), lights_of_kind["range"].astype(np.float64)))
+        centers, radii = row.kind.bound_lights(lights_of_kind)
+        local_lights.append((centers.copy(), radii))
     shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)
     layers = TransparentLayers.count(scene)
     return EffectSources(state, counts, tuple(features), tuple(local_lights), height_fields, shaders, layers)

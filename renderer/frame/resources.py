@@ -468,7 +468,9 @@ class SceneResources:
     def lights(self) -> Lights:
         """The scene's lights that shine; with a `light_cutoff`, they end where their light is fainter."""
         scene = self.scene
-        response = scene.strongest_response() if scene.lights.has_faint else 1.0
+        response = scene.strongest_response()
+        if response > 0.0 and not scene.lights.has_faint:
+            response = 1.0
         key = scene.lights.snapshot, self.light_cutoff, response
         if self._chosen_lights[0] != key:
             lights = scene.lights.without_dark(response)
@@ -586,10 +588,12 @@ class SceneResources:
         is_known, self._listed_from = self._listed_from is lights.snapshot, lights.snapshot
         if is_known and not len(objects.following_indices):
             return False
-        by_kind = [lights.of_kind(kind) for kind in LOCAL_LIGHT_KINDS]
-        positions = np.concatenate([lights_of_kind["position"] for lights_of_kind in by_kind])
-        ranges = np.concatenate([lights_of_kind["range"] for lights_of_kind in by_kind]).astype(np.float64)
-        object_indices, light_ends = objects.following_indices, np.cumsum([len(part) for part in by_kind])
+        by_kind = [kind.bound_lights(lights.of_kind(kind)) for kind in LOCAL_LIGHT_KINDS]
+        positions, ranges = (np.concatenate(parts) for parts in zip(*by_kind, strict=True))
+        object_indices, light_ends = (
+            objects.following_indices,
+            np.cumsum([len(radii) for _, radii in by_kind]),
+        )
         state = (positions, ranges, light_ends, objects.lower[object_indices], objects.upper[object_indices])
         if self._lit and all(map(np.array_equal, self._lit, state)):
             return False

@@ -114,6 +114,12 @@ class LocalLightKind(LightKind):
         np.shape(lights), np.nan, np.float32
     )
 
+    def bound_lights(self, lights: Lights) -> tuple[Floats, Floats]:
+        """Spheres around what lights may light, centres (k, 3) and radii (k,), with room for what directions and
+        angles in float32 are off."""
+        centers, radii = self.bounds(lights)
+        return np.asarray(centers, np.float64), radii * (1.0 + 2.0**-20)
+
     def pack_lights(self, lights: Lights, eye: Floats) -> NDArray[Any]:
         """The lights as shaders read them, with positions relative to `eye` (3,), subtracted in float64."""
         packed = np.zeros(len(lights), self.packed)

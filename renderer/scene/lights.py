@@ -40,7 +40,7 @@ class Lights(AllLightArrays):
             are equal.
         has_faint: whether any light is so faint that it may make no difference, as of the last `refresh`.
         hidden: by the name of a kind which of its lights (k,) are at hidden nodes, and shine nowhere; kinds
-            without any are left out. The scene writes it.
+            without any are left out. The scene writes it. Lights that were added since are shown.
     """
 
     sky: tuple[float, float, float] = (0.10, 0.12, 0.16)
@@ -63,6 +63,11 @@ class Lights(AllLightArrays):
     def local_count(self) -> int:
         """The number of lights that have a position."""
         return sum(len(self.of_kind(kind)) for kind in LOCAL_LIGHT_KINDS)
+
+    @property
+    def has_shadows(self) -> bool:
+        """True if any light casts shadows."""
+        return any(bool(self.of_kind(kind)["casts_shadow"].any()) for kind in LIGHT_KINDS)
 
     @property
     def has_wide_shadows(self) -> bool:
@@ -112,7 +117,16 @@ class Lights(AllLightArrays):
         """The lights that aren't at hidden nodes: these, or a copy without the others."""
         if not self.hidden:
             return self
-        return self._select({name: ~hidden for name, hidden in self.hidden.items()})
+        return self._select({name: self._flag_shown(name) for name in self.hidden})
+
+    def _flag_shown(self, name: str) -> NDArray[np.bool_]:
+        """The mask of the lights of a kind that aren't at hidden nodes. `hidden` is as of the scene's last refresh:
+        lights that were added since follow no node yet, and masks may be longer than what is left."""
+        hidden = self.hidden.get(name, np.zeros(0, bool))
+        shown = np.ones(len(getattr(self, name)), bool)
+        count = min(len(hidden), len(shown))
+        shown[:count] = ~hidden[:count]
+        return shown
 
     def _select(self, selected: Mapping[str, NDArray[np.bool_]]) -> Lights:
         """Return a copy with the lights that are `selected`, by the name of their kind; other kinds keep all."""
@@ -129,11 +143,13 @@ class Lights(AllLightArrays):
 
         Args:
             response: the most light that a surface sends to the eye for each unit of irradiance. Lights
-                that together make less of it than `LEAST_LIGHT` are left out as well.
+                that together make less of it than `LEAST_LIGHT` are left out as well; with 0 all are.
         """
+        if response <= 0.0:
+            return self._select({kind.name: np.zeros(len(self.of_kind(kind)), bool) for kind in LIGHT_KINDS})
         shining = {kind.name: _shine(self.of_kind(kind)) for kind in LIGHT_KINDS}
-        for name, hidden in self.hidden.items():
-            shining[name] &= ~hidden
+        for name in self.hidden:
+            shining[name] &= self._flag_shown(name)
         if self._has_faint_lights():
             self._leave_out_faint(shining, LEAST_LIGHT / response)
         if all(shines.all() for shines in shining.values()):

@@ -47,27 +47,39 @@ class SurfaceBounds:
     ) -> None:
         """`colors` (v, 4) are those of vertices, None if meshes have none."""
         self._textures, self._images = textures, images
-        self._minima: dict[tuple[int, int], float] = {}
+        self._ranges: dict[tuple[int, int], tuple[float, float]] = {}
         colors = np.ones((1, 4)) if colors is None else colors
         self.min_alpha = float(colors[:, 3].min(initial=1.0))
         self.max_alpha = float(colors[:, 3].max(initial=1.0))
         self.max_color = float(colors[:, :3].max(initial=1.0))
 
     def texel_minimum(self, texture: int, channel: int) -> float:
-        """Return the least value, 0 to 1, of a channel of all texels of a texture; each image is read once."""
+        """Return the least value, 0 to 1, of a channel of all texels of a texture."""
+        return self._find_range(texture, channel)[0]
+
+    def _find_range(self, texture: int, channel: int) -> tuple[float, float]:
+        """Return the least and the largest value, 0 to 1, of a channel of a texture; each image is read once."""
         image = int(self._textures["image"][texture])
-        if (image, channel) not in self._minima:
-            pixels = self._images[image] if image < len(self._images) else np.zeros((1, 1, 4), np.uint8)
-            self._minima[image, channel] = float(pixels[..., channel].min()) / 255.0
-        return self._minima[image, channel]
+        if (image, channel) not in self._ranges:
+            pixels = self._images[image] if image < len(self._images) else np.array([[[0], [255]]], np.uint8)
+            values = pixels[..., min(channel, pixels.shape[-1] - 1)]
+            self._ranges[image, channel] = float(values.min()) / 255.0, float(values.max()) / 255.0
+        return self._ranges[image, channel]
 
     def least_alphas(self, materials: NDArray[Any]) -> Floats:
         """Return the least alpha (k,) that materials have anywhere."""
-        alphas: Floats = materials["base_color"][:, 3].astype(np.float64) * self.min_alpha
+        return self._bound_alphas(materials, self.min_alpha, 0)
+
+    def largest_alphas(self, materials: NDArray[Any]) -> Floats:
+        """Return the largest alpha (k,) that materials have anywhere."""
+        return self._bound_alphas(materials, self.max_alpha, 1)
+
+    def _bound_alphas(self, materials: NDArray[Any], of_vertices: float, end: int) -> Floats:
+        alphas: Floats = materials["base_color"][:, 3].astype(np.float64) * of_vertices
         for row in np.flatnonzero(
             (materials["alpha_mode"] != AlphaMode.OPAQUE) & (materials["texture"] >= 0)
         ):
-            alphas[row] *= self.texel_minimum(int(materials["texture"][row]), 3)
+            alphas[row] *= self._find_range(int(materials["texture"][row]), 3)[end]
         return alphas
 
 
@@ -108,20 +120,17 @@ def strongest_response(materials: NDArray[Any], bounds: SurfaceBounds) -> float:
     specular = materials["specular_color"].max(axis=1, initial=0.0).astype(np.float64)
     glossy = specular * (materials["shininess"].astype(np.float64) + 8.0) * 0.125
     is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
-    strongest = np.where(is_metal, _METALLIC_PEAK * np.maximum(colors, 1.0), colors + glossy)
-    return float(strongest.max(initial=1.0))
+    rims = materials["rim_strength"].astype(np.float64)  # of ambient light
+    strongest = np.where(is_metal, _METALLIC_PEAK * np.maximum(colors, 1.0), colors + glossy + rims)
+    return float(strongest.max(initial=0.0))
 
 
-def flag_unseen_materials(materials: NDArray[Any], max_alpha: float) -> NDArray[np.bool_]:
+def flag_unseen_materials(materials: NDArray[Any], bounds: SurfaceBounds) -> NDArray[np.bool_]:
     """Return which materials (k,) cover nothing: blended ones of alpha 0 or nearly, and masks whose alpha is
-    below their cutoff.
-
-    Args:
-        max_alpha: the largest alpha of the vertices of all meshes, which multiplies that of materials.
-    """
-    mode, alpha = materials["alpha_mode"], materials["base_color"][:, 3].astype(np.float64)
-    is_clear = (mode == AlphaMode.BLEND) & (alpha * max_alpha <= _CLEAR)
-    is_cut = (mode == AlphaMode.MASK) & (alpha * max_alpha < materials["alpha_cutoff"] - _ROUNDING)
+    below their cutoff."""
+    mode, alpha = materials["alpha_mode"], bounds.largest_alphas(materials)
+    is_clear = (mode == AlphaMode.BLEND) & (alpha <= _CLEAR)
+    is_cut = (mode == AlphaMode.MASK) & (alpha < materials["alpha_cutoff"] - _ROUNDING)
     return np.asarray((is_clear | is_cut) & (materials["shader"] == 0))
 
 
@@ -137,6 +146,6 @@ def flag_points(transforms: Floats) -> NDArray[np.bool_]:
 
 def select_placed(objects: Objects) -> tuple[Indices, Indices]:
     """Return the indices of the objects that are boxes of their own node: those that can't move, and those
-    that may. Simulated ones aren't among them: theirs may be the transforms of an earlier time."""
-    is_placed = (objects.boxes.node == objects.node) & (objects.node >= 0) & ~objects.simulated
+    that may. Those within declared bounds aren't among them: theirs may be the transforms of an earlier time."""
+    is_placed = (objects.boxes.node == objects.node) & (objects.node >= 0)
     return np.flatnonzero(is_placed & ~objects.dynamic), np.flatnonzero(is_placed & objects.dynamic)

@@ -288,9 +288,7 @@ class Scene:
         if self._unseen_from == version and not have_points_changed:
             return False
         self._unseen_from = version
-        unseen = (
-            flag_unseen_materials(self.materials, self._bounds.max_alpha)[objects.material] | self._points
-        )
+        unseen = flag_unseen_materials(self.materials, self._bounds)[objects.material] | self._points
         has_changed = not np.array_equal(unseen, self._unseen)
         self._unseen = unseen
         return has_changed

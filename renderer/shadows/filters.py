@@ -112,19 +112,34 @@ class HardShadows(TexelFilterShader):
         return self.is_lit(at, sl.floor(at), depth, slope, center, half)
 
 
-class HardwareShadows(ShadowFilterShader):
-    """Compares 2 × 2 texels with one depth: that of the plane where it is nearest to the light among them."""
+class ComparisonFilterShader(ShadowFilterShader):
+    """The base of filters whose comparison the hardware filters."""
 
     shadow_compare: sl.DepthTexture2D
 
-    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
-        inside = sl.clamp(at, center - (half - 0.5), center + (half - 0.5))
+    def compare_texels(self, inside: sl.vec2, depth: float, slope: sl.vec2) -> float:
+        """Return the lit share of the 2 × 2 texels around a point, all compared with one depth: that of the plane
+        where it is nearest to the light among them.
+
+        Args:
+            inside: the point, at least half a texel inside the tile.
+            depth: the plane's depth at the point.
+            slope: its change per texel in x and y.
+        """
         share = sl.fract(inside - 0.5)
         nearest = sl.max(-slope * share, slope * (1.0 - share))
-        reference = depth + sl.dot(slope, inside - at) + nearest.x + nearest.y
+        reference = sl.clamp(depth + nearest.x + nearest.y, 0.0, 1.0)
         return self.shadow_compare.sample_compare_lod(
-            inside / sl.vec2(self.shadow_compare.size()), sl.clamp(reference, 0.0, 1.0), 0.0
+            inside / sl.vec2(self.shadow_compare.size()), reference, 0.0
         )
+
+
+class HardwareShadows(ComparisonFilterShader):
+    """Compares 2 × 2 texels with the plane."""
+
+    def lit_fraction(self, at: sl.vec2, depth: float, slope: sl.vec2, center: sl.vec2, half: float) -> float:
+        inside = sl.clamp(at, center - (half - 0.5), center + (half - 0.5))
+        return self.compare_texels(inside, depth + sl.dot(slope, inside - at), slope)
 
 
 class SmoothShadows(TexelFilterShader):
@@ -162,13 +177,11 @@ class PoissonShadows(TexelFilterShader):
         return lit / float(len(DISC))
 
 
-class PenumbraShadows(SmoothShadows):
+class PenumbraShadows(SmoothShadows, ComparisonFilterShader):
     """Compares as many texels as the penumbra is wide, and at least those of `SmoothShadows`."""
 
     blocker_samples = 16
     penumbra_samples = 32
-
-    shadow_compare: sl.DepthTexture2D
 
     def soft_lit_fraction(
         self,
@@ -246,12 +259,8 @@ class PenumbraShadows(SmoothShadows):
             distance = radius * sl.sqrt((float(i) + 0.5) / float(self.penumbra_samples))
             tap = at + distance * (way + stretch * sl.dot(stretch, way))
             inside = sl.clamp(tap, center - (half - 0.5), center + (half - 0.5))
-            share = sl.fract(inside - 0.5)
-            nearest = sl.max(-slope * share, slope * (1.0 - share))
             rise = sl.max(sl.abs(sl.dot(slope, inside - at)), _LOWEST * distance / spread)
-            reference = sl.clamp(depth + rise + nearest.x + nearest.y, 0.0, 1.0)
-            texel = inside / sl.vec2(self.shadow_compare.size())
-            lit += self.shadow_compare.sample_compare_lod(texel, reference, 0.0)
+            lit += self.compare_texels(inside, depth + rise, slope)
             way = turn_by_golden_angle(way)
         return lit / float(self.penumbra_samples)
 

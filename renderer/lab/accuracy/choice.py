@@ -22,15 +22,20 @@ tried in twenty views that had no part in the choice.
 
 A time is checked likewise: all settings of the front that may be within it by their confidence intervals are
 candidates, and the most accurate one is taken whose median frame of a walk through the views of the check is
-within it. In the end, what the original settings left to trials (`auto`) is left to them again: it saves
-time, and loses nothing.
+within it.
+
+Times of two settings may be nearer to each other than noise. So settings in use may be passed: they are kept as
+long as they may be within the bounds, unless others are surely better (`_is_surely_better`).
+
+In the end, what the original settings left to trials (`auto`) is left to them again: it saves time, and loses
+nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 from statistics import fmean
 from time import process_time
 from typing import Final
@@ -50,7 +55,14 @@ from renderer.lab.accuracy.quality_settings import (
     Requirement,
 )
 from renderer.lab.accuracy.race import MAX_TRIED, SettingsTrial, search
-from renderer.lab.accuracy.sweep import FLICKER_WEIGHT, SettingReport, SweepSetup, find_next_frame, list_views
+from renderer.lab.accuracy.sweep import (
+    FLICKER_WEIGHT,
+    SettingReport,
+    SweepSetup,
+    ValueRow,
+    find_next_frame,
+    list_views,
+)
 from renderer.lab.measure.disturbance import Instant
 from renderer.lab.measure.measurement import Interval
 from renderer.renderer import Renderer
@@ -64,8 +76,6 @@ MAX_POINTS: Final = 24
 evenly."""
 _MIN_TIMED_FRAMES: Final = 4
 """The fewest frames that a tried combination is timed with."""
-_MIN_ROUNDS: Final = 3
-"""Rounds before a point of the front is no longer timed, if another one surely beats it."""
 FRONT_PIXELS: Final = 800
 """About how many pixels of a view of the front are traced: all combinations are compared in the same ones."""
 _CHECK_PIXELS: Final = 400
@@ -74,6 +84,8 @@ _ALIKE: Final = 1.05
 """Settings of which one takes at most so many times as long as the other count as equally fast."""
 _MARGIN: Final = 4.0
 """Standard deviations between the mean error of a check's views and the error expected elsewhere."""
+_BURST: Final = 2
+"""Frames that are timed after one that isn't."""
 _PLAIN: Final = {"technique.name": "forward", "algorithm": "frustum"}
 """Values for the settings that the original settings leave to trials, while combinations are measured."""
 _ATLAS_SETTING: Final = "shadows.max_atlas_size"
@@ -139,6 +151,7 @@ class CheckedChoice:
             of the check.
         held_out_views: how many there were.
         over_budget: the fraction of the walk's frames that took more than the budget; None without one.
+        is_kept: whether they were in use, and others aren't surely better.
     """
 
     point: ParetoPoint
@@ -149,6 +162,7 @@ class CheckedChoice:
     held_out_error: float
     held_out_views: int
     over_budget: float | None = None
+    is_kept: bool = False
 
 
 def select_effective_reports(
@@ -157,9 +171,7 @@ def select_effective_reports(
     """The sweeps of the quality settings that change an image of this scene with these settings, by name."""
     base = make_plain(settings)
     lights = scene.lights
-    casts = any(
-        light_array["casts_shadow"].any() for light_array in (lights.directional, lights.point, lights.spot)
-    )
+    casts = lights.has_shadows
     effective = {}
     for report in reports:
         setting = QUALITY_SETTINGS[report.setting]
@@ -181,6 +193,19 @@ def select_effective_reports(
         if report.rows and setting.path and setting.unit is ErrorUnit.LEVELS and matters and not lacks:
             effective[setting.name] = report
     return effective
+
+
+def omit_equal_values(report: SettingReport, values_in_use: str | None = None) -> SettingReport:
+    """The sweep without most values that show the same in all views as the value before. Of equal values remain
+    the first one, the default or otherwise the last one, and `values_in_use`."""
+    rows = list[ValueRow]()
+    for _, group in groupby(
+        report.rows, key=lambda row: (row.mean_error, row.max_error, row.p99, row.flicker, row.difference)
+    ):
+        equal = list(group)
+        last = next((row for row in equal if row.is_default), equal[-1])
+        rows += [row for row in equal if row in (equal[0], last) or row.value == values_in_use]
+    return replace(report, rows=tuple(rows))
 
 
 def make_plain(settings: RenderSettings) -> RenderSettings:
@@ -372,6 +397,16 @@ class CombinationBench(Bench):
         ends = instants[len(frames) - 1 :]
         return [end - begin for begin, end in pairwise(ends)]
 
+    def compare_times(
+        self, settings: RenderSettings, other: RenderSettings, frames: Sequence[PathFrame]
+    ) -> Interval:
+        """The ratio of processor times of the frames of two walks, each of them walked twice in turn."""
+        walks = [self.walk(walked, frames) for walked in (settings, other, other, settings)]
+        first, second, third, fourth = (
+            np.array([instant.processor for instant in instants]) for instants in walks
+        )
+        return Interval.of(np.concatenate([first / second, fourth / third]))
+
     def time(
         self,
         trials: Sequence[SettingsTrial],
@@ -383,31 +418,32 @@ class CombinationBench(Bench):
         combination that a more accurate one surely beats has no further rounds.
 
         Args:
-            trials: of the combinations, the most accurate first.
+            trials: of the combinations, the most accurate first; what they took in the search counts, too.
         """
         times: list[list[Instant]] = [[] for _ in combinations]
         active, turn = list(range(len(combinations))), 0
-        for number in progress(self._rounds):
+        for number in progress(self._rounds[::_BURST]):
             start = number % len(active)
             for position in active[start:] + active[:start]:
                 settings = combinations[position]
                 renderer = self.exchange(settings)
                 turn += 1  # another view is drawn first; what the exchange creates isn't timed
                 self.draw(renderer, settings, frames[(turn // len(combinations) + 1) % len(frames)])
-                began = Instant.now()
-                self.draw(renderer, settings, frames[number % len(frames)])
-                times[position].append(Instant.now() - began)
-            if number + 1 >= _MIN_ROUNDS:
-                seconds = [np.array([instant.processor for instant in series]) for series in times]
-                timed = [
-                    SettingsTrial(trial.values, trial.errors, series)
-                    for trial, series in zip(trials, seconds, strict=True)
-                ]
-                active = [
-                    position
-                    for position in active
-                    if not any(timed[other].beats(timed[position]) for other in active if other < position)
-                ]
+                for timed in self._rounds[number : number + _BURST]:
+                    began = Instant.now()
+                    self.draw(renderer, settings, frames[timed % len(frames)])
+                    times[position].append(Instant.now() - began)
+            timed_trials = [
+                replace(trial, seconds=np.append(trial.seconds, [instant.processor for instant in series]))
+                for trial, series in zip(trials, times, strict=True)
+            ]
+            active = [
+                position
+                for position in active
+                if not any(
+                    timed_trials[other].beats(timed_trials[position]) for other in active if other < position
+                )
+            ]
         return times
 
 
@@ -417,13 +453,24 @@ def compute_pareto_front(
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
     *,
     races: bool = True,
+    values_in_use: Mapping[str, str] | None = None,
 ) -> list[ParetoPoint]:
     """Search the best combinations of quality settings, and return them with errors and times, the most
-    accurate first. Without `races` each combination is drawn in all views."""
+    accurate first. Without `races` each combination is drawn in all views. The combination `values_in_use`, if any, is
+    among them though others beat it.
+
+    Raises:
+        ValidationError `accuracy-no-settings`: no quality setting changes an image.
+        ValidationError `accuracy-other-settings`: `values_in_use` has other settings or values.
+    """
     scene = load_scene(setup.scene)
     effective = select_effective_reports(scene, setup.settings, reports)
     if not effective:
         refuse(rules.NO_QUALITY_SETTINGS, "compute_pareto_front", "no quality setting that changes its image")
+    check_values_in_use(values_in_use, effective)
+    effective = {
+        name: omit_equal_values(report, (values_in_use or {}).get(name)) for name, report in effective.items()
+    }
     base, frames = make_plain(setup.settings), list_views(scene, setup)
     values_by_setting = {name: [row.value for row in report.rows] for name, report in effective.items()}
     with (
@@ -456,6 +503,10 @@ def compute_pareto_front(
             np.linspace(0, len(best) - 1, min(len(best), MAX_POINTS)).round().astype(int)
         ).tolist()
         trials = [best[position] for position in positions]
+        if values_in_use is not None and all(trial.values != values_in_use for trial in trials):
+            # In the order of the others, whose keys are the values alone.
+            trials.append(measure({name: values_in_use[name] for name in values_by_setting}, []))
+            trials.sort(key=lambda trial: trial.rank)
         settings = [combine(base, trial.values) for trial in trials]
         times = bench.time(trials, settings, frames, progress)
     points = []
@@ -484,6 +535,23 @@ def compute_pareto_front(
     return mark_best(points)
 
 
+def check_values_in_use(
+    values_in_use: Mapping[str, str] | None, reports: Mapping[str, SettingReport]
+) -> None:
+    """Refuse a combination that isn't one of the values that were swept."""
+    if values_in_use is None:
+        return
+    values = {name: [row.value for row in report.rows] for name, report in reports.items()}
+    if set(values_in_use) != set(values) or any(values_in_use[name] not in values[name] for name in values):
+        found = ", ".join(f"{name} {value}" for name, value in values_in_use.items()) or "no values"
+        refuse(
+            rules.OTHER_SETTINGS,
+            "compute_pareto_front(values_in_use=...)",
+            found,
+            f"a value of each of {values}",
+        )
+
+
 def mark_best(points: Sequence[ParetoPoint]) -> list[ParetoPoint]:
     """The points, with `is_best` where no other point beats them in error and time."""
     return [
@@ -500,6 +568,53 @@ def mark_best(points: Sequence[ParetoPoint]) -> list[ParetoPoint]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class _Check:
+    """The errors of settings in the views of a check, and the milliseconds of a walk through them."""
+
+    errors: tuple[FrameError, ...]
+    times: Floats
+
+    @property
+    def totals(self) -> list[float]:
+        return [error.total for error in self.errors]
+
+    def find_fault(self, budget_ms: float | None, max_error: float | None, *, has_doubt: bool) -> str | None:
+        """The bound that settings break; None if they break none. With `has_doubt` a time counts
+        only if it surely is longer."""
+        if budget_ms is not None:
+            median_time = float(np.median(self.times))
+            if (Interval.of(self.times).low if has_doubt else median_time) > budget_ms:
+                return f"{median_time:.4g} ms, the median of {len(self.times)} frames of a walk"
+        if max_error is not None and (expected := expect_error(self.totals)) > max_error:
+            return f"{expected:.4g} levels or more, expected from the views of the check"
+        return None
+
+
+def _check(
+    bench: CombinationBench,
+    settings: RenderSettings,
+    frames: Sequence[PathFrame],
+    budget_ms: float | None,
+    max_error: float | None,
+    *,
+    has_doubt: bool = False,
+) -> _Check:
+    """Walk through frames if there is a bound on the time, and compare them, up to one beyond a bound."""
+    times = np.zeros(0)
+    if budget_ms is not None:
+        times = np.array([1e3 * instant.undisturbed for instant in bench.walk(settings, frames)])
+        too_slow = _Check((), times).find_fault(budget_ms, None, has_doubt=has_doubt)
+        if too_slow is not None:
+            return _Check((), times)
+    errors = list[FrameError]()
+    for error, _ in bench.draw_views(settings, frames):
+        errors.append(error)
+        if max_error is not None and error.total > max_error:
+            break  # more views only raise what is expected
+    return _Check(tuple(errors), times)
+
+
 def choose(
     setup: SweepSetup,
     points: Sequence[ParetoPoint],
@@ -508,12 +623,15 @@ def choose(
     max_error: float | None = None,
     views: int = 10,
     held_out: int = 20,
+    values_in_use: Mapping[str, str] | None = None,
 ) -> CheckedChoice:
     """Choose the fastest settings of the front within an error, or the most accurate within a time, or both.
 
     Args:
         views: the number of views that check the error. They lie between the front's views.
         held_out: the number of views that the result is tried in. They lie between all the others.
+        values_in_use: the values of settings in use. They remain if they may be within the bounds, unless others are
+            better by more than what was measured is uncertain.
 
     Raises:
         ValidationError `accuracy-out-of-reach`: no settings keep the bounds.
@@ -524,9 +642,12 @@ def choose(
     good = [point for point in fast if max_error is None or point.error <= max_error]
     if budget_ms is None:
         good = order_by_speed(good)
+    in_use = next(
+        (point for point in best if values_in_use is not None and point.values == values_in_use), None
+    )
     bounds = ((budget_ms, "ms"), (max_error, "levels"))
     bounds_text = " and ".join(f"{bound:.4g} {unit}" for bound, unit in bounds if bound is not None)
-    if not good:
+    if not good and in_use is None:
         least, first = min(point.error for point in best), min(map(_min_milliseconds, best))
         allowed = f"{first:.4g} ms or more, an error of {least:.4g} levels or more"
         refuse(rules.OUT_OF_REACH, "choose", bounds_text, allowed)
@@ -539,36 +660,56 @@ def choose(
         rhi.create_device(setup.backend) as device,
         CombinationBench(device, scene, setup, names, _CHECK_PIXELS) as bench,
     ):
+        chosen: tuple[ParetoPoint, _Check] | None = None
+        rejected, found_out = 0, "no settings that may be within them"
         for point in good:
-            over_budget = None
-            if budget_ms is not None:
-                times = np.array(
-                    [1e3 * instant.undisturbed for instant in bench.walk(point.settings, checks)]
-                )
-                if np.median(times) > budget_ms:
-                    found_out = f"{np.median(times):.4g} ms, the median of {len(times)} frames of a walk"
-                    continue
-                over_budget = float((times > budget_ms).mean())
-            frame_errors: list[FrameError] = []
-            for error, _ in bench.draw_views(point.settings, checks):
-                frame_errors.append(error)
-                if max_error is not None and error.total > max_error:
-                    break  # more views only raise what is expected
-            errors = [error.total for error in frame_errors]
-            expected = expect_error(errors)
-            found_out = f"{expected:.4g} levels or more, expected from the views of the check"
-            if max_error is None or expected <= max_error:
-                motion = setup.flicker_weight * fmean(error.flicker for error in frame_errors)
+            checked = _check(bench, point.settings, checks, budget_ms, max_error)
+            fault = checked.find_fault(budget_ms, max_error, has_doubt=False)
+            if fault is None:
+                chosen = point, checked
                 break
-            worst = int(np.argmax(errors))  # the next settings are likely to fail there, too
-            checks.insert(0, checks.pop(worst))
-        else:
+            if checked.errors:  # the next settings are likely to fail in the worst view, too
+                checks.insert(0, checks.pop(int(np.argmax(checked.totals))))
+            rejected, found_out = rejected + 1, fault
+        if in_use is not None and (chosen is None or chosen[0] is not in_use):
+            own = _check(bench, in_use.settings, checks, budget_ms, max_error, has_doubt=True)
+            fault = own.find_fault(budget_ms, max_error, has_doubt=True)
+            if fault is None and (
+                chosen is None or not _is_surely_better(bench, chosen, (in_use, own), checks, budget_ms)
+            ):
+                chosen = in_use, own
+        if chosen is None:
             refuse(rules.OUT_OF_REACH, "choose", bounds_text, found_out)
+        point, checked = chosen
+        motion = setup.flicker_weight * fmean(error.flicker for error in checked.errors)
         stills = bench.compare(point.settings, others, has_flicker=False)
-    last = max(error.still for error in stills) + motion
     return CheckedChoice(
-        point, max(errors), expected, len(checks), good.index(point), last, len(others), over_budget
+        point,
+        max(checked.totals),
+        expect_error(checked.totals),
+        len(checked.errors),
+        rejected,
+        max(error.still for error in stills) + motion,
+        len(others),
+        None if budget_ms is None else float((checked.times > budget_ms).mean()),
+        point is in_use,
     )
+
+
+def _is_surely_better(
+    bench: CombinationBench,
+    other: tuple[ParetoPoint, _Check],
+    in_use: tuple[ParetoPoint, _Check],
+    frames: Sequence[PathFrame],
+    budget_ms: float | None,
+) -> bool:
+    """True if other settings are better than those in use by more than the 95 % intervals of what was measured:
+    faster, or with a bound on the time surely within it and more accurate in the same views."""
+    (point, checked), (used, own) = other, in_use
+    if budget_ms is None:
+        return bench.compare_times(point.settings, used.settings, frames).high < 1.0
+    ratios = np.array(checked.totals) / np.maximum(own.totals, 1e-9)
+    return Interval.of(checked.times).high <= budget_ms and Interval.of(ratios).high < 1.0
 
 
 def order_by_speed(points: Iterable[ParetoPoint]) -> list[ParetoPoint]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -27,7 +27,7 @@ from renderer.lab.accuracy.quality_settings import QUALITY_SETTINGS, ErrorUnit, 
 from renderer.settings import to_json
 from rhi_screen.executors import as_completed
 
-_VERSION: Final = 6
+_VERSION: Final = 7
 """Part of each job's hash. Raise it with any change of what is measured or stored."""
 
 
@@ -135,12 +135,13 @@ def load_or_compute_pareto_front(
     reports: Sequence[sweep.SettingReport],
     folder: Path | None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
+    values_in_use: Mapping[str, str] | None = None,
 ) -> list[ParetoPoint]:
     """The Pareto front (`compute_pareto_front`); read from the folder if it was computed from the same
     reports."""
     if folder is None:
-        return compute_pareto_front(setup, reports, progress)
-    parts = [_VERSION, to_json(setup), [asdict(report) for report in reports]]
+        return compute_pareto_front(setup, reports, progress, values_in_use=values_in_use)
+    parts = [_VERSION, to_json(setup), [asdict(report) for report in reports], dict(values_in_use or {})]
     path = folder / f"pareto-front-{_hash(parts)}.json"
     try:
         stored_points = json.loads(path.read_text(encoding="utf-8"))
@@ -149,7 +150,7 @@ def load_or_compute_pareto_front(
             ParetoPoint(**point | {"settings": combine(base, point["values"])}) for point in stored_points
         ]
     except (OSError, ValueError, TypeError, KeyError):
-        points = compute_pareto_front(setup, reports, progress)
+        points = compute_pareto_front(setup, reports, progress, values_in_use=values_in_use)
         _write_whole(path, json.dumps([asdict(point) | {"settings": None} for point in points]))
         return points
 

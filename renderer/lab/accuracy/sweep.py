@@ -23,6 +23,7 @@ from dataclasses import astuple, dataclass, field
 from functools import partial
 from operator import truediv
 from statistics import fmean, median
+from time import perf_counter, process_time
 from typing import Final, TypeVar
 
 import numpy as np
@@ -91,6 +92,8 @@ class SweepSetup:
         first, last: the frames of a path among which views are spread; `last` may be None for its end.
         flicker_weight: how many levels of error a level of flicker counts for when settings are chosen.
         traced_pixels: about how many pixels of an image are ray-traced.
+        begins_choice: whether combinations of the values are timed afterwards. Then images are compared of the scene
+            as it is, without shadows, bloom or ambient occlusion that it lacks, and no further frames are timed.
     """
 
     scene: str
@@ -104,6 +107,7 @@ class SweepSetup:
     last: int | None = None
     flicker_weight: float = FLICKER_WEIGHT
     traced_pixels: int = TRACED_PIXELS
+    begins_choice: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +269,9 @@ def sweep_shard(setup: SweepSetup, name: str, shard: SweepShard) -> SettingSampl
         if setting.is_encoding:
             return _sweep_encodings(setup, setting, device, make_sample)
         scene = load_scene(setup.scene)
-        lack = prepare_scene(scene, setting) or find_missing_option(setup.scene, setting)
+        lack = prepare_scene(scene, setting, is_changed=not setup.begins_choice) or find_missing_option(
+            setup.scene, setting
+        )
         if lack is not None:
             return make_sample(dict.fromkeys(setting.values, lack))
         left_out = list_unsupported_values(device, setup.settings, setting)
@@ -327,25 +333,22 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
     )
 
 
-def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
+def prepare_scene(scene: Scene, setting: QualitySetting, *, is_changed: bool = True) -> str | None:
     """Add what a quality setting needs to a scene where possible: shadows, bloom, occlusion, an aperture. Return what
-    is still missing, None for nothing."""
+    is still missing, None for nothing. With `is_changed=False` nothing is added."""
     if setting.unit is ErrorUnit.OVERDRAW and scene.height_fields:
         return "the scene has a ground, of which each view has other triangles"
     if setting.reference.is_float64 or setting.reference.rays:
         scene.bloom = None  # pixels are compared with their own light
     if setting.reference.rays and not can_ray_trace(scene):
         return "the scene has simulated meshes, which rays don't follow"
+    if is_changed:
+        _add_required_effect(scene, setting.requirement)
+    has: int
     match setting.requirement:
         case Requirement.SHADOWS:
-            scene.lights.cast_shadows()
-            has = len(scene.lights.directional) + len(scene.lights.point) + len(scene.lights.spot)
+            has = scene.lights.has_shadows
         case Requirement.PENUMBRAS:
-            scene.lights.cast_shadows()
-            suns = scene.lights.directional
-            suns["angular_diameter"] = np.where(
-                suns["angular_diameter"] > 0.0, suns["angular_diameter"], SUN_DIAMETER
-            )
             has = scene.lights.has_wide_shadows
         case Requirement.TRANSPARENCY:
             has = len(scene.list_transparent())
@@ -354,14 +357,11 @@ def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
         case Requirement.LOCAL_LIGHTS:
             has = len(scene.lights.point) + len(scene.lights.spot)
         case Requirement.BLOOM:
-            scene.bloom = scene.bloom or Bloom()
-            has = len(scene.list_emitters())
+            has = bool(scene.bloom and len(scene.list_emitters()))
         case Requirement.FOCUS:
-            scene.depth_of_field = scene.depth_of_field or DepthOfField(10.0, APERTURE_RADIUS)
-            has = len(scene.objects)
+            has = bool(scene.depth_of_field and len(scene.objects))
         case Requirement.AMBIENT_LIGHT:
-            scene.ambient_occlusion = scene.ambient_occlusion or AmbientOcclusion()
-            has = max(*scene.lights.sky, *scene.lights.ground) > 0.0
+            has = bool(scene.ambient_occlusion and max(*scene.lights.sky, *scene.lights.ground) > 0.0)
         case Requirement.MOTION:
             has = len(scene.simulated)
         case Requirement.DIVERGING_SIMULATIONS:
@@ -371,13 +371,34 @@ def prepare_scene(scene: Scene, setting: QualitySetting) -> str | None:
         case Requirement.FOUNTAINS:
             has = sum(isinstance(simulated.simulation, FountainSimulation) for simulated in scene.simulated)
         case Requirement.HEIGHT_FIELDS | Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
-            if setting.requirement is Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
-                scene.lights.cast_shadows()
-                scene.objects.casts_shadow[list(scene.height_fields)] = True
             has = sum(field.limit == field.count for field in scene.height_fields.values())
+            if setting.requirement is Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
+                has *= scene.lights.has_shadows
         case _:
             return None
     return None if has else f"the scene lacks {setting.requirement.value}"
+
+
+def _add_required_effect(scene: Scene, requirement: Requirement | None) -> None:
+    """Add the effect that a requirement asks for to a scene."""
+    match requirement:
+        case Requirement.SHADOWS:
+            scene.lights.cast_shadows()
+        case Requirement.PENUMBRAS:
+            scene.lights.cast_shadows()
+            suns = scene.lights.directional
+            suns["angular_diameter"] = np.where(
+                suns["angular_diameter"] > 0.0, suns["angular_diameter"], SUN_DIAMETER
+            )
+        case Requirement.BLOOM:
+            scene.bloom = scene.bloom or Bloom()
+        case Requirement.AMBIENT_LIGHT:
+            scene.ambient_occlusion = scene.ambient_occlusion or AmbientOcclusion()
+        case Requirement.FOCUS:
+            scene.depth_of_field = scene.depth_of_field or DepthOfField(10.0, APERTURE_RADIUS)
+        case Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
+            scene.lights.cast_shadows()
+            scene.objects.casts_shadow[list(scene.height_fields)] = True
 
 
 def find_missing_option(scene: str, setting: QualitySetting) -> str | None:
@@ -513,6 +534,8 @@ class SettingBench(Bench):
         shard: SweepShard = WHOLE_SWEEP,
     ) -> None:
         self._setting, self._shard = setting, shard
+        self._begins_choice = setup.begins_choice
+        self._compared_times: dict[str, list[tuple[float, float]]] = {value: [] for value in values}
         self._rounds = shard.take(range(setup.rounds))
         self._history, self._views, self._timed = list_frames(scene, setup, setting, shard)
         has_next = self._views and not shard.number and not setting.history_frames
@@ -566,7 +589,7 @@ class SettingBench(Bench):
         if not option:
             return None
         scene = load_scene(change_options(setup.scene, f"{option}={self._setting.values[value]}"))
-        prepare_scene(scene, self._setting)
+        prepare_scene(scene, self._setting, is_changed=not setup.begins_choice)
         return scene
 
     @property
@@ -645,7 +668,11 @@ class SettingBench(Bench):
                     (np.zeros(true.shape[:2]), None),
                 )  # drawn already; drawing again would give another frame
                 continue
-            visible_objects = read_image_levels(self._render(value, view))
+            processor, began = process_time(), perf_counter()
+            result = self._render(value, view)
+            self.device.finish()
+            self._compared_times[value].append((perf_counter() - began, process_time() - processor))
+            visible_objects = read_image_levels(result)
             errors = np.where(counts, np.abs(visible_objects - true).max(axis=2), np.nan)
             yield value, (errors, (np.where(counts[..., None], true, visible_objects), visible_objects))
 
@@ -688,6 +715,11 @@ class SettingBench(Bench):
         """Time frames of all values, and of the reference if the renderer draws it. Returns the reference's
         times divided by the most accurate value's as well."""
         views, rounds, names = self._timed, self._rounds, list(self._renderers)
+        if self._begins_choice and all(self._compared_times.values()):
+            return {
+                value: Measurement(value, *zip(*times, strict=True))
+                for value, times in self._compared_times.items()
+            }, ()
         start = rounds[0] % len(names)  # each round starts with the next value, also across shards
         work = {name: self._draw_timed(name) for name in names[start:] + names[:start]}
         if self._setting.history_frames:

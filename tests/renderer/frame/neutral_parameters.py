@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from renderer.content import BUILT_IN
+from renderer.content.fountains import BOUNDS, FountainSimulation, make_drops
 from renderer.frame import Blending
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene import (
@@ -29,6 +30,8 @@ from renderer.scene import (
     scaling,
     translation,
 )
+from renderer.scene.cloth import ClothSimulation, Wind, make_cloth_grid
+from renderer.scene.water import WaterPool, WaterSimulation
 from renderer.shadows import ShadowFilter
 from rhi import Filter
 
@@ -41,7 +44,8 @@ CHECKS[..., :3] = np.random.default_rng(3).integers(0, 256, (8, 8, 3))
 CHECKS[..., 3] = 255
 BUMPS = np.maximum(CHECKS, 140)
 BUMPS[..., 3] = 255
-IMAGES = {"checks": CHECKS, "bumps": BUMPS}
+CLEAR = CHECKS * np.array((1, 1, 1, 0), np.uint8)
+IMAGES = {"checks": CHECKS, "bumps": BUMPS, "clear": CLEAR}
 
 LIGHT_FIELDS: dict[str, tuple[Any, ...]] = {
     "position": ((0.0, 2.0, 1.0), (0.0, -0.1, 0.0), (1e6, 0.0, 0.0)),
@@ -102,6 +106,8 @@ UNSEEN: tuple[Values, ...] = (
     {"alpha_mode": AlphaMode.BLEND, "base_color": (0.6, 0.5, 0.4, 0.0)},
     {"alpha_mode": AlphaMode.BLEND, "base_color": (0.6, 0.5, 0.4, _FAINT)},
     {"alpha_mode": AlphaMode.MASK, "base_color": (0.6, 0.5, 0.4, 0.2), "alpha_cutoff": 0.9},
+    {"alpha_mode": AlphaMode.BLEND, "texture": "clear"},
+    {"alpha_mode": AlphaMode.MASK, "texture": "clear", "alpha_cutoff": 0.1},
 )
 """Values with which a material covers nothing, whatever else it is."""
 
@@ -178,7 +184,7 @@ SCENE_PARTS: dict[str, str] = {
     "paths": "choose a camera, and aren't drawn",
     "omissions": "are a report",
     "clips": "move nodes only while they are played",
-    "simulated": "tests/renderer/visibility/test_skipped_simulation.py",
+    "simulated": "`spread_objects`, and tests/renderer/visibility/test_skipped_simulation.py",
     "table": "is how materials are made",
     "parameters": "are read by shaders of materials alone, of which nothing is known",
 }
@@ -247,6 +253,13 @@ def spread_lights() -> Iterator[Neutral]:
                 if set_to.get("inner", 0.0) > set_to.get("outer", np.inf):
                     continue
                 yield Neutral(f"a dark {kind.name} light: {off}, {turn}", _add_light(kind, set_to))
+    for direction, outer in (((0.0, 1.0, 0.0), 0.5), ((0.0, 1.0, 0.0), 1e-3), ((0.6, 0.8, 0.0), 1.0)):
+        yield Neutral(f"a spot {direction}, {outer}", partial(_aim_spot, direction=direction, outer=outer))
+
+
+def _aim_spot(builder: SceneBuilder, direction: tuple[float, float, float], outer: float) -> None:
+    """Add a spot light beside the box that shines into the air."""
+    builder.lights.add_spot((1.5, 3.0, 1.0), direction, 5.0, 0.0, outer, casts_shadow=True)
 
 
 def _add_light(kind: Any, values: Values) -> Add:
@@ -290,7 +303,7 @@ def spread_materials() -> Iterator[Neutral]:
     """Materials that cover nothing, objects of no size, and materials that nothing has."""
     for number, off in enumerate(UNSEEN):
         for turn, values in enumerate(material_values(number)):
-            if off["base_color"][3] == _FAINT and _is_bright(values):
+            if off.get("base_color", (0.0,))[-1] == _FAINT and _is_bright(values):
                 continue  # little of it is seen
             yield Neutral(f"unseen {off}: {turn}", partial(add_box, values={**values, **off}))
     for turn, values in enumerate(material_values(7)):
@@ -336,8 +349,40 @@ def spread_equal_materials() -> Iterator[Neutral]:
             )
 
 
+def _add_cloth(builder: SceneBuilder, size: tuple[float, float, float]) -> None:
+    x, y = np.meshgrid(np.linspace(0.0, 1.3, 11), np.linspace(0.0, -0.9, 8))
+    pinned = np.zeros(x.shape, bool)
+    pinned[:, 0] = True
+    cloth_grid = make_cloth_grid(np.stack([x, y, np.zeros_like(y)], 2), pinned)
+    mesh = builder.add_mesh(cloth_grid.make_mesh(), "flag", cloth_grid.bounds)
+    cloth = builder.add_objects(
+        builder.add_node(scaling(size)), mesh, builder.add_material(double_sided=True)
+    )
+    builder.simulate(cloth, ClothSimulation(1, cloth_grid, Wind((3.0, 0.0, 0.6))))
+
+
+def _add_pool(builder: SceneBuilder, size: tuple[float, float, float]) -> None:
+    pool = WaterPool(size=(2.6, 1.4), cells=(24, 12), depth=0.06, damping=0.6, rain=5.0)
+    mesh = builder.add_mesh(pool.make_mesh(), bounds=pool.bounds)
+    builder.simulate(
+        builder.add_objects(builder.add_node(scaling(size)), mesh, 0), WaterSimulation(1, pool, seed=3)
+    )
+
+
+def _add_fountain(builder: SceneBuilder, size: tuple[float, float, float]) -> None:
+    mesh = builder.add_mesh(make_drops(), "spray", BOUNDS)
+    builder.simulate(builder.add_objects(builder.add_node(scaling(size)), mesh, 0), FountainSimulation(1, 5))
+
+
+SIMULATED: dict[str, Callable[..., None]] = {
+    "cloth": _add_cloth,
+    "pool": _add_pool,
+    "fountain": _add_fountain,
+}
+
+
 def spread_objects() -> Iterator[Neutral]:
-    """Objects that are hidden or reserved, and terrain of no size."""
+    """Objects that are hidden or reserved, and terrain and simulated meshes of no size."""
 
     def hide(builder: SceneBuilder) -> None:
         builder.hide(add_box(builder, {"alpha_mode": AlphaMode.BLEND, "base_color": (1, 1, 1, 0.5)}))
@@ -353,6 +398,9 @@ def spread_objects() -> Iterator[Neutral]:
 
     for name, add in (("hidden", hide), ("reserved", reserve), ("terrain of no size", flatten)):
         yield Neutral(name, add)
+    for name, simulate in SIMULATED.items():
+        for size in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+            yield Neutral(f"{name} of size {size}", partial(simulate, size=size))
 
 
 def spread_air() -> Iterator[Neutral]:

@@ -42,7 +42,17 @@ import rhi
 from renderer.frame import Blending, Effect
 from renderer.lab.measure.ray_tracer import RayTracer
 from renderer.light_kinds.table import LIGHT_KINDS
-from renderer.scene import AlphaMode, Bloom, Camera, Fog, Scene, make_height_field, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Bloom,
+    Camera,
+    Fog,
+    Scene,
+    ShadingModel,
+    make_height_field,
+    scaling,
+    translation,
+)
 from renderer.scene.materials import MATERIAL
 from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES
@@ -190,6 +200,36 @@ def test_dark_lights_cost_nothing_with_any_technique(null: rhi.Device, technique
 
     dark = list_work(null, make_scene(add_dark), technique=technique)
     assert dark == list_work(null, make_scene(bool), technique=technique)
+
+
+def add_lights(builder: Any) -> None:
+    builder.lights.add_directional((-0.3, -1.0, -0.5), casts_shadow=True)
+    builder.lights.add_point((0.0, 2.0, 1.0), 5.0, casts_shadow=True)
+    builder.lights.add_spot((0.0, 2.0, 1.0), (0.0, -1.0, 0.0), 5.0, 0.2, 0.5)
+
+
+def make_black_scene(add: Any, specular: float = 0.0) -> Scene:
+    """A scene whose surfaces only emit light."""
+    emits = {"base_color": (0.0, 0.0, 0.0, 1.0), "emissive": (0.3, 0.2, 0.1)}
+    scene = make_scene(lambda builder: (add_box(builder, emits), add(builder)))
+    scene.materials["base_color"][:, :3], scene.materials["specular_color"] = 0.0, specular
+    scene.materials["model"] = ShadingModel.SPECULAR
+    return scene
+
+
+@pytest.mark.parametrize("technique", ["forward", "deferred", "clustered"])
+def test_lights_cost_nothing_where_surfaces_reflect_nothing(null: rhi.Device, technique: str) -> None:
+    unlit = list_work(null, make_black_scene(bool), technique=technique)
+    assert list_work(null, make_black_scene(add_lights), technique=technique) == unlit
+    glossy = [list_work(null, make_black_scene(add, 1.0), technique=technique) for add in (add_lights, bool)]
+    assert glossy[0] != glossy[1], "control"
+
+
+def test_rims_of_black_surfaces_reflect_ambient_light() -> None:
+    scene = make_black_scene(bool)
+    assert scene.strongest_response() == 0.0
+    scene.materials["rim_strength"] = 3.0
+    assert scene.strongest_response() == 3.0
 
 
 def test_the_sky_pass_is_left_out_where_fog_is_the_background(null: rhi.Device) -> None:

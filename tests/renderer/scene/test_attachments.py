@@ -17,6 +17,7 @@ from refusals import refused_rule
 import rhi
 from renderer.content import load_model, parse_camera, save_scene
 from renderer.content.library import parse_path_frames
+from renderer.frame.effects import Effect
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, translation
 from renderer.viewer.camera_recording import ViewFollower
 from renderer.viewer.scene_films import SceneFilm, list_frames, resolve_camera
@@ -180,6 +181,30 @@ def test_lights_at_hidden_nodes_are_off_until_they_are_shown() -> None:
     assert scene.lights.without_hidden() is scene.lights
     assert len(scene.lights.without_dark().spot) == 1
     assert scene.lights.snapshot == before
+
+
+def test_lights_added_or_removed_after_a_refresh_leave_hidden_ones_off() -> None:
+    scene = make_mast()
+    scene.nodes.hide(scene.nodes.find("mast"))
+    scene.refresh()
+    scene.lights.add_spot((0.0, 3.0, 0.0), (0.0, -1.0, 0.0), 5.0, 0.3, 0.6)
+    for shining in (scene.lights.without_hidden(), scene.lights.without_dark()):
+        assert shining.spot["range"].tolist() == [5.0]
+    scene.lights.spot = scene.lights.spot[:0]
+    for shining in (scene.lights.without_hidden(), scene.lights.without_dark()):
+        assert len(shining.spot) == 0
+
+
+def test_a_plan_counts_a_light_that_was_added_beside_a_hidden_one(null: rhi.Device) -> None:
+    scene = make_mast()
+    scene.nodes.hide(scene.nodes.find("mast"))
+    with open_renderer(null, scene) as renderer:
+        renderer.render(EYE)
+        before, _ = renderer.plan(EYE)
+        scene.lights.add_spot((0.0, 3.0, 0.0), (0.0, -1.0, 0.0), 5.0, 0.3, 0.6)
+        after, _ = renderer.plan(EYE)
+    assert Effect.SPOT_LIGHTS not in before.enabled
+    assert after.counts[Effect.SPOT_LIGHTS] == 1
 
 
 def test_a_frame_shows_an_attached_light_as_one_in_the_world(device: rhi.Device) -> None:

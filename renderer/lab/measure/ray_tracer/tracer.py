@@ -204,15 +204,16 @@ def aim(
     projection: Any = camera.projection
     skew, projection = getattr(projection, "skew", 0.0), getattr(projection, "projection", projection)
     right, up, back = camera.rotation
+    first, last = float(projection.near), float(projection.far)
     x = (pixel_positions[:, 0] / size[0] * 2.0 - 1.0)[:, None] * projection.aspect
     y = (1.0 - pixel_positions[:, 1] / size[1] * 2.0)[:, None]
     origins = np.broadcast_to(camera.position, (len(pixel_positions), 3))
     if hasattr(projection, "fov"):
         half = np.tan(0.5 * projection.fov)
-        return origins, (x * half + skew) * right + y * half * up - back, projection.near, projection.far
+        return origins, (x * half + skew) * right + y * half * up - back, first, last
     half = 0.5 * projection.height
     directions = np.zeros((len(pixel_positions), 3)) + skew * right - back
-    return origins + x * half * right + y * half * up, directions, projection.near, projection.far
+    return origins + x * half * right + y * half * up, directions, first, last
 
 
 def tone_map(light: Floats) -> Floats:

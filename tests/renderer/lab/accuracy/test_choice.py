@@ -23,7 +23,8 @@ from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from renderer.cli import main
-from renderer.cli.accuracy import describe_left_out
+from renderer.cli.accuracy import describe_left_out, load_values_in_use
+from renderer.cli.output import OutputError
 from renderer.content import load_scene
 from renderer.lab.accuracy import (
     ParetoPoint,
@@ -34,8 +35,10 @@ from renderer.lab.accuracy import (
     bench,
     choice,
     choose,
+    compute_pareto_front,
     keep_references,
     run_jobs,
+    sweep_setting,
 )
 from renderer.lab.accuracy.choice import (
     CombinationBench,
@@ -49,6 +52,7 @@ from renderer.lab.accuracy.choice import (
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
 from renderer.lab.accuracy.sweep import SettingSample, SweepShard, ValueSample, list_views
 from renderer.lab.measure.disturbance import Instant
+from renderer.lab.measure.measurement import Interval
 from renderer.scene import PathFrame
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
@@ -266,6 +270,140 @@ def test_a_check_ends_at_the_first_view_beyond_the_bound(monkeypatch: pytest.Mon
     assert (checked.point, checked.rejected) == (dear, 1)
     assert len(drawn) == 4 + 10
     assert drawn[4] == drawn[3]
+
+
+IN_USE = {"fxaa": "on"}
+
+
+@pytest.mark.parametrize(
+    ("ratio", "is_kept"),
+    [((0.97, 0.9, 1.02), True), ((1.1, 1.05, 1.2), True), ((0.9, 0.85, 0.98), False)],
+)
+def test_settings_in_use_are_left_for_surely_faster_ones(
+    ratio: tuple[float, float, float], is_kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used, faster = replace(make_point(0.5, 2.0), values=IN_USE), make_point(0.6, 1.5)
+    faster = replace(faster, settings=RenderSettings().change("scale", 0.5))
+
+    def compare(_: object, settings: RenderSettings, frames: Sequence[PathFrame], **_more: bool) -> Any:
+        return still_errors([1.0] * len(frames))
+
+    def compare_times(_: object, settings: RenderSettings, other: RenderSettings, *_more: object) -> Interval:
+        assert (settings, other) == (faster.settings, used.settings)
+        return Interval(*ratio)
+
+    monkeypatch.setattr(choice, "CombinationBench", make_bench(compare, compare_times=compare_times))
+    null_setup = replace(SETUP, backend="null")
+    assert choose(null_setup, [used, faster], max_error=4.0).point is faster
+    checked = choose(null_setup, [used, faster], max_error=4.0, values_in_use=IN_USE)
+    assert (checked.point is used, checked.is_kept) == (is_kept, is_kept)
+    assert choose(null_setup, [used, faster], max_error=4.0, values_in_use={"fxaa": "off"}).point is faster
+
+
+@pytest.mark.parametrize(
+    ("used_ms", "other_ms", "other_error", "is_kept"),
+    [
+        ((11.0, 9.0), (8.0, 9.0), 1.1, True),  # it may be within the budget
+        ((11.0, 12.0), (8.0, 9.0), 1.1, False),  # it surely isn't
+        ((8.0, 9.0), (8.0, 9.0), 0.9, False),  # surely within it, and more accurate
+        ((8.0, 9.0), (9.0, 11.0), 0.9, True),  # maybe within it
+        ((8.0, 9.0), (8.0, 9.0), 1.0, True),  # as accurate
+    ],
+)
+def test_settings_in_use_are_left_for_others_that_keep_the_budget_more_surely(
+    used_ms: tuple[float, float],
+    other_ms: tuple[float, float],
+    other_error: float,
+    is_kept: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Half of the frames take the first time, and half the second."""
+    used = replace(make_point(1.0, 5.0), values=IN_USE)
+    other = replace(make_point(other_error, 5.0), settings=RenderSettings().change("scale", 0.5))
+
+    def walk(_: object, settings: RenderSettings, frames: Sequence[PathFrame]) -> list[Instant]:
+        times = used_ms if settings is used.settings else other_ms
+        return [Instant(1e-3 * times[number % 2], 1e-3, 0.0) for number in range(len(frames))]
+
+    def compare(_: object, settings: RenderSettings, frames: Sequence[PathFrame], **_more: bool) -> Any:
+        return still_errors([1.0 if settings is used.settings else other_error] * len(frames))
+
+    monkeypatch.setattr(choice, "CombinationBench", make_bench(compare, walk=walk))
+    checked = choose(replace(SETUP, backend="null"), [used, other], budget_ms=10.0, values_in_use=IN_USE)
+    assert (checked.point is used, checked.is_kept) == (is_kept, is_kept)
+
+
+def test_settings_in_use_that_may_keep_a_budget_are_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = replace(make_point(1.0, 12.0), values=IN_USE)
+
+    def walk(_: object, settings: RenderSettings, frames: Sequence[PathFrame]) -> list[Instant]:
+        return [Instant(1e-3 * (9.0 if number % 2 else 12.0), 1e-3, 0.0) for number in range(len(frames))]
+
+    def compare(_: object, settings: RenderSettings, frames: Sequence[PathFrame], **_more: bool) -> Any:
+        return still_errors([1.0] * len(frames))
+
+    monkeypatch.setattr(choice, "CombinationBench", make_bench(compare, walk=walk))
+    null_setup = replace(SETUP, backend="null")
+    assert choose(null_setup, [used], budget_ms=10.0, values_in_use=IN_USE).is_kept
+    for budget_ms, values_in_use in ((10.0, None), (8.0, IN_USE)):
+        with pytest.raises(rhi.ValidationError, match="accuracy-out-of-reach"):
+            choose(null_setup, [used], budget_ms=budget_ms, values_in_use=values_in_use)
+
+
+def test_of_values_that_show_the_same_the_first_and_the_default_are_combined() -> None:
+    report = make_report(
+        "local_shadow_size", ("32", 3.0, 0.5), *((value, 1.0, 1.0) for value in ("64", "128", "256", "512"))
+    )
+    rows = tuple(replace(row, is_default=row.value == "256") for row in report.rows)
+
+    def list_values(report: SettingReport, values_in_use: str | None = None) -> list[str]:
+        return [row.value for row in choice.omit_equal_values(report, values_in_use).rows]
+
+    assert list_values(replace(report, rows=rows)) == ["32", "64", "256"]
+    assert list_values(report) == ["32", "64", "512"]
+    assert list_values(report, "128") == ["32", "64", "128", "512"]
+    flickering = tuple(replace(row, flicker=float(number)) for number, row in enumerate(rows))
+    assert len(list_values(replace(report, rows=flickering))) == 5
+
+
+def test_settings_in_use_of_other_quality_settings_are_refused() -> None:
+    reports = {"fxaa": make_report("fxaa", ("off", 2.0, 0.5), ("on", 1.0, 1.0))}
+    choice.check_values_in_use(None, reports)
+    choice.check_values_in_use({"fxaa": "on"}, reports)
+    for values in ({}, {"fxaa": "maybe"}, {"fxaa": "on", "scale": "1.0"}, {"scale": "1.0"}):
+        with pytest.raises(rhi.ValidationError, match="accuracy-other-settings"):
+            choice.check_values_in_use(values, reports)
+
+
+def test_the_combination_in_use_is_timed_though_others_beat_it(gl: rhi.Device) -> None:
+    setup = replace(SETUP, rounds=1, size=(24, 14), views=1, traced_pixels=200)
+    reports = [sweep_setting(setup, "fxaa"), sweep_setting(setup, "scale")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choice, "FRONT_PIXELS", 200)
+        points = compute_pareto_front(setup, reports, values_in_use={"fxaa": "on", "scale": "0.25"})
+    assert {"fxaa": "on", "scale": "0.25"} in [point.values for point in points]
+    assert all(point.milliseconds > 0.0 for point in points)
+
+
+@pytest.mark.parametrize(
+    ("text", "is_bounded", "message"),
+    [
+        ('{"values": {"fxaa": "on"}}', False, "without --budget-ms or --max-error"),
+        ("{}", True, "settings.json of a choice"),
+        ('{"values": 3}', True, "settings.json of a choice"),
+        ("no JSON", True, "settings.json of a choice"),
+    ],
+)
+def test_a_file_without_a_choice_is_refused(
+    text: str, is_bounded: bool, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "settings.json"
+    path.write_text(text)
+    with pytest.raises(OutputError, match=message):
+        load_values_in_use(path, is_bounded=is_bounded)
+    path.write_text('{"values": {"fxaa": "on"}}')
+    assert load_values_in_use(path, is_bounded=True) == {"fxaa": "on"}
+    assert load_values_in_use(None, is_bounded=False) is None
 
 
 def test_of_equally_fast_settings_the_most_accurate_are_first() -> None:

@@ -116,6 +116,19 @@ def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
     assert RayTracer(scene, has_shadows=False).trace(camera, (64, 64), pixels)[:, 0].min() > 0.0
 
 
+@pytest.mark.parametrize("near", [0, -3, np.int64(2)])
+def test_distances_of_planes_may_be_whole_numbers(near: int) -> None:
+    builder = make_floor(emissive=(4.0, 4.0, 4.0))
+    images = []
+    for kind in (int, float):
+        camera = Camera.look_at(
+            (0, 30, 0), (0, 0, 0), (0, 0, -1), projection=Orthographic(kind(4), 1, kind(near), kind(100))
+        )
+        images.append(RayTracer(builder.build()).draw(camera, (5, 5)))
+    assert np.array_equal(*images)
+    assert images[0].min() > 0.0
+
+
 def test_a_light_inside_a_closed_object_shines_and_one_behind_it_does_not() -> None:
     for height, lit in ((2.0, True), (4.0, False)):
         builder = make_floor()
