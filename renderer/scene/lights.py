@@ -117,16 +117,16 @@ class Lights(AllLightArrays):
         """The lights that aren't at hidden nodes: these, or a copy without the others."""
         if not self.hidden:
             return self
-        return self._select({name: self._flag_shown(name) for name in self.hidden})
+        return self._select({name: self._flag_visible(name) for name in self.hidden})
 
-    def _flag_shown(self, name: str) -> NDArray[np.bool_]:
+    def _flag_visible(self, name: str) -> NDArray[np.bool_]:
         """The mask of the lights of a kind that aren't at hidden nodes. `hidden` is as of the scene's last refresh:
         lights that were added since follow no node yet, and masks may be longer than what is left."""
         hidden = self.hidden.get(name, np.zeros(0, bool))
-        shown = np.ones(len(getattr(self, name)), bool)
-        count = min(len(hidden), len(shown))
-        shown[:count] = ~hidden[:count]
-        return shown
+        visible = np.ones(len(getattr(self, name)), bool)
+        count = min(len(hidden), len(visible))
+        visible[:count] = ~hidden[:count]
+        return visible
 
     def _select(self, selected: Mapping[str, NDArray[np.bool_]]) -> Lights:
         """Return a copy with the lights that are `selected`, by the name of their kind; other kinds keep all."""
@@ -149,7 +149,7 @@ class Lights(AllLightArrays):
             return self._select({kind.name: np.zeros(len(self.of_kind(kind)), bool) for kind in LIGHT_KINDS})
         shining = {kind.name: _shine(self.of_kind(kind)) for kind in LIGHT_KINDS}
         for name in self.hidden:
-            shining[name] &= self._flag_shown(name)
+            shining[name] &= self._flag_visible(name)
         if self._has_faint_lights():
             self._leave_out_faint(shining, LEAST_LIGHT / response)
         if all(shines.all() for shines in shining.values()):

@@ -543,11 +543,11 @@ def check_values_in_use(
         return
     values = {name: [row.value for row in report.rows] for name, report in reports.items()}
     if set(values_in_use) != set(values) or any(values_in_use[name] not in values[name] for name in values):
-        found = ", ".join(f"{name} {value}" for name, value in values_in_use.items()) or "no values"
+        actual = ", ".join(f"{name} {value}" for name, value in values_in_use.items()) or "no values"
         refuse(
             rules.OTHER_SETTINGS,
             "compute_pareto_front(values_in_use=...)",
-            found,
+            actual,
             f"a value of each of {values}",
         )
 
@@ -569,7 +569,7 @@ def mark_best(points: Sequence[ParetoPoint]) -> list[ParetoPoint]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Check:
+class _CheckResult:
     """The errors of settings in the views of a check, and the milliseconds of a walk through them."""
 
     errors: tuple[FrameError, ...]
@@ -599,20 +599,20 @@ def _check(
     max_error: float | None,
     *,
     has_doubt: bool = False,
-) -> _Check:
+) -> _CheckResult:
     """Walk through frames if there is a bound on the time, and compare them, up to one beyond a bound."""
     times = np.zeros(0)
     if budget_ms is not None:
         times = np.array([1e3 * instant.undisturbed for instant in bench.walk(settings, frames)])
-        too_slow = _Check((), times).find_fault(budget_ms, None, has_doubt=has_doubt)
+        too_slow = _CheckResult((), times).find_fault(budget_ms, None, has_doubt=has_doubt)
         if too_slow is not None:
-            return _Check((), times)
+            return _CheckResult((), times)
     errors = list[FrameError]()
     for error, _ in bench.draw_views(settings, frames):
         errors.append(error)
         if max_error is not None and error.total > max_error:
             break  # more views only raise what is expected
-    return _Check(tuple(errors), times)
+    return _CheckResult(tuple(errors), times)
 
 
 def choose(
@@ -660,27 +660,27 @@ def choose(
         rhi.create_device(setup.backend) as device,
         CombinationBench(device, scene, setup, names, _CHECK_PIXELS) as bench,
     ):
-        chosen: tuple[ParetoPoint, _Check] | None = None
+        selection: tuple[ParetoPoint, _CheckResult] | None = None
         rejected, found_out = 0, "no settings that may be within them"
         for point in good:
             checked = _check(bench, point.settings, checks, budget_ms, max_error)
             fault = checked.find_fault(budget_ms, max_error, has_doubt=False)
             if fault is None:
-                chosen = point, checked
+                selection = point, checked
                 break
             if checked.errors:  # the next settings are likely to fail in the worst view, too
                 checks.insert(0, checks.pop(int(np.argmax(checked.totals))))
             rejected, found_out = rejected + 1, fault
-        if in_use is not None and (chosen is None or chosen[0] is not in_use):
+        if in_use is not None and (selection is None or selection[0] is not in_use):
             own = _check(bench, in_use.settings, checks, budget_ms, max_error, has_doubt=True)
             fault = own.find_fault(budget_ms, max_error, has_doubt=True)
             if fault is None and (
-                chosen is None or not _is_surely_better(bench, chosen, (in_use, own), checks, budget_ms)
+                selection is None or not _is_surely_better(bench, selection, (in_use, own), checks, budget_ms)
             ):
-                chosen = in_use, own
-        if chosen is None:
+                selection = in_use, own
+        if selection is None:
             refuse(rules.OUT_OF_REACH, "choose", bounds_text, found_out)
-        point, checked = chosen
+        point, checked = selection
         motion = setup.flicker_weight * fmean(error.flicker for error in checked.errors)
         stills = bench.compare(point.settings, others, has_flicker=False)
     return CheckedChoice(
@@ -698,8 +698,8 @@ def choose(
 
 def _is_surely_better(
     bench: CombinationBench,
-    other: tuple[ParetoPoint, _Check],
-    in_use: tuple[ParetoPoint, _Check],
+    other: tuple[ParetoPoint, _CheckResult],
+    in_use: tuple[ParetoPoint, _CheckResult],
     frames: Sequence[PathFrame],
     budget_ms: float | None,
 ) -> bool:

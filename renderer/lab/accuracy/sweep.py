@@ -344,6 +344,11 @@ def prepare_scene(scene: Scene, setting: QualitySetting, *, is_changed: bool = T
         return "the scene has simulated meshes, which rays don't follow"
     if is_changed:
         _add_required_effect(scene, setting.requirement)
+    return _name_missing_part(scene, setting)
+
+
+def _name_missing_part(scene: Scene, setting: QualitySetting) -> str | None:
+    """Name the part that a scene lacks for a quality setting; None if it lacks none."""
     has: int
     match setting.requirement:
         case Requirement.SHADOWS:

@@ -173,7 +173,12 @@ def test_threads_end_when_the_interpreter_exits(tmp_path, waits):
     )
     began = time.monotonic()
     run = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=SECONDS
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=SECONDS,
+        encoding="utf-8",
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "False\n", "")
     assert time.monotonic() - began < SECONDS

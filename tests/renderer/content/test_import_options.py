@@ -319,7 +319,8 @@ def test_a_saved_scene_can_be_scaled_and_go_without_parts(room, tmp_path):
 
 def test_objects_of_an_obj_file_are_left_out_by_name(tmp_path):
     (tmp_path / "two.obj").write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 5 1 0\no door\nf 1 2 3\no wall\nf 4 5 6\n"
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 5 1 0\no door\nf 1 2 3\no wall\nf 4 5 6\n",
+        encoding="utf-8",
     )
     both = load_model(tmp_path / "two.obj")
     assert both.triangle_count == 2

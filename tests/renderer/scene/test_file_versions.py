@@ -102,14 +102,14 @@ def test_a_scene_of_version_1_has_no_nodes_that_only_hold_lights_and_cameras():
 def test_written_files_have_the_current_version_and_older_ones_are_read(name, tmp_path):
     write, versions = WRITERS[name]
     load = write(tmp_path / name)
-    values = json.loads((tmp_path / name).read_text())
+    values = json.loads((tmp_path / name).read_text(encoding="utf-8"))
     assert find_version(values)["version"] == versions.current
     for version in (1, versions.current):
         find_version(values)["version"] = version
-        (tmp_path / name).write_text(json.dumps(values))
+        (tmp_path / name).write_text(json.dumps(values), encoding="utf-8")
         load(tmp_path / name)
     del find_version(values)["version"]
-    (tmp_path / name).write_text(json.dumps(values))
+    (tmp_path / name).write_text(json.dumps(values), encoding="utf-8")
     load(tmp_path / name)
 
 
@@ -118,9 +118,9 @@ def test_written_files_have_the_current_version_and_older_ones_are_read(name, tm
 def test_newer_and_malformed_versions_are_refused_by_name(name, version, tmp_path):
     write, versions = WRITERS[name]
     load = write(tmp_path / name)
-    values = json.loads((tmp_path / name).read_text())
+    values = json.loads((tmp_path / name).read_text(encoding="utf-8"))
     find_version(values)["version"] = versions.current + 1 if version == "newer" else version
-    (tmp_path / name).write_text(json.dumps(values))
+    (tmp_path / name).write_text(json.dumps(values), encoding="utf-8")
     assert refused_rule(lambda: load(tmp_path / name)) == "file-version"
 
 
@@ -140,9 +140,9 @@ def test_an_old_name_beside_its_new_one_stays_and_is_refused(tmp_path):
     rename_fields(fields, {"old": "new"})
     assert fields == {"old": 1, "new": 2}
     rename_fields([1], {"old": "new"})
-    values = json.loads((OLD / "settings-1.json").read_text())
+    values = json.loads((OLD / "settings-1.json").read_text(encoding="utf-8"))
     values["rendering"]["bloom"] = {}
-    (tmp_path / "both.json").write_text(json.dumps(values))
+    (tmp_path / "both.json").write_text(json.dumps(values), encoding="utf-8")
     assert refused_rule(lambda: RenderSettings.load(tmp_path / "both.json")) == "visibility-bad-settings"
 
 
@@ -150,17 +150,17 @@ def test_an_old_name_beside_its_new_one_stays_and_is_refused(tmp_path):
     "extras", [5, [1], {"rhi": 5}, {"rhi": {"version": 1}}, {"other": {"version": 9}}], ids=str
 )
 def test_nodes_of_other_programs_have_any_extras(extras, tmp_path):
-    values = json.loads((OLD / "scene-1.gltf").read_text())
+    values = json.loads((OLD / "scene-1.gltf").read_text(encoding="utf-8"))
     values["nodes"][0]["extras"] = extras
-    (tmp_path / "a.gltf").write_text(json.dumps(values))
+    (tmp_path / "a.gltf").write_text(json.dumps(values), encoding="utf-8")
     assert len(load_model(tmp_path / "a.gltf").nodes) == 1
 
 
 def test_a_scene_that_is_refused_for_its_version_adds_nothing(tmp_path):
     write_scene(tmp_path / "a.gltf")
-    values = json.loads((tmp_path / "a.gltf").read_text())
+    values = json.loads((tmp_path / "a.gltf").read_text(encoding="utf-8"))
     find_version(values)["version"] = 9
-    (tmp_path / "a.gltf").write_text(json.dumps(values))
+    (tmp_path / "a.gltf").write_text(json.dumps(values), encoding="utf-8")
     builder = SceneBuilder("empty")
     assert refused_rule(lambda: add_model(builder, tmp_path / "a.gltf")) == "file-version"
     assert builder.object_count == 0

@@ -398,10 +398,10 @@ def test_a_file_without_a_choice_is_refused(
     text: str, is_bounded: bool, message: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "settings.json"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(OutputError, match=message):
         load_values_in_use(path, is_bounded=is_bounded)
-    path.write_text('{"values": {"fxaa": "on"}}')
+    path.write_text('{"values": {"fxaa": "on"}}', encoding="utf-8")
     assert load_values_in_use(path, is_bounded=True) == {"fxaa": "on"}
     assert load_values_in_use(None, is_bounded=False) is None
 

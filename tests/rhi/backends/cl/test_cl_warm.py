@@ -87,7 +87,9 @@ def test_after_warming_a_program_builds_its_own_kernels_alone(tmp_path: Path) ->
 
     def run(*arguments: str) -> str:
         command = [sys.executable, *arguments]
-        return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+        return subprocess.run(
+            command, env=environment, check=True, capture_output=True, text=True, encoding="utf-8"
+        ).stdout
 
     assert run("-m", "rhi", "warm") == "5 programs built\n"
     script = tmp_path / "draw.py"
