@@ -17,7 +17,7 @@ from renderer.cli.options import CommandOption
 from renderer.cli.subcommand import Subcommand, SubcommandGroup
 from rhi.errors.output_paths import OutputPathError, check_output_file, check_output_folder
 
-READ = {"--settings", "--live", "--script", "--write-to", "folder"}
+READ = {"--settings", "--keep", "--live", "--script", "--write-to", "folder"}
 """Options with paths that a command reads, or a folder that exists."""
 
 

@@ -150,7 +150,9 @@ def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null:
     """A depth pass reads masks: colours, and no normals."""
     builder = make_boxes()
     for size in (8, 16):
-        normal, color = (builder.add_image(np.zeros((size, size, 4), np.uint8)) for _ in range(2))
+        texels = np.full((size, size, 4), 255, np.uint8)
+        texels[0, 0, 3] = 0  # else no pixel is masked
+        normal, color = (builder.add_image(texels) for _ in range(2))
         add_box(builder, texture=color, normal_texture=normal, alpha_mode=AlphaMode.MASK)
     builder.lights.add_point((0, 0, 2), 5.0)  # without one, no depth is drawn first
     scene = builder.build()
