@@ -140,7 +140,10 @@ def write_opencl_sources(descriptor: ProgramDescriptor) -> Iterator[tuple[str, s
         return
     cl_pipelines = pytest.importorskip("rhi.backends.cl.raster.cl_pipelines")
     builds = _SourceList()
-    pipeline = cl_pipelines.Pipeline(None, builds, None, descriptor)
+    shared = SimpleNamespace(
+        calls_stages=False
+    )  # so the raster kernel has the stage in it, whose text is checked
+    pipeline = cl_pipelines.Pipeline(None, builds, shared, descriptor)
     pipeline.get_vertex_kernels([_make_stream(descriptor)])
     pipeline._general(4 * (1 + max((output.location for output in descriptor.outputs), default=-1)))
     yield from zip(("vertex", "raster"), builds.sources, strict=True)
