@@ -77,6 +77,17 @@ class ImportOptions:
         """True if a part of this name is left out."""
         return any(fnmatchcase(name, pattern) for pattern in self.without)
 
+    def flag_left_out(self, nodes: Iterable[tuple[int, str]]) -> list[bool]:
+        """Return which nodes are left out, by their names or with a node above.
+
+        Args:
+            nodes: the parent's row, -1 for none, and the name of each node, parents before children.
+        """
+        flags: list[bool] = []
+        for parent, name in nodes:
+            flags.append((parent >= 0 and flags[parent]) or self.leaves_out(name))
+        return flags
+
     def check_names(self, path: str, names: Iterable[str]) -> None:
         """Refuse patterns that match none of the names of a file's nodes and meshes."""
         present = sorted({name for name in names if name})

@@ -180,10 +180,9 @@ def _add_by_trimesh(
 
 def _leave_out(nodes: list[_FileNode], options: ImportOptions) -> Iterator[_FileNode]:
     """Yield the nodes; those that are left out, or below such a node, have no mesh."""
-    is_out: list[bool] = []
-    for node in nodes:
-        is_out.append((node.parent >= 0 and is_out[node.parent]) or options.leaves_out(node.name))
-        has_mesh = node.mesh is not None and not is_out[-1] and not options.leaves_out(node.mesh)
+    flags = options.flag_left_out((node.parent, node.name) for node in nodes)
+    for node, is_out in zip(nodes, flags, strict=True):
+        has_mesh = node.mesh is not None and not is_out and not options.leaves_out(node.mesh)
         yield node if has_mesh else replace(node, mesh=None)
 
 

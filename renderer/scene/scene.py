@@ -118,6 +118,8 @@ class Scene:
         height_fields: by the rows of their objects; the triangles of these are chosen for each view.
     """
 
+    _response: tuple[bytes | None, float] = (None, 0.0)  # the strongest, and the materials that have it
+
     def __init__(
         self,
         name: str,
@@ -321,7 +323,12 @@ class Scene:
 
     def strongest_response(self) -> float:
         """Return more light than any surface sends to the eye for each unit of irradiance."""
-        return np.inf if self.shaders else strongest_response(self.materials, self._bounds)
+        if self.shaders:
+            return np.inf
+        content = self.materials.tobytes()  # every frame asks
+        if content != self._response[0]:
+            self._response = content, strongest_response(self.materials, self._bounds)
+        return self._response[1]
 
     def count_features(self) -> Mapping[str, int]:
         """Return the number of materials, images, textures or meshes with each feature that a scene may lack, as

@@ -19,14 +19,12 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import accumulate, chain, groupby, zip_longest
 from math import ceil
@@ -34,15 +32,13 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import pytest
-from supervised_nights import ERRORS_VARIABLE
+from supervised_nights import ERRORS_VARIABLE, end_processes, name_status, read_end
 
 _GROUP_BYTES: Final = 200_000
 """Of a group's test files. A process starts in 2 s; smaller groups would spend their time with that."""
 _KIT: Final = "conformance"
 _PERIOD: Final = 0.05
 """Seconds between two looks at the files of reports."""
-_LIMIT: Final = 20_000
-"""Characters of standard error that a report of a death has, the last ones."""
 
 
 _ORDERLY: Final = (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.NO_TESTS_COLLECTED)
@@ -186,7 +182,8 @@ class Controller:
                 time.sleep(_PERIOD)
         finally:
             for group in running:
-                end_process(group)
+                if group.process is not None:
+                    end_processes(group.process)
         return True
 
     def pytest_unconfigure(self) -> None:
@@ -234,7 +231,7 @@ class Controller:
             self._take(group, kind, value, session)
         if status is None:
             return True
-        end_process(group)  # what it has left behind
+        end_processes(group.process)  # what it has left behind
         group.close()
         if group.has_ended and status in _ORDERLY:
             return False
@@ -274,11 +271,7 @@ class Controller:
     def _report_death(self, group: Group, status: int) -> None:
         """Report a failure of the test in which a process has died, or of the group's first file."""
         test, location = group.running or (str(group.files[0]), [str(group.files[0]), 0, "collection"])
-        texts = [
-            path.read_text(encoding="utf-8", errors="replace")[-_LIMIT:]
-            for path in (self._path(group, "captured"), self._path(group, "output"))
-            if path.exists()
-        ]
+        texts = [read_end(self._path(group, kind)) for kind in ("captured", "output")]
         lines = [f"the process ended: {name_status(status)}", *(text.strip() for text in texts)]
         report = pytest.TestReport(
             nodeid=test,
@@ -289,25 +282,6 @@ class Controller:
             when="call",
         )
         self._config.hook.pytest_runtest_logreport(report=report)
-
-
-def end_process(group: Group) -> None:
-    """Kill a group's process, and those that it has started and left behind."""
-    assert group.process is not None
-    if hasattr(os, "killpg"):
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(group.process.pid, signal.SIGKILL)
-    else:
-        group.process.kill()
-    group.process.wait()
-
-
-def name_status(status: int) -> str:
-    """Return a process's exit status in words."""
-    try:
-        return f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
-    except ValueError:
-        return f"status {status}"
 
 
 def list_options(config: pytest.Config) -> list[str]:

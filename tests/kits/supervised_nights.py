@@ -143,11 +143,14 @@ def supervise(
             status = _run([*command, *options, *rest], folder, temporary)
             tests = _read_begun(folder)
             if tests[begun:] and tests[-1][1] == _FINISHED:
-                print(_read(folder / "errors.txt"), file=sys.stderr, end="", flush=True)
+                print(read_end(folder / "errors.txt"), file=sys.stderr, end="", flush=True)
                 return max(status, 1) if deaths else status
             if not tests[begun:]:
                 print(
-                    _read(folder / "errors.txt"), f"no test began: status {status}", sep="\n", file=sys.stderr
+                    read_end(folder / "errors.txt"),
+                    f"no test began: status {status}",
+                    sep="\n",
+                    file=sys.stderr,
                 )
                 return max(status, 1)
             deaths += 1
@@ -179,35 +182,44 @@ def _run(command: Sequence[str], folder: Path, temporary: Path) -> int:
             process.wait()
             raise
         finally:
-            if hasattr(os, "killpg"):
-                with suppress(ProcessLookupError, PermissionError):
-                    os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            end_processes(process)
+
+
+def end_processes(process: subprocess.Popen[bytes]) -> None:
+    """Kill a process that leads a session, and those that it has started and left behind."""
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
 
 
 def _report(test: str, status: int, folder: Path, temporary: Path) -> str:
     """Return the report of an attempt that ended in a test."""
-    stacks = _read(folder / "stacks.txt")
-    cause = "took too long" if stacks else f"ended the process: {_name_status(status)}"
+    stacks = read_end(folder / "stacks.txt")
+    cause = "took too long" if stacks else f"ended the process: {name_status(status)}"
     parts = [f"-- {test} {cause}"]
     for title, text in (
         ("stacks", stacks),
-        ("standard error of the test", _read(folder / "captured.txt")),
-        ("standard error", _read(folder / "errors.txt")),
+        ("standard error of the test", read_end(folder / "captured.txt")),
+        ("standard error", read_end(folder / "errors.txt")),
         ("backtrace", "" if stacks else _keep_backtraces(folder, temporary)),
     ):
         parts.append(f"-- {title}\n{text.rstrip() or 'nothing'}")
     return "\n".join(parts) + "\n\n"
 
 
-def _name_status(status: int) -> str:
+def name_status(status: int) -> str:
+    """Return a process's exit status in words."""
     try:
         return f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
     except ValueError:
         return f"status {status}"
 
 
-def _read(path: Path) -> str:
+def read_end(path: Path) -> str:
+    """Return the last 20,000 characters of a file, an empty text if there is none."""
     return path.read_text(encoding="utf-8", errors="replace")[-20_000:] if path.exists() else ""
 
 

@@ -137,9 +137,8 @@ class _GltfReader:
         names = [node.fields.text("name", "") for node in nodes]
         meshes = [mesh.text("name", "") for mesh in self._root.children("meshes")]
         self._options.check_names(self._file.path, [*names, *meshes])
-        is_out: list[bool] = []
-        for node, name in zip(nodes, names, strict=True):
-            is_out.append((node.parent >= 0 and is_out[node.parent]) or self._options.leaves_out(name))
+        parents = [node.parent for node in nodes]
+        is_out = self._options.flag_left_out(zip(parents, names, strict=True))
         self._left_out = frozenset(node.number for node, out in zip(nodes, is_out, strict=True) if out)
         used = {node.fields.index("mesh", len(meshes)) for node in nodes if node.number not in self._left_out}
         self._unread = frozenset(
