@@ -44,6 +44,7 @@ from renderer.frame import (
     make_plan,
     watch_lights,
 )
+from renderer.frame.attributes import CheckedAttribute, TypedAttribute
 from renderer.frame.scene_images import SceneImages
 from renderer.frame.uploads import SceneUploads, check_uploads
 from renderer.scene import Camera, Projection, Scene, Simulator
@@ -51,13 +52,13 @@ from renderer.scene.catch_up import count_steps
 from renderer.scene.finite import LONGEST_TIME, check_finite, check_time
 from renderer.shadows import ShadowFilter, ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, eye_image_size
-from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.techniques import AutoTechnique, Technique, to_technique
 from renderer.techniques.inspection import Inspection
 from renderer.techniques.parts.ambient_occlusion import occlusion_passes
 from renderer.techniques.parts.depth import bind_depth_programs
 from renderer.techniques.parts.scaling import scale_image
 from renderer.tessellation import Tessellator, tessellation_passes
-from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, to_visibility
 from rhi import Device, Format, Texture
 from rhi.math import is_parallel
 from rhi.shading import Precision
@@ -155,6 +156,10 @@ class FrameResult:
         return FrameStatistics(triangles=triangles, draws=draws, **self._counters)
 
 
+def _to_technique(renderer: Any, call: str, value: Technique | str | None) -> Technique:
+    return to_technique(call, value, renderer.scene, renderer.device)
+
+
 class Renderer:
     """Draws one scene on one device.
 
@@ -163,14 +168,24 @@ class Renderer:
     those that belong to the scene first. With `simulates_hidden`, by default off, what an absence would
     change, such as cloth, is simulated in every frame. `show` ends a frame with its image: by default it is
     `Device.present`; a window puts its own in that place.
+
+    `technique` and `visibility` may be set to a name. What isn't of an attribute's type is refused as
+    `renderer-attribute`.
     """
+
+    technique = CheckedAttribute[Technique, Technique | str | None](_to_technique)
+    blending = TypedAttribute(Blending)
+    precision = TypedAttribute(Precision)
+    bloom = TypedAttribute(BloomSettings)
+    occlusion = TypedAttribute(OcclusionSettings)
+    depth_of_field = TypedAttribute(DepthOfFieldSettings)
 
     def __init__(
         self,
         device: Device,
         scene: Scene,
         *,
-        technique: Technique | None = None,
+        technique: Technique | str | None = None,
         visibility: VisibilityAlgorithm | str = "auto",
         size: tuple[int, int] = (960, 540),
         blending: Blending = Blending.SORTED,
@@ -185,8 +200,9 @@ class Renderer:
         """Create the targets and upload the scene.
 
         Args:
-            technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one
-                is the fastest; its image may change by 2 of 255 levels when it changes its mind.
+            technique: how the scene is drawn, or the name of a technique; forward shading by default. `auto`
+                measures which one is the fastest; its image may change by 2 of 255 levels when it changes its
+                mind.
             visibility: an algorithm made for `scene`, or the name of one; `auto` measures which one is the
                 fastest.
             size: (width, height) of the image in pixels.
@@ -200,9 +216,9 @@ class Renderer:
             uploads: how many bytes of the scene each frame uploads; None uploads all of them now.
             validation: whether to check samples of what is simulated: each batch has one object whose
                 vertices must be inside its bounds (`scene-left-bounds`)."""
-        self.device = device
-        self.scene = scene
-        self.technique: Technique = technique or Forward()
+        self.device = rules.check_type("Renderer(device)", device, Device)
+        self.scene = rules.check_type("Renderer(scene)", scene, Scene)
+        self.technique = technique
         self.blending = blending
         self.precision = precision
         self.bloom = bloom
@@ -212,10 +228,9 @@ class Renderer:
         self.simulates_hidden = False
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
-        self._owned_algorithms: list[VisibilityAlgorithm] = []
-        if isinstance(visibility, str):
-            visibility = make_visibility(visibility, scene, device)
-            self._owned_algorithms.append(visibility)
+        self._named_algorithms: dict[str, VisibilityAlgorithm] = {}
+        rules.check_type("Renderer(textures=...)", textures, TextureSettings)
+        check_uploads(uploads)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._recent_features = VisibleFeatures(scene)
         self._effects: FrameEffects | None = None  # of the last frame
@@ -230,9 +245,10 @@ class Renderer:
         with ExitStack() as stack:
             self._targets = Targets(device, size)
             stack.callback(self._targets.destroy)
-            self._view = View(device, "eye", visibility)
+            stack.callback(self._destroy_algorithms)
+            self._view = View(device, "eye", self._to_visibility("Renderer(visibility=...)", visibility))
             stack.callback(self._view.destroy)
-            self._resources = SceneResources(device, scene, textures, check_uploads(uploads))
+            self._resources = SceneResources(device, scene, textures, uploads)
             self._validation = self.simulator.validation = validation
             stack.pop_all()
 
@@ -287,12 +303,22 @@ class Renderer:
 
     @property
     def visibility(self) -> VisibilityAlgorithm:
-        """The algorithm that finds the objects in the image."""
+        """The algorithm that finds the objects in the image. It may be set to the name of one."""
         return self._view.visibility
 
     @visibility.setter
-    def visibility(self, visibility: VisibilityAlgorithm) -> None:
-        self._view.visibility = visibility
+    def visibility(self, visibility: VisibilityAlgorithm | str) -> None:
+        self._view.visibility = self._to_visibility("Renderer.visibility = …", visibility)
+
+    def _to_visibility(self, call: str, visibility: VisibilityAlgorithm | str) -> VisibilityAlgorithm:
+        """The algorithm; one that is named is created once, and destroyed with the renderer."""
+        if not isinstance(visibility, str):
+            return to_visibility(call, visibility, self.scene, self.device)
+        algorithm = self._named_algorithms.get(visibility)
+        if algorithm is None:
+            algorithm = to_visibility(call, visibility, self.scene, self.device)
+            self._named_algorithms[visibility] = algorithm
+        return algorithm
 
     @property
     def size(self) -> tuple[int, int]:
@@ -323,6 +349,8 @@ class Renderer:
 
     @stereo.setter
     def stereo(self, stereo: Stereo | None) -> None:
+        if stereo is not None:
+            rules.check_type("Renderer.stereo = …", stereo, Stereo)
         pair, size = self._pair, self._size
         if (
             pair is None
@@ -426,6 +454,8 @@ class Renderer:
         """Draw a frame; return it and its effects."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
+        if camera.__class__ is not Camera:
+            rules.check_type("Renderer.render(camera)", camera, Camera)
         total = np.add.reduce(camera.position) + np.add.reduce(camera.rotation, axis=None)
         if not isfinite(total):  # one that isn't finite makes all of it so
             check_finite("render", position=camera.position, rotation=camera.rotation)
@@ -668,14 +698,17 @@ class Renderer:
     def destroy(self) -> None:
         """Destroy all resources on the device, except those of layers and of a visibility algorithm that was
         passed in."""
-        for visibility in self._owned_algorithms:
-            visibility.destroy()
-        self._owned_algorithms.clear()
+        self._destroy_algorithms()
         if self._pair is not None:
             self._pair.destroy()
         self._targets.destroy()
         self._view.destroy()
         self._resources.destroy()
+
+    def _destroy_algorithms(self) -> None:
+        for visibility in self._named_algorithms.values():
+            visibility.destroy()
+        self._named_algorithms.clear()
 
     def __enter__(self) -> Self:
         return self

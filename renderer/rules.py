@@ -13,13 +13,16 @@ from enum import Enum
 from functools import cache
 from math import inf, isfinite
 from types import NoneType
-from typing import Any, Final, NoReturn, get_args, get_origin, get_type_hints
+from typing import Any, Final, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from rhi.errors import RhiError, Rule, describe_value, refuse
 from rhi.errors.arguments import describe_choices, to_integer
 from rhi.errors.array_likes import to_real, to_real_array
+from rhi.errors.choices import Choice, suggest_members
+
+Value = TypeVar("Value")
 
 _MOST: Final = 2**31 - 1
 """The largest whole number of a setting."""
@@ -273,6 +276,7 @@ BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique i
 BAD_RENDER_SETTING: Final = Rule(
     "renderer-settings", "a setting of the renderer has a value of the wrong type"
 )
+BAD_ATTRIBUTE: Final = Rule("renderer-attribute", "a renderer's argument or attribute is of the wrong type")
 BAD_UPLOADS: Final = Rule("upload-settings", "a setting of uploads is out of its range")
 BAD_TEXTURES: Final = Rule("texture-settings", "a setting of textures is out of its range")
 
@@ -358,8 +362,25 @@ def check_non_negative(rule: Rule, call: str, value: float) -> None:
 
 def check_scale(call: str, value: float) -> None:
     """Refuse an image scale that one bilinear sample couldn't resize to the frame's size."""
-    if not 0.1 <= value <= 2.0:
-        refuse(BAD_SCALE, call, value, "0.1 to 2")
+    number = _as_float(value)
+    if number is None or not 0.1 <= number <= 2.0:
+        refuse(BAD_SCALE, call, describe_value(value), "0.1 to 2")
+
+
+def check_type(call: str, value: Any, kind: type[Value]) -> Value:
+    """Return a value of `kind`, and refuse any other. The name of an enum's member is refused with the
+    member."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        tip = suggest_members(value, kind) if isinstance(value, str) and issubclass(kind, Choice) else ""
+        refuse(BAD_ATTRIBUTE, call, describe_value(value), f"{article} {kind.__name__}", tip)
+    return value
+
+
+def refuse_object(call: str, value: object, allowed: str) -> NoReturn:
+    """Refuse an object that isn't `allowed`; of a class say how to create one."""
+    tip = f"{value.__name__} is the class; create one: {value.__name__}(…)" if isinstance(value, type) else ""
+    refuse(BAD_ATTRIBUTE, call, describe_value(value), allowed, tip)
 
 
 def check_types(settings: Any, rule: Rule) -> None:

@@ -17,6 +17,7 @@ from renderer.techniques.resource_capture import ResourceCapture as ResourceCapt
 from renderer.techniques.table import TECHNIQUES as TECHNIQUES
 from renderer.techniques.technique import Technique as Technique
 from renderer.techniques.technique_settings import TechniqueSettings as TechniqueSettings
+from renderer.techniques.technique_settings import to_technique as to_technique
 from rhi.errors.exports import list_public as _list_public
 
 __all__ = _list_public(globals())

@@ -117,6 +117,21 @@ class TechniqueSettings:
         return FxaaTechnique(technique) if self.fxaa else technique
 
 
+def to_technique(call: str, value: Technique | str | None, scene: Scene, device: Device) -> Technique:
+    """Return a technique, or that of a name for a scene and a device; None is forward shading. Refuses
+    anything else."""
+    if value is None:
+        return Forward()
+    if isinstance(value, str):
+        names = [AutoTechnique.name, *TECHNIQUES]
+        if value not in names:
+            rules.refuse_name(rules.BAD_TECHNIQUE, call, value, names)
+        return TechniqueSettings(value).make(scene, device)
+    if isinstance(value, type) or not callable(getattr(value, "declare", None)):
+        rules.refuse_object(call, value, "a technique, such as Forward(), or the name of one")
+    return value
+
+
 @cache
 def _list_parameters(name: str) -> tuple[str, ...]:
     """Names of a technique's parameters, which are settings of the same names."""

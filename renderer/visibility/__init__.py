@@ -68,6 +68,7 @@ __all__ = [
     "list_visible_objects",
     "make_visibility",
     "select_visible",
+    "to_visibility",
 ]
 
 AUTO_CANDIDATES: Final[tuple[str, ...]] = (
@@ -140,3 +141,15 @@ def make_visibility(
     if name not in ALGORITHMS:
         rules.refuse_name(rules.UNKNOWN_ALGORITHM, f"make_visibility({name!r})", name, ALGORITHMS)
     return ALGORITHMS[name](scene, device, settings)
+
+
+def to_visibility(
+    call: str, value: VisibilityAlgorithm | str, scene: Scene, device: Device
+) -> VisibilityAlgorithm:
+    """Return a visibility algorithm, or a new one of a name for a scene and a device. Refuses anything
+    else."""
+    if isinstance(value, str):
+        return make_visibility(value, scene, device)
+    if isinstance(value, type) or not hasattr(value, "opens_pass"):
+        rules.refuse_object(call, value, "a visibility algorithm, or the name of one")
+    return value
