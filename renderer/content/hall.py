@@ -44,6 +44,7 @@ from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
+from rhi.math.indexing import repeat_each
 
 BAY: Final = 6.0
 """Distance between columns in metres."""
@@ -257,7 +258,7 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, positions: Float
     )
     above, segments = poles, []
     for part in range(SEGMENTS):
-        above = builder.add_nodes(np.repeat(hinges[part : part + 1], count, axis=0), above, dynamic=True)
+        above = builder.add_nodes(repeat_each(hinges[part : part + 1], count, axis=0), above, dynamic=True)
         builder.add_objects(above, cloth[part], material)
         segments.append(above)
     lower, upper = (corner.repeat(count, axis=0) for corner in _sway_bounds())

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from renderer.scene.materials import ImagePixels, make_opaque
+from rhi.math.indexing import repeat_each
 
 IMAGE_SIZE: Final = 256
 """Width and height of all generated textures: one size, so that they can be layers of one array."""
@@ -39,7 +40,7 @@ def paint_facade(style: str, seed: int) -> ImagePixels:
     rng = np.random.default_rng([seed, list(_PANES).index(style)])
     left, right, top, bottom = _PANES[style]
     wall = 0.86 + 0.05 * rng.standard_normal((IMAGE_SIZE // 4, IMAGE_SIZE // 4)).repeat(4, 0).repeat(4, 1)
-    pixels = np.repeat(wall[..., None], 3, axis=2)
+    pixels = repeat_each(wall[..., None], 3, axis=2)
     ramp = np.linspace(1.15, 0.8, _CELL)[:, None, None]  # the sky is reflected in the upper part of a pane
     for row in range(WINDOWS):
         for column in range(WINDOWS):
@@ -66,7 +67,7 @@ def paint_lit_facade(style: str, seed: int) -> ImagePixels:
     rng = np.random.default_rng([seed, 31, list(_PANES).index(style)])
     cell = IMAGE_SIZE // NIGHT_WINDOWS
     x0, x1, y0, y1 = (int(edge * cell) for edge in _PANES[style])
-    pixels = np.repeat(0.30 + 0.02 * rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE, 1)), 3, axis=2)
+    pixels = repeat_each(0.30 + 0.02 * rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE, 1)), 3, axis=2)
     window_colors = np.array(_WINDOW_COLORS[style == "glass"])
     for row in range(NIGHT_WINDOWS):
         busy = rng.random() < 0.3  # a storey where people work late
@@ -97,7 +98,7 @@ def paint_street(street: float, seed: int) -> ImagePixels:
     """
     rng = np.random.default_rng([seed, 17])
     noise = rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE))
-    pixels = np.repeat((0.27 + 0.012 * noise)[..., None], 3, axis=2) * (1.0, 1.0, 1.04)
+    pixels = repeat_each((0.27 + 0.012 * noise)[..., None], 3, axis=2) * (1.0, 1.0, 1.04)
     at = (np.arange(IMAGE_SIZE) + 0.5) / IMAGE_SIZE
     edge = np.minimum(at, 1.0 - at)  # distance from the middle of the street
     x, z = np.broadcast_arrays(edge[None, :], edge[:, None])
@@ -128,4 +129,4 @@ def paint_stripes(
     """Paint a flag: `count` pairs of horizontal stripes in two sRGB colours."""
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)
-    return make_opaque(np.repeat(column[:, None], IMAGE_SIZE, axis=1))
+    return make_opaque(repeat_each(column[:, None], IMAGE_SIZE, axis=1))

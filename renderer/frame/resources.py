@@ -63,6 +63,7 @@ from rhi import (
     UniformBuffer,
     refuse,
 )
+from rhi.math.indexing import count_indices, repeat_each
 from rhi.shading import UniformRange, uint
 
 DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
@@ -462,7 +463,7 @@ class SceneResources:
         is_requested[lights] = True
         requested = np.flatnonzero(is_requested[lit])
         order = requested[np.argsort(lit[requested], kind="stable")]
-        return np.repeat(object_indices, counts)[order], entries[order]
+        return repeat_each(object_indices, counts)[order], entries[order]
 
     @property
     def lights(self) -> Lights:
@@ -619,7 +620,7 @@ class SceneResources:
         kind_of = np.searchsorted(light_ends, listed, side="right")
         light_list[: len(listed)] = self._listed = listed - light_begins[kind_of]
         self.light_list.write(light_list)
-        self._reaching = tuple(np.bincount(kind_of, minlength=len(by_kind)).astype(bool).tolist())
+        self._reaching = tuple(count_indices(kind_of, minlength=len(by_kind)).astype(bool).tolist())
         return True
 
     def destroy(self) -> None:

@@ -20,6 +20,7 @@ from renderer.scene.arrays import Floats
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.tone_mapping import tone_map
 from rhi import to_srgb
+from rhi.math.indexing import repeat_each
 from rhi.shading import evaluate
 
 Pixels = NDArray[np.uint8]
@@ -55,7 +56,7 @@ def _shade(values: NDArray[np.float32]) -> Pixels:
         values = np.log2(np.maximum(values, positive.min()))
         low, high = float(values.min()), float(values.max())
     grey = (255.0 * (values - low) / max(high - low, 1e-30) + 0.5).astype(np.uint8)
-    return np.repeat(grey[..., None], 3, axis=2)
+    return repeat_each(grey[..., None], 3, axis=2)
 
 
 def color_indices(indices: NDArray[np.int64]) -> Floats:

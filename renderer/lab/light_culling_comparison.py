@@ -41,6 +41,7 @@ from renderer.techniques.parts.light_list_reader import light_list_pass, lit_by_
 from renderer.techniques.parts.variants import draw_lit
 from rhi import Device, Texture
 from rhi.errors import refuse
+from rhi.math.indexing import repeat_each
 from rhi.shading import evaluate
 
 _LIGHT_BATCH = 16
@@ -350,6 +351,6 @@ def _as_pairs(lists: LightListData, lights: Lights) -> NDArray[np.bool_]:
     cells, first = np.arange(len(lists.begins)), 0
     for number, kind in enumerate(LOCAL_LIGHT_KINDS):
         begins, sizes = lists.bounds[:, number], np.diff(lists.bounds)[:, number]
-        pairs[np.repeat(cells, sizes), first + lists.lights[list_ranges(begins, sizes)]] = True
+        pairs[repeat_each(cells, sizes), first + lists.lights[list_ranges(begins, sizes)]] = True
         first += len(lights.of_kind(kind))
     return pairs

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Indices
+from rhi.math.indexing import count_indices, repeat_each
 
 _PAIRS = 1 << 20  # (object, light) pairs tested at a time: 70 MB at most
 _GROUP: Final = 16  # lights
@@ -56,7 +57,7 @@ def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats)
             squared += away * away
         pair, member = np.nonzero(squared < squares[group])
         listed = np.sort(box[pair] * count + groups[group[pair], member])
-        ends[start + 1 : start + 1 + low.shape[1]] = np.bincount(listed // count, minlength=low.shape[1])
+        ends[start + 1 : start + 1 + low.shape[1]] = count_indices(listed // count, minlength=low.shape[1])
         lists.append(listed % count)
     return np.cumsum(ends), np.concatenate(lists)
 
@@ -71,7 +72,7 @@ def _group(positions: Floats, ranges: Floats) -> Indices:
     cells = (finite - least) * ((2.0**_BITS - 1.0) / max(float((finite - least).max()), _MIN_SLACK))
     class_of_range = np.frexp(ranges)[1] // 2  # by powers of 4
     order = np.lexsort((_interleave(cells.astype(np.uint64)), class_of_range))
-    return np.append(order, np.repeat(order[-1:], -len(order) % _GROUP)).reshape(-1, _GROUP)
+    return np.append(order, repeat_each(order[-1:], -len(order) % _GROUP)).reshape(-1, _GROUP)
 
 
 def _interleave(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -10,6 +10,7 @@ from renderer import rules
 from rhi.errors import refuse
 from rhi.errors.array_likes import to_real_array
 from rhi.math import Floats as Floats
+from rhi.math.indexing import repeat_each
 
 Indices = NDArray[np.int64]
 """Row numbers: of objects, nodes, boxes or members, as the signature says."""
@@ -34,7 +35,7 @@ def read_ids(call: str, values: ArrayLike, count: int) -> Indices:
 def list_ranges(firsts: ArrayLike, counts: ArrayLike) -> Indices:
     """Return the `counts` (k,) numbers from each of `firsts` (k,) on, one range after another."""
     begins, sizes = np.asarray(firsts, np.int64), np.asarray(counts, np.int64)
-    indices: Indices = np.arange(sizes.sum()) + np.repeat(begins - np.cumsum(sizes) + sizes, sizes)
+    indices: Indices = np.arange(sizes.sum()) + repeat_each(begins - np.cumsum(sizes) + sizes, sizes)
     return indices
 
 

@@ -18,6 +18,7 @@ from renderer.scene.material_instances import CustomShader
 from renderer.scene.materials import TEXTURES, ShadingModel
 from renderer.scene.negligible import LEAST_LIGHT, SurfaceBounds, flag_bent, flag_blended, flag_cut
 from rhi import SamplerDescriptor, Wrap
+from rhi.math.indexing import count_indices
 
 _Words = NDArray[np.uint64]
 
@@ -167,7 +168,7 @@ class MaterialFeatures:
     def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:
         """Return the number of materials that have each texture (t,) as a base colour, and at all."""
         used = [self._list_textures(materials, name) for name in TEXTURES]
-        by_use = [np.bincount(rows[rows >= 0], minlength=len(self._textures)) for rows in used]
+        by_use = [count_indices(rows[rows >= 0], minlength=len(self._textures)) for rows in used]
         return by_use[list(TEXTURES).index("texture")], np.sum(by_use, axis=0)
 
     def _count(self) -> dict[str, int]:

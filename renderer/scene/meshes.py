@@ -24,6 +24,7 @@ from rhi.errors import refuse
 from rhi.errors.arguments import to_little_endian
 from rhi.math import normal_matrices
 from rhi.math.arguments import read_floats
+from rhi.math.indexing import count_indices
 
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
 """The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""
@@ -236,7 +237,7 @@ def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
     faces = np.cross((b - a) / size, (c - a) / size)
     target = corners.T.reshape(-1)
     total = np.stack(
-        [np.bincount(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1
+        [count_indices(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), (0.0, 1.0, 0.0))

@@ -36,6 +36,7 @@ from rhi.math import (
     distance_at_depth,
     is_parallel,
 )
+from rhi.math.indexing import repeat_each
 
 HUMAN_EYE_DISTANCE: Final = 0.063
 """The distance of human eyes in metres, the mean of adults."""
@@ -176,7 +177,7 @@ class StereoRig:
             )
         else:
             offsets = (
-                np.repeat([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
+                repeat_each([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
             )
             ahead = near - offsets * _FLIP_Z
             if not (ahead[:, 2] > 0.0).all():

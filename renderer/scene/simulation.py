@@ -39,6 +39,7 @@ from renderer.scene.objects import Objects
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
 from rhi.math import Camera, is_parallel
+from rhi.math.indexing import repeat_each
 
 _NONE: Final[Indices] = np.zeros(0, np.int64)
 _ROUNDING: Final = 2.0**-20  # of the largest coordinate: vertices are float32
@@ -245,7 +246,7 @@ class Simulator:
         self._meshes = meshes
         self._first: list[int] = np.cumsum([0, *map(len, self._begin)]).tolist()
         sizes = list(map(len, self._begin))
-        self._which: Indices = np.repeat(np.arange(len(sizes)), sizes)
+        self._which: Indices = repeat_each(np.arange(len(sizes)), sizes)
         self._slot_of = np.full(len(objects), -1, np.int64)  # the slots of members that are objects
         by_node = np.full(len(nodes), -1, np.int64)
         for member, first in zip(self._begin, self._first, strict=False):
@@ -253,7 +254,7 @@ class Simulator:
             by_node[member.nodes] = first + np.arange(len(member.nodes))
         self._starts, self._slots = _list_slots(nodes, objects, by_node, self._slot_of)
         self._has_nodes = np.zeros(len(objects), bool)
-        owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
+        owner = repeat_each(np.arange(len(objects)), np.diff(self._starts))
         self._has_nodes[owner[self._slots != self._slot_of[owner]]] = True
         self.objects: Indices = objects.simulated_indices
         self.deformed: Indices = self.objects[

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry
+from rhi.math.indexing import count_indices, repeat_each
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +71,7 @@ class TangentGroups:
         corner_normals = normals.astype(np.float64)[self.corners]
         tangents = _sum_tangents(points, along, corner_normals, self.group)
         tangents = _fill_missing(tangents, corner_normals, self.vertex)
-        return np.concatenate([tangents, np.repeat(self.sign, 3)[:, None]], axis=1)
+        return np.concatenate([tangents, repeat_each(self.sign, 3)[:, None]], axis=1)
 
 
 def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True) -> MeshGeometry:
@@ -111,8 +112,8 @@ def add_stretch(geometry: MeshGeometry, uv: str = "uv") -> MeshGeometry:
     vertices = geometry.vertices.copy()
     points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
     u, v = _triangle_gradients(points, vertices[uv].astype(np.float64)[corners].reshape(-1, 3, 2))
-    lengths = np.repeat(np.linalg.norm([u, v], axis=2), 3, axis=1)
-    along, across = (np.bincount(corners, length, len(vertices)) for length in lengths)
+    lengths = repeat_each(np.linalg.norm([u, v], axis=2), 3, axis=1)
+    along, across = (count_indices(corners, length, len(vertices)) for length in lengths)
     ratio = np.divide(across, along, out=np.ones_like(along), where=(along > 0.0) & (across > 0.0))
     ratio = np.clip(ratio, 1e-30, 1e30)  # finite in float32
     vertices["tangent"][:, 3] = np.where(vertices["tangent"][:, 3] < 0.0, -ratio, ratio)
@@ -205,7 +206,7 @@ def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Indices
     sides = [_normalize(_project(end - here, normals)) for end in (before, after)]
     angle = np.arccos(np.clip(np.einsum("ij,ij->i", *sides), -1.0, 1.0))
     weighted = _normalize(_project(along[triangle], normals)) * angle[:, None]
-    total = np.stack([np.bincount(group, weighted[:, axis], len(group)) for axis in range(3)], axis=1)
+    total = np.stack([count_indices(group, weighted[:, axis], len(group)) for axis in range(3)], axis=1)
     return _normalize(total)[group]
 
 

@@ -20,6 +20,7 @@ from renderer.shadows.cascades import Cascade
 from renderer.shadows.huge_casters import can_be_cut, is_huge, largest_extent
 from renderer.shadows.local_light_maps import pair_by_light, shadow_boxes
 from renderer.visibility.boxes.volumes import Containment, classify
+from rhi.math.indexing import count_indices, repeat_each
 
 _OCTAVES = 2  # of heights above a map whose casters share a camera
 _MARGIN = 1e-9  # by which boxes are too large, relative to their coordinates
@@ -228,16 +229,16 @@ def cull_dynamic_casters(
     sizes = [len(maps) for maps in planes]
     rows = np.concatenate(casters)
     lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
-    shadows = shadow_boxes(lower, upper, np.repeat(positions, counts, axis=0), np.repeat(ranges, counts))
+    shadows = shadow_boxes(lower, upper, repeat_each(positions, counts, axis=0), repeat_each(ranges, counts))
     shades = np.any(
         [classify(camera.frustum.planes, *shadows) != Containment.OUTSIDE for camera in cameras], axis=0
     )
     # Each caster is tested against each map of its light.
-    maps, first = np.repeat(sizes, counts), np.repeat(np.cumsum(sizes) - sizes, counts)
-    caster = np.repeat(np.arange(len(rows)), maps)
+    maps, first = repeat_each(sizes, counts), repeat_each(np.cumsum(sizes) - sizes, counts)
+    caster = repeat_each(np.arange(len(rows)), maps)
     of = list_ranges(first, maps)
     inside = classify(np.concatenate(planes)[of], lower[caster], upper[caster]) != Containment.OUTSIDE
     of, caster = of[inside], caster[inside]
-    ends = np.cumsum(np.bincount(of, minlength=sum(sizes)))
+    ends = np.cumsum(count_indices(of, minlength=sum(sizes)))
     map_casters = np.split(rows[caster[np.argsort(of, kind="stable")]], ends[:-1])
-    return map_casters, np.bincount(of, shades[caster], sum(sizes)) > 0.0
+    return map_casters, count_indices(of, shades[caster], sum(sizes)) > 0.0

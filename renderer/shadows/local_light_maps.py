@@ -16,6 +16,7 @@ from renderer.light_kinds.kind import LocalLightKind
 from renderer.lights.rectangles import bound_spheres
 from renderer.scene import Camera, Perspective
 from renderer.scene.arrays import Floats, Indices
+from rhi.math.indexing import count_indices, repeat_each
 
 NEAR: Final = 1e-6
 """The near plane of maps, in ranges of their light. Reversed depth in floats is as fine wherever it is."""
@@ -153,6 +154,6 @@ def pair_by_light(ends: Indices, lights: Indices, count: int) -> list[Indices]:
     `renderer.lights.object_lists.list_lights` the other way round."""
     if not count:
         return []
-    boxes = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
-    cuts = np.cumsum(np.bincount(lights, minlength=count))[:-1]
+    boxes = repeat_each(np.arange(len(ends) - 1), np.diff(ends))
+    cuts = np.cumsum(count_indices(lights, minlength=count))[:-1]
     return np.split(boxes[np.argsort(lights, kind="stable")], cuts)

@@ -33,6 +33,7 @@ from renderer.shadows.local_light_maps import (
 from renderer.shadows.receiver import MAX_CASCADES
 from renderer.shadows.shadow_settings import ShadowFilter, ShadowSettings
 from renderer.visibility.boxes.volumes import select_inside
+from rhi.math.indexing import count_indices
 
 DIRECTIONAL: Final = "directional"
 """The kind of directional lights."""
@@ -190,7 +191,7 @@ class MapPlanner:
                 continue
             lit = lights[rows]
             _, reaching = list_lights(lower, upper, lit["position"], lit["range"].astype(np.float64))
-            reaches = np.bincount(reaching, minlength=len(rows)) > 0
+            reaches = count_indices(reaching, minlength=len(rows)) > 0
             static, dynamic = self.casters.casters_in_range(kind.name, lights)
             for i, (light_index, width) in enumerate(
                 zip(rows.tolist(), compute_map_widths(kind, cameras, size, lit), strict=True)

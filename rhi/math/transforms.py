@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 from rhi.math.arguments import read_floats
+from rhi.math.indexing import repeat_each
 
 Floats: TypeAlias = NDArray[np.float64]
 """Coordinates, sizes and matrices in float64."""
@@ -48,7 +49,7 @@ def scaling(factors: ArrayLike) -> Floats:
     """
     scaled = read_floats("scaling(factors=...)", factors)
     if scaled.shape == ():
-        scaled = np.repeat(scaled, 3)
+        scaled = repeat_each(scaled, 3)
     scaled = read_floats("scaling(factors=...)", scaled, 3)
     matrix = _identity(scaled.shape[:-1])
     for axis in range(3):

@@ -28,6 +28,7 @@ from renderer.content.gltf.tracks import (
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.clips import Clips
 from renderer.scene.omissions import Omissions
+from rhi.math.indexing import repeat_each
 
 TARGETS: Final = {"translation": TRANSLATION, "rotation": ROTATION, "scale": SCALE, "weights": WEIGHTS}
 KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
@@ -95,7 +96,7 @@ def make_motion(
     rows = sorted(tracks_of_rows)
     parts = [nodes[row].parts or () for row in rows]
     rest = tuple(np.array([part[at] for part in parts]) for at in range(3))
-    owners = np.repeat(np.arange(len(rows)), [len(tracks_of_rows[row]) for row in rows])
+    owners = repeat_each(np.arange(len(rows)), [len(tracks_of_rows[row]) for row in rows])
     listed = [track for row in rows for track in tracks_of_rows[row]]
     return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]), clips)
 

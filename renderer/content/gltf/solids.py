@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Indices
+from rhi.math.indexing import repeat_each
 
 LINES: Final = 1
 _STRIPS: Final = 3
@@ -53,7 +54,7 @@ class Solid:
         faces = [[0 * here, there, here], [tip, here + far, there + far]]
         if far:
             faces += [[here, there, there + far], [here, there + far, here + far]]
-        return cls(directions, np.repeat(np.arange(ends), len(directions) // ends), np.hstack(faces).T)
+        return cls(directions, repeat_each(np.arange(ends), len(directions) // ends), np.hstack(faces).T)
 
     @property
     def size(self) -> int:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats, Indices, list_ranges
 from renderer.scene.catch_up import Recompute
 from renderer.scene.clips import Clips
+from rhi.math.indexing import repeat_each
 
 STEP, LINEAR, CUBIC = range(3)
 """The ways of interpolating between two keys."""
@@ -82,7 +83,7 @@ class PropertyTracks:
         self._begin, self._end = begins, begins + lengths
         shift = np.concatenate([[0.0], np.cumsum(lengths + 1.0)])[: len(tracks)] - begins
         self._times = np.concatenate([np.zeros(0), *(track.times for track in tracks)])
-        self._search = self._times + np.repeat(shift, counts)
+        self._search = self._times + repeat_each(shift, counts)
         self._shift = shift
         keys = [_unit(t.keys) if t.target == ROTATION and t.kind != CUBIC else t.keys for t in tracks]
         none = np.zeros((0, rest.shape[1]))
@@ -105,7 +106,7 @@ class PropertyTracks:
             owner_index = np.flatnonzero(counts)
             rows = first[owner_index]
         else:
-            owner_index = np.repeat(np.arange(len(owners)), counts)
+            owner_index = repeat_each(np.arange(len(owners)), counts)
             rows = list_ranges(first, counts)
         times, weights = (of_clips[self._clip[rows]] for of_clips in self._clips.evaluate(seconds))
         played = weights > 0.0
@@ -121,9 +122,9 @@ class PropertyTracks:
             return values
         counts = np.diff(starts, append=len(rows))
         if self._is_rotation:
-            first = np.repeat(starts, counts)
+            first = repeat_each(starts, counts)
             sampled *= np.where((sampled * sampled[first]).sum(1) < 0.0, -1.0, 1.0)[:, None]
-        share = weights / np.repeat(np.add.reduceat(weights, starts), counts)
+        share = weights / repeat_each(np.add.reduceat(weights, starts), counts)
         blended = np.add.reduceat(share[:, None] * sampled, starts)
         several = counts > 1
         if self._is_rotation:
@@ -320,7 +321,7 @@ def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:
         a, b = keys[:-1], keys[1:]
         angle = 2.0 * np.arccos(np.clip(np.abs((a * b).sum(1)), 0.0, 1.0))
         parts = np.maximum(np.ceil(angle / _ARC), 1.0).astype(np.int64)
-        segment = np.repeat(np.arange(len(parts)), parts)
+        segment = repeat_each(np.arange(len(parts)), parts)
         part = list_ranges(np.zeros_like(parts), parts)
         middles = slerp(a[segment], b[segment], (part + 0.5) / parts[segment])
         return middles, (0.5 * angle / parts)[segment]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.lab.exam.case import CaseImage
+from rhi.math.indexing import repeat_each
 
 _MIN_WIDTH: Final = 256  # pixels of height, so that single ones can be seen
 _GAP: Final = 4
@@ -35,7 +36,7 @@ def errors_to_image(errors: NDArray[Any]) -> NDArray[np.uint8]:
     sizes = np.where(is_finite, np.abs(errors), 0.0).astype(np.float64)
     max_size = float(sizes.max(initial=0.0))
     shares = np.cbrt(sizes / max_size) if max_size else sizes
-    image = np.repeat(np.round(255.0 * shares).astype(np.uint8)[..., None], 4, axis=2)
+    image = repeat_each(np.round(255.0 * shares).astype(np.uint8)[..., None], 4, axis=2)
     image[~is_finite] = (255, 0, 0, 255)
     image[..., 3] = 255
     return image

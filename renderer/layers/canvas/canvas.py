@@ -23,6 +23,7 @@ import rhi.shading as sl
 from renderer.layers.canvas.font import WHITE, Font
 from renderer.layers.canvas.text import TextLayout, lay_out
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device, Format, Scissor, from_srgb
+from rhi.math.indexing import repeat_each
 
 _CAPACITY: Final = 1024  # parallelograms at first
 _CORNERS: Final = 6  # of the two triangles
@@ -144,7 +145,7 @@ class Canvas:
         sides[:, 3] = sides[:, 2]
         sides[:, 3, 0] += wide - sides[:, 2, 2]
         colors = np.asarray(color, np.float32)
-        self.rects(sides.reshape(-1, 4), np.repeat(colors, 4, axis=0) if colors.ndim > 1 else colors)
+        self.rects(sides.reshape(-1, 4), repeat_each(colors, 4, axis=0) if colors.ndim > 1 else colors)
 
     def lines(self, points: ArrayLike, color: ArrayLike, width: float = 1.0) -> None:
         """Add lines (n, 2, 2) between pairs of points; a line of no length draws nothing."""

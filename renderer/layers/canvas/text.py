@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.layers.canvas.font import LINE, TAB, Font
+from rhi.math.indexing import repeat_each
 
 
 class TextLayout(NamedTuple):
@@ -70,7 +71,7 @@ def _place_segments(
     line = is_line.cumsum() - is_line
     first = np.concatenate([[0], is_line.nonzero()[0] + 1])  # the segment that each line begins with
     starts -= starts.take(first).take(line)
-    segment = np.repeat(np.arange(len(widths)), np.diff(np.concatenate([[0], ends + 1, [len(pens)]])))
+    segment = repeat_each(np.arange(len(widths)), np.diff(np.concatenate([[0], ends + 1, [len(pens)]])))
     positions[:, 1] = line.take(segment) * font.line_height
     pens += (starts - bounds[:-1]).take(segment)
     return int((starts + widths).max()), int(line[-1]) + 1

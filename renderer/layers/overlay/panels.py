@@ -15,6 +15,7 @@ from renderer.layers.canvas import Canvas, srgb
 from renderer.scene import Camera, Scene
 from renderer.visibility import CullingTraversal, TraversalOutcome
 from rhi import TimerNode
+from rhi.math.indexing import count_indices
 
 TEXT: Final = srgb("#e8edf2")
 DIM: Final = srgb("#93a1ae")
@@ -141,7 +142,7 @@ def draw_timers(canvas: Canvas, box: Rectangle, roots: Sequence[TimerNode], seco
 
 def draw_legend(canvas: Canvas, x: int, y: int, traversal: CullingTraversal, scale: int) -> int:
     """Draw how many boxes of each outcome there are, beside its colour; return the height."""
-    counts = np.bincount(traversal.outcome, minlength=len(TraversalOutcome)).tolist()
+    counts = count_indices(traversal.outcome, minlength=len(TraversalOutcome)).tolist()
     kinds = [kind for kind in TraversalOutcome if counts[kind]]
     row = canvas.font.line_height * scale
     side = row - 8 * scale

@@ -22,6 +22,7 @@ from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry, list_grid_tr
 from renderer.scene.water.water_kernels import PoolBuffers, PoolConstants
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
+from rhi.math.indexing import repeat_each
 
 INTERVAL: Final = 1.0 / 60.0
 """The length of a step in seconds."""
@@ -240,7 +241,7 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         assert self._buffers is not None
         due, numbers = self._due[members], self._number[members]
         steps = self._first_due_steps(members)[:, None] + np.arange(int(due.max(initial=0)))
-        drops = self._make_drops(np.repeat(members, steps.shape[1]), steps.reshape(-1)).reshape(
+        drops = self._make_drops(repeat_each(members, steps.shape[1]), steps.reshape(-1)).reshape(
             *steps.shape, 4
         )
         self._buffers.run(

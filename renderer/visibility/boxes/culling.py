@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Indices
 from renderer.visibility.boxes.hierarchy import MAX_COORDINATE, Hierarchy
+from rhi.math.indexing import count_indices, repeat_each
 
 Bits = NDArray[np.uint8]
 """A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
@@ -217,7 +218,7 @@ class _Groups:
         self._update_starts()
 
     def _update_starts(self) -> None:
-        self.starts = [0, *np.cumsum(np.bincount(self.last, minlength=_MAX_PLANES)).tolist()]
+        self.starts = [0, *np.cumsum(count_indices(self.last, minlength=_MAX_PLANES)).tolist()]
 
 
 class _Blocks:
@@ -299,6 +300,6 @@ def _expand(first: Indices, end: Indices) -> Indices:
     last = count.cumsum()
     first = first - last
     first += count
-    run = first.repeat(count)
+    run = repeat_each(first, count)
     run += np.arange(len(run))
     return run

@@ -23,6 +23,7 @@ from renderer.visibility.boxes.bounds import QueryBoxes, compute_query_boxes, sq
 from renderer.visibility.boxes.culling import select_visible
 from renderer.visibility.boxes.hierarchy import build_by_area, build_by_middle
 from renderer.visibility.boxes.volumes import TightestBoxes
+from rhi.math.indexing import count_indices, repeat_each
 
 OUTSIDE: Final = 0
 INSIDE: Final = 1
@@ -142,7 +143,7 @@ class Forest:
         them the index of its node in `nodes`."""
         selected = np.array(nodes, np.int64)
         counts = self.count[selected]
-        tree_index = np.repeat(np.arange(len(selected)), counts)
+        tree_index = repeat_each(np.arange(len(selected)), counts)
         object_indices = self.order[
             np.arange(len(tree_index)) + (self.first[selected] - np.cumsum(counts) + counts)[tree_index]
         ]
@@ -204,11 +205,11 @@ class Forest:
             opened = (levels[owners] > level) & (child[nodes] >= 0)
             copies = np.where(opened, 2, 1)
             second = np.concatenate([nodes[:0], np.cumsum(copies)])[np.flatnonzero(opened)] - 1
-            nodes = np.repeat(np.where(opened, child[nodes], nodes), copies)
+            nodes = repeat_each(np.where(opened, child[nodes], nodes), copies)
             nodes[second] += 1
-            owners = np.repeat(owners, copies)
+            owners = repeat_each(owners, copies)
         self.tight: Indices = nodes
-        self.tight_sizes: Indices = np.bincount(owners, minlength=len(areas))
+        self.tight_sizes: Indices = count_indices(owners, minlength=len(areas))
 
 
 class Frontier:

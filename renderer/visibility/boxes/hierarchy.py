@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Indices
 from rhi.errors import refuse
+from rhi.math.indexing import repeat_each
 
 MAX_COORDINATE: Final = 1e300
 """The largest allowed absolute coordinate of a box, so that distances to planes never overflow."""
@@ -133,7 +134,7 @@ class _SplitState:
         self.order = order
         self.lower, self.upper = self.all_lower[order], self.all_upper[order]
         self.centre = 0.5 * (self.lower + self.upper)
-        self.owner = np.repeat(np.arange(len(self.count)), self.count)
+        self.owner = repeat_each(np.arange(len(self.count)), self.count)
 
     def descend(self, first: Indices, count: Indices, boxes: Indices) -> None:
         """Go on to the children that are split further: the boxes `boxes`, in runs (first, count)."""
@@ -254,17 +255,17 @@ def _build(
             break
         left = split(work)
         first, count = level_first[inner], level_count[inner]
-        run = np.repeat(first - work.first, count) + np.arange(int(count.sum()))
+        run = repeat_each(first - work.first, count) + np.arange(int(count.sum()))
         order[run] = work.order
         level_first = np.stack([first, first + left], axis=1).reshape(-1)
         level_count = np.stack([left, count - left], axis=1).reshape(-1)
-        parents.append(np.repeat(base + inner, 2))
+        parents.append(repeat_each(base + inner, 2))
         firsts.append(level_first)
         counts.append(level_count)
         base, end = end, end + len(level_first)
         deeper = level_count > leaf_size
         local = np.cumsum(level_count) - level_count
-        deeper_boxes = np.flatnonzero(np.repeat(deeper, level_count))
+        deeper_boxes = np.flatnonzero(repeat_each(deeper, level_count))
         work.descend(local[deeper], level_count[deeper], deeper_boxes)
     first, count = np.concatenate(firsts), np.concatenate(counts)
     starts = np.cumsum([0, *(len(level) for level in firsts)])

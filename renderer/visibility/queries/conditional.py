@@ -27,6 +27,7 @@ from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus, PendingQuerie
 from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, FixedQueue, refuse
+from rhi.math.indexing import repeat_each
 
 _MAX_PENDING: Final = 8
 """The largest number of frames whose answers are awaited; older ones are given up."""
@@ -92,7 +93,7 @@ class ConditionalCulling(ChcPlusPlus):
         """Draw all objects below hidden nodes, on condition that their row of the set finds them visible."""
         object_indices, nodes = self._forest.list_objects([node for group in hidden for node in group])
         if len(object_indices):
-            row_of = np.repeat(np.arange(len(hidden)), [len(group) for group in hidden])
+            row_of = repeat_each(np.arange(len(hidden)), [len(group) for group in hidden])
             scene_drawer.draw_conditional(object_indices, pending[0], row_of[nodes])
             self._drawn += len(object_indices)
             self._batches += 1

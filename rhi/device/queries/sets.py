@@ -25,6 +25,7 @@ from rhi.device.core.core import Core
 from rhi.device.queries.occlusion import PendingQuery
 from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import QUERY_INDICES
+from rhi.math.indexing import count_indices
 
 MAX_QUERIES: Final = 1 << 20
 """Largest number of queries of a query set."""
@@ -99,7 +100,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         if query_indices is None:
             return set_indices
         starts = run_starts(set_indices).astype(np.intp, copy=False)  # a page's NumPy has indices of 32 bits
-        repeated = np.bincount(starts) > 1
+        repeated = count_indices(starts) > 1
         if repeated.any():
             repeat = f"query {repeated.argmax()} again after other queries"
             self._core.refuse(QUERY_INDICES, call, repeat, "consecutive draws for each query")

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.math.indexing import repeat_each
 from rhi.shading.ir.faults import make_index_error
 
 Array = NDArray[Any]
@@ -136,21 +137,21 @@ def ddx(value: Any) -> Any:
     """Return the difference from left to right, in each row of a quad."""
     if np.ndim(value) < 1 or np.shape(value)[-1] == 1:
         return np.zeros_like(value)
-    return np.repeat(value[..., 1::2] - value[..., 0::2], 2, axis=-1)
+    return repeat_each(value[..., 1::2] - value[..., 0::2], 2, axis=-1)
 
 
 def ddy(value: Any) -> Any:
     """Return the difference from top to bottom, in each column of a quad."""
     if np.ndim(value) < 2 or np.shape(value)[-2] == 1:
         return np.zeros_like(value)
-    return np.repeat(value[..., 1::2, :] - value[..., 0::2, :], 2, axis=-2)
+    return repeat_each(value[..., 1::2, :] - value[..., 0::2, :], 2, axis=-2)
 
 
 def quads(mask: Any) -> Any:
     """Extend a mask to all lanes of each quad in which it has a lane."""
     rows = mask[..., 0::2, :] | mask[..., 1::2, :]
     row_pairs = rows[..., 0::2] | rows[..., 1::2]
-    return np.repeat(np.repeat(row_pairs, 2, axis=-2), 2, axis=-1)
+    return repeat_each(repeat_each(row_pairs, 2, axis=-2), 2, axis=-1)
 
 
 def check(wrong: Any, value: Any, limit: Any, mask: Any, line: tuple[str, int]) -> None:
@@ -348,7 +349,7 @@ def _ordered_add(words: Array, address: Array, values: Array) -> Array:
     sorted_address, sorted_values = address[order], values[order]
     before = np.cumsum(sorted_values, dtype=values.dtype) - sorted_values
     starts = np.flatnonzero(np.r_[True, sorted_address[1:] != sorted_address[:-1]]) if len(order) else order
-    run = np.repeat(before[starts], np.diff(np.r_[starts, len(order)]))
+    run = repeat_each(before[starts], np.diff(np.r_[starts, len(order)]))
     old = np.empty_like(values)
     old[order] = words[sorted_address] + (before - run)
     np.add.at(words, address, values)

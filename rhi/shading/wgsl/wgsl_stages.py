@@ -108,7 +108,7 @@ class _WgslStageWriter:
         self.names = Names(reserved=RESERVED)
         name_bindings(self.names, stage, interface)
         self.main_names = Names(self.names)
-        self.writer = WgslWriter(self.names, stage)
+        self.writer = WgslWriter(self.names, stage, self._image_form)
         self.lines = Lines()
         self.inputs = sorted(row.name for row in stage.builtins if row.name in INPUTS)
 
@@ -182,13 +182,19 @@ class _WgslStageWriter:
                     f"{group} @binding({2 * binding.slot}) var {texture}: {writer.type(type)};",
                     f"{group} @binding({2 * binding.slot + 1}) var {sampler}: {sampler_type(type)};",
                 ]
-            case ImageType(kind=kind, format=format):
-                stored, loaded = declaration.name in self.stage.stored, declaration.name in self.stage.loaded
-                access = "read" if not stored else "read_write" if loaded else "write"
-                form = f"texture_storage_{SHAPES[kind]}<{texel_format(format)}, {access}>"
-                return [f"{group} {slot} var {name}: {form};"]
+            case ImageType():
+                return [f"{group} {slot} var {name}: {self._image_form(declaration)};"]
         assert binding.kind is BindingKind.UNIFORM
         return [f"{group} {slot} var<uniform> {name}: {memory.type(type, UNIFORM)};"]  # type: ignore[arg-type]
+
+    def _image_form(self, declaration: Declaration) -> str:
+        """Return the type of a storage image, with the access that the stage has."""
+        type, stored, loaded = declaration.type, self.stage.stored, self.stage.loaded
+        assert isinstance(type, ImageType)
+        access = "read"
+        if declaration.name in stored:
+            access = "read_write" if declaration.name in loaded else "write"
+        return f"texture_storage_{SHAPES[type.kind]}<{texel_format(type.format)}, {access}>"
 
     # -- the entry point
 

@@ -60,8 +60,10 @@ class WgslWriter(TextWriter):
 
     language = "wgsl"
 
-    def __init__(self, names: Names, stage: tree.StageTree) -> None:
+    def __init__(self, names: Names, stage: tree.StageTree, image_form: Callable[[Declaration], str]) -> None:
+        """`image_form` returns the type of a storage image with its access, which depends on the stage."""
         super().__init__(names)
+        self._image_form = image_form
         self.stage = stage.stage
         self.entry = stage.entry
         atomic_words = {
@@ -576,6 +578,8 @@ class WgslWriter(TextWriter):
                 if layered
                 else f"{self.type(node.type)}({size})"
             )
+        if name == "load":
+            return self.load(node, texture, texts[1:])
         at = texts[1] if rest else ""
         if layered and rest:
             if tree.has_effect(rest[0]):
@@ -584,17 +588,6 @@ class WgslWriter(TextWriter):
                 )
             whole = isinstance(rest[0].type, layout.VectorType) and rest[0].type.scalar is layout.INT
             at = f"{at}.xy, {f'{at}.z' if whole else f'i32(floor({at}.z + 0.5))'}"
-        if name == "load":
-            level = "" if image else f", {texts[2] if len(texts) > 2 else '0'}"
-            loaded = f"textureLoad({texture}, {at}{level})"
-            if len(rest) < 2 or isinstance(rest[1], tree.Constant) or whole_level:
-                return loaded
-            if tree.has_effect(rest[1]):
-                self.refuse(rest[1], "a level with a side effect", "assign it to a variable first")
-            # WebGPU lets a load from a level that doesn't exist return a texel of another one.
-            return (
-                f"select({self.type(node.type)}(), {loaded}, u32({texts[2]}) < textureNumLevels({texture}))"
-            )
         if name == "store":
             return f"textureStore({texture}, {at}, {texts[2]})"
         assert isinstance(type, TextureType)
@@ -616,6 +609,45 @@ class WgslWriter(TextWriter):
             )
         calls = TEXTURE_CALLS if self.stage is Stage.FRAGMENT else TEXTURE_CALLS | OUTSIDE_FRAGMENTS
         return calls[name].format(*texts, texture_and_sampler=f"{texture}, {sampler}", texture=texture, at=at)
+
+    def load(self, node: tree.BuiltinCall, texture: str, texts: Sequence[str]) -> str:
+        """Return a call of a helper that loads a texel, or zeros if there is none.
+
+        WGSL lets `textureLoad` return zeros or any texel there; Dawn returns the nearest.
+        """
+        source, position, *rest = node.arguments
+        type = source.type
+        assert isinstance(type, TextureType | ImageType)
+        if isinstance(source, tree.BindingRead) and isinstance(type, ImageType):
+            form, index = self._image_form(source.declaration), None
+        else:
+            form, index = self.type(type), "0"
+        samples = isinstance(type, TextureType) and bool(type.samples)
+        layered = type.kind is TextureKind.D2_ARRAY
+        size = f"vec{3 if type.kind is TextureKind.D3 else 2}<u32>"
+        texel, sizes = ("at.xy" if layered else "at"), "textureDimensions(image)"
+        name = f"rhi_load_{''.join(filter(str.isalnum, form))}"
+        parameters, outside = [f"image: {form}", f"at: {self.type(position.type)}"], []
+        if rest and not (is_constant(rest[0]) and texts[1] in ("0", "i32(0)") and not samples):
+            index = "index"
+            parameters.append("index: i32")
+            outside.append(f"u32(index) >= textureNum{'Samples' if samples else 'Levels'}(image)")
+            name += "_of"
+            if not samples:
+                sizes = f"max({sizes} >> {size}(u32(index)), {size}(1u))"
+        else:
+            texts = texts[:1]
+        if layered:
+            outside.append("u32(at.z) >= textureNumLayers(image)")
+        outside.append(f"any({size}({texel}) >= {sizes})")
+        arguments = ["image", texel, *(["at.z"] if layered else []), *([index] if index else [])]
+        result = self.type(node.type)
+        self.helpers[name] = (
+            f"fn {name}({', '.join(parameters)}) -> {result} {{ "
+            f"if ({' || '.join(outside)}) {{ return {result}(); }} "
+            f"return textureLoad({', '.join(arguments)}); }}"
+        )
+        return f"{name}({', '.join([texture, *texts])})"
 
     # -- statements and functions
 

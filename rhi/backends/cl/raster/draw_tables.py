@@ -33,6 +33,7 @@ from rhi.backends.cl.raster.draw_columns import (
 from rhi.backends.cl.raster.kernel_structs import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY
+from rhi.math.indexing import repeat_each
 
 _PIECE_GROUPS: Final = 1 << 15  # of vertices: 512 k, 16 MiB of positions; larger pieces cull each other less
 _FIRST_PIECE_GROUPS: Final = 1 << 14  # the following pieces double
@@ -314,8 +315,8 @@ def split_instances(
     if parts.sum() > _MAX_PARTS:
         given = f"{int((groups * instances).sum()) * GROUP:,} vertices in one draw"
         raise DeviceError(DEVICE_MEMORY, "draw", given)
-    which = np.repeat(np.arange(len(parts)), parts)
-    done = (np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)) * most[which]
+    which = repeat_each(np.arange(len(parts)), parts)
+    done = (np.arange(len(which)) - repeat_each(np.cumsum(parts) - parts, parts)) * most[which]
     return which, np.minimum(most[which], instances[which] - done), done
 
 

@@ -137,8 +137,8 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
 
 
 class LoadsAndStores(sl.Shader):
-    """Loads from a level that the device chooses, and from a known one; stores to an image that it doesn't
-    read."""
+    """Loads from a level that the device chooses, from level 1 and from level 0; stores to an image that it
+    doesn't read."""
 
     source: sl.Texture2D
     at: sl.Storage[int]
@@ -146,15 +146,46 @@ class LoadsAndStores(sl.Shader):
 
     def compute(self) -> None:
         texel = sl.ivec2(sl.global_id().xy)
-        self.target.store(texel, self.source.load(texel, self.at[0]) + self.source.load(texel, 1))
+        chosen = self.source.load(texel, self.at[0]) + self.source.load(texel, 1)
+        self.target.store(texel, chosen + self.source.load(texel))
 
 
-def test_a_level_that_may_not_exist_is_compared_with_the_number_of_levels(naga: Any) -> None:
-    """WebGPU may load from another one instead; rhi promises zeros."""
+def test_a_load_outside_the_texture_or_its_levels_is_zero(naga: Any) -> None:
+    """WebGPU may load any texel instead; rhi promises zeros."""
     text = text_of(LoadsAndStores)
     naga.create_shader_module(code=text)
+    of_level, of_whole = sorted(re.findall(r"fn rhi_load\w+\(.*", text), key=len, reverse=True)
+    assert "u32(index) >= textureNumLevels(image)" in of_level
+    assert ">= max(textureDimensions(image) >> vec2<u32>(u32(index)), vec2<u32>(1u))" in of_level
+    assert "if (any(vec2<u32>(at) >= textureDimensions(image))) { return vec4<f32>(); }" in of_whole
     assert text.count("textureLoad(") == 2
-    assert text.count("< textureNumLevels(") == 1
+
+
+class CountsLoads(sl.Shader):
+    """Loads where an atomic counts, of an array, of a volume and of an image."""
+
+    layers: sl.Texture2DArray
+    volume: sl.Texture3D
+    count: sl.StorageRW[int]
+    image: sl.Image2D = sl.image(Format.R32F)
+
+    def compute(self) -> None:
+        x = sl.atomic_add(self.count[0], 1)
+        total = self.layers.load(
+            sl.ivec3(sl.atomic_add(self.count[0], 1), x, x), sl.atomic_add(self.count[0], 1)
+        )
+        total += self.volume.load(sl.ivec3(sl.atomic_add(self.count[0], 1), x, x))
+        texel = sl.ivec2(sl.atomic_add(self.count[0], 1), x)
+        self.image.store(texel, self.image.load(texel) + total.x)
+
+
+def test_positions_with_effects_are_evaluated_once(naga: Any) -> None:
+    text = text_of(CountsLoads)
+    naga.create_shader_module(code=text)
+    assert text.count("atomicAdd(") == 5
+    assert "u32(at.z) >= textureNumLayers(image)" in text
+    assert "any(vec3<u32>(at) >= textureDimensions(image))" in text
+    assert "image: texture_storage_2d<r32float, read_write>" in text
 
 
 def test_an_image_that_is_only_stored_to_is_not_read() -> None:

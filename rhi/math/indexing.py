@@ -1,0 +1,22 @@
+"""NumPy's functions of index arrays, for indices of 64 bits on every platform.
+
+Where a pointer has 32 bits, as in Pyodide, `numpy.bincount` and `numpy.repeat` refuse indices and counts of 64
+bits. Ours take both. Ruff refuses NumPy's (`pyproject.toml`), unless the number of repetitions is one integer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def count_indices(indices: ArrayLike, weights: ArrayLike | None = None, minlength: int = 0) -> NDArray[Any]:
+    """Return how often each index occurs, or the sum of its weights; at least `minlength` numbers."""
+    return np.bincount(np.asarray(indices, np.intp), weights, minlength)
+
+
+def repeat_each(values: ArrayLike, counts: ArrayLike, axis: int | None = None) -> NDArray[Any]:
+    """Return each value as often as its count says."""
+    return np.repeat(values, np.asarray(counts, np.intp), axis)
