@@ -19,13 +19,17 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import (
+    DEFAULT_ENVIRONMENT,
     DEFAULT_FOCUS,
     DEFAULT_OCCLUSION,
     EXACT_BLOOM,
+    NO_HISTORY,
     SAMPLER_DEFAULTS,
     Blending,
     BloomSettings,
     DepthOfFieldSettings,
+    EnvironmentMaps,
+    EnvironmentSettings,
     Frame,
     FrameEffects,
     Layer,
@@ -35,17 +39,21 @@ from renderer.frame import (
     SceneLayer,
     SceneResources,
     Targets,
+    TemporalSettings,
     TextureSettings,
     UploadSettings,
     View,
     VisibleFeatures,
     are_effects_same,
     collect_frame_effects,
+    last_version,
     make_plan,
     watch_lights,
 )
 from renderer.frame.attributes import CheckedAttribute, TypedAttribute
+from renderer.frame.motion import SceneMotion
 from renderer.frame.scene_images import SceneImages
+from renderer.frame.temporal import STILL_AFTER, TemporalHistory, compute_offset, shift_samples
 from renderer.frame.uploads import SceneUploads, check_uploads
 from renderer.scene import Camera, Projection, Scene, Simulator
 from renderer.scene.catch_up import count_steps
@@ -56,7 +64,9 @@ from renderer.techniques import AutoTechnique, Technique, to_technique
 from renderer.techniques.inspection import Inspection
 from renderer.techniques.parts.ambient_occlusion import occlusion_passes
 from renderer.techniques.parts.depth import bind_depth_programs
+from renderer.techniques.parts.environment import environment_passes
 from renderer.techniques.parts.scaling import scale_image
+from renderer.techniques.parts.temporal import temporal_passes
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, to_visibility
 from rhi import Device, Format, Texture
@@ -87,6 +97,8 @@ class _SteadyFrame:
     events: Sequence[AbstractContextManager[None]]
 
 
+_LONGEST_PAUSE: Final = 0.5
+"""The seconds between two frames from which on temporal anti-aliasing begins anew."""
 ANIMATION_LAG: Final = 0.5
 """The lag allowed for small objects, in pixels, unless one says otherwise."""
 
@@ -163,11 +175,11 @@ def _to_technique(renderer: Any, call: str, value: Technique | str | None) -> Te
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom`, `occlusion` and `depth_of_field` may
-    be exchanged between any two frames, and `layers` changed, which are drawn over each frame in their order,
-    those that belong to the scene first. With `simulates_hidden`, by default off, what an absence would
-    change, such as cloth, is simulated in every frame. `show` ends a frame with its image: by default it is
-    `Device.present`; a window puts its own in that place.
+    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom`, `occlusion`, `depth_of_field` and
+    `temporal` and `environment` may be exchanged between any two frames, and `layers` changed, which are drawn over
+    each frame in their order, those that belong to the scene first. With `simulates_hidden`, by default off, what an
+    absence would change, such as cloth, is simulated in every frame. `show` ends a frame with its image: by default it
+    is `Device.present`; a window puts its own in that place.
 
     `technique` and `visibility` may be set to a name. What isn't of an attribute's type is refused as
     `renderer-attribute`.
@@ -179,6 +191,8 @@ class Renderer:
     bloom = TypedAttribute(BloomSettings)
     occlusion = TypedAttribute(OcclusionSettings)
     depth_of_field = TypedAttribute(DepthOfFieldSettings)
+    temporal = TypedAttribute(TemporalSettings)
+    environment = TypedAttribute(EnvironmentSettings)
 
     def __init__(
         self,
@@ -194,6 +208,8 @@ class Renderer:
         bloom: BloomSettings = EXACT_BLOOM,
         occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
         depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
+        temporal: TemporalSettings = NO_HISTORY,
+        environment: EnvironmentSettings = DEFAULT_ENVIRONMENT,
         uploads: UploadSettings | None = None,
         validation: bool = False,
     ) -> None:
@@ -213,6 +229,8 @@ class Renderer:
             bloom: how exactly bloom is computed.
             occlusion: how exactly ambient occlusion is computed.
             depth_of_field: how exactly depth of field is computed.
+            temporal: how samples of many frames are put together, which smooths edges (temporal anti-aliasing).
+            environment: how exactly light from an environment is computed.
             uploads: how many bytes of the scene each frame uploads; None uploads all of them now.
             validation: whether to check samples of what is simulated: each batch has one object whose
                 vertices must be inside its bounds (`scene-left-bounds`)."""
@@ -224,6 +242,13 @@ class Renderer:
         self.bloom = bloom
         self.occlusion = occlusion
         self.depth_of_field = depth_of_field
+        self.temporal = temporal
+        self._sample_index = 0  # of the frame's offset
+        self._still_state: tuple[object, ...] = ()  # of the last frame
+        self._still_frames = 0  # how many in a row had that state
+        self._forgets_history = False
+        self._last_seconds = 0.0
+        self.environment = environment
         self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
         self.simulates_hidden = False
         self.layers: list[Layer] = []
@@ -472,12 +497,16 @@ class Renderer:
             precision=self.precision,
             values=values,
         )
+        has_late_layers = not effects.temporal.is_on or (pair is not None and pair.stereo.is_reprojected)
+        if not has_late_layers:
+            left.scene_layers = [layer.render for layer in self.layers if isinstance(layer, SceneLayer)]
         frames = [left]
         self._run(plan, left, steady.events)
         if resources.may_simulate and resources.hidden.is_tracking and left.statistics is not None:
             left.draw_result.record_hidden()
         if pair is not None:
             right = Frame(device, pair.view, resources, pair.targets, effects, left, self.precision)
+            right.scene_layers = left.scene_layers
             frames.append(right)
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:
@@ -489,7 +518,7 @@ class Renderer:
         after = device.statistics
         for frame in frames:
             for layer in self.layers:
-                if isinstance(layer, SceneLayer):
+                if has_late_layers and isinstance(layer, SceneLayer):
                     layer.render(device, frame)
             if frame.targets.output_image is not None:
                 scale_image(frame, frame.targets.output_image)
@@ -562,8 +591,12 @@ class Renderer:
         """Bring everything on the device up to date with the scene, and plan the frame."""
         resources, pair = self._resources, self._pair
         self.scene.check_numbers("render")
-        around = self._aim(camera)
         simulator = resources.simulator
+        if self._is_temporal:
+            around = self._aim_samples(camera, seconds)
+            resources.workspace(SceneMotion).begin_frame(resources)
+        else:
+            around = self._aim(camera)
         expected = simulator.drawn_objects
         simulator.begin_frame(self._set_time(seconds))
         self.scene.refresh()
@@ -579,6 +612,10 @@ class Renderer:
             self._last_plan = plan
             if not effects.has_shadow_casters:
                 resources.release(ShadowMaps)
+            if not effects.temporal.is_on:
+                resources.release(SceneMotion)
+            if self.scene.environment is None:
+                resources.release(EnvironmentMaps)
         is_steady = (
             self._snapshot is not None
             and pair is None
@@ -604,6 +641,8 @@ class Renderer:
             self.bloom,
             self.occlusion,
             self.depth_of_field,
+            self.temporal,
+            self.environment,
             self._resources.simulator,
         )
 
@@ -626,6 +665,66 @@ class Renderer:
         for view, eye in zip((self._view, right), rig.place_eyes(camera), strict=True):
             view.aim(eye, around)
         return around
+
+    @property
+    def _is_temporal(self) -> bool:
+        """True if samples of many frames are put together, unless the view shows one color."""
+        technique = self.technique
+        return self.temporal.is_on and not (isinstance(technique, Inspection) and not technique.is_lit)
+
+    def forget_history(self) -> None:
+        """Begin temporal anti-aliasing anew with the next frame, as after a cut: it shows nothing of earlier ones.
+
+        That isn't needed after a turn of more than 30 degrees, a move of more than a 16th of the scene's diagonal, a
+        change of the size, or where time goes back or on by more than half a second."""
+        self._forgets_history = True
+
+    def _aim_samples(self, camera: Camera, seconds: float) -> Camera:
+        """As `_aim`, with views whose samples are at this frame's offset from the middles of pixels."""
+        camera, pair = self._fit(camera), self._pair
+        around, eyes = camera, [(self._view, self._targets, camera)]
+        if pair is not None:
+            around, (left, right) = pair.stereo.rig.enclose(camera), pair.stereo.rig.place_eyes(camera)
+            pair.view.visibility = self._view.visibility
+            eyes = [(self._view, self._targets, left), (pair.view, pair.targets, right)]
+        plan = self._last_plan
+        # Several samples of a pixel are spread over all of it: only the gaps between them are left.
+        samples = 1 if plan is None else max(texture.samples for texture in plan.textures)
+        offset = compute_offset(self._sample_index, samples)
+        self._sample_index += 1
+        forgets = self._forgets_history or not 0.0 <= seconds - self._last_seconds <= _LONGEST_PAUSE
+        self._forgets_history, self._last_seconds = False, seconds
+        is_still = self._count_still_frames(camera, seconds) >= STILL_AFTER
+        for view, targets, eye in eyes:
+            history = view.workspace(TemporalHistory)
+            history.begin_frame(self.scene, eye, offset, is_still=is_still, forgets=forgets)
+            view.aim(shift_samples(eye, offset, targets.size), around)
+        return around
+
+    def _count_still_frames(self, camera: Camera, seconds: float) -> int:
+        """Return for how many frames nothing has changed that a frame depends on."""
+        resources, uploads = self._resources, self.uploads
+        maps = resources.existing_workspace(ShadowMaps)
+        tessellator = resources.existing_workspace(Tessellator)
+        has_scene_layers = any(isinstance(layer, SceneLayer) for layer in self.layers)
+        state = (
+            self._snapshot,
+            self._settings(),
+            camera.position.tobytes(),
+            camera.rotation.tobytes(),
+            camera.projection,
+            self.light_cutoff,
+            None if maps is None else maps.settings,
+            None if tessellator is None else tessellator.settings,
+            tuple(map(id, self.layers)),
+            seconds if has_scene_layers else None,
+        )
+        is_same = (
+            self._snapshot is not None and (uploads is None or uploads.is_done) and state == self._still_state
+        )
+        self._still_frames = self._still_frames + 1 if is_same else 0
+        self._still_state = state
+        return self._still_frames
 
     def _fit(self, camera: Camera) -> Camera:
         width, height = self._size
@@ -667,6 +766,8 @@ class Renderer:
             bloom=self.bloom,
             occlusion=self.occlusion,
             depth_of_field=self.depth_of_field,
+            temporal=self.temporal if self._is_temporal else NO_HISTORY,
+            environment=self.environment,
             filters_penumbras=maps is not None and maps.settings.filter is ShadowFilter.PCSS,
             visible_features=recent_features,
             shows_objects=shows_objects,
@@ -690,9 +791,12 @@ class Renderer:
             before = [
                 *tessellation_passes(effects),
                 *(shadow_passes(effects, bind_depth_programs) if is_lit else ()),
+                *(environment_passes(effects) if is_lit else ()),
                 *(occlusion_passes(effects) if is_lit else ()),
             ]
-            plan = self._plans[effects.key] = make_plan([*before, *technique.declare(effects)])
+            passes = technique.declare(effects)
+            after = temporal_passes(effects, last_version(passes, "image"))
+            plan = self._plans[effects.key] = make_plan([*before, *passes, *after])
         return plan
 
     def destroy(self) -> None:

@@ -85,9 +85,22 @@ BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range"
 BAD_EFFECT: Final = Rule(
     "scene-bad-effect", "a value of fog, bloom, ambient occlusion or depth of field is out of its range"
 )
+BAD_ENVIRONMENT: Final = Rule(
+    "scene-bad-environment", "an environment's image isn't one, or a value of it is out of its range"
+)
+BAD_ENVIRONMENT_FILE: Final = Rule("scene-environment-file", "the image of an environment can't be read")
+BAD_ENVIRONMENT_SETTINGS: Final = Rule(
+    "environment-bad-settings", "a setting of light from environments is out of its range"
+)
 BAD_BLOOM: Final = Rule("bloom-bad-settings", "a setting of bloom is out of its range")
 BAD_OCCLUSION: Final = Rule("occlusion-bad-settings", "a setting of ambient occlusion is out of its range")
 BAD_FOCUS: Final = Rule("focus-bad-settings", "a setting of depth of field is out of its range")
+BAD_TEMPORAL: Final = Rule("temporal-bad-settings", "a setting of temporal anti-aliasing is out of its range")
+TEMPORAL_FILM: Final = Rule(
+    "film-temporal",
+    "each frame of a film is drawn as if no other had been, so it has no history",
+    "draw it with several samples per pixel (--samples), or at a scale of 2, and switch temporal.is_on off",
+)
 NOT_FINITE: Final = Rule(
     "scene-not-finite",
     "the numbers of a scene, a camera or a time must be finite",

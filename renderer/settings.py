@@ -15,7 +15,15 @@ from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
-from renderer.frame import Blending, BloomSettings, DepthOfFieldSettings, OcclusionSettings, TextureSettings
+from renderer.frame import (
+    Blending,
+    BloomSettings,
+    DepthOfFieldSettings,
+    EnvironmentSettings,
+    OcclusionSettings,
+    TemporalSettings,
+    TextureSettings,
+)
 from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, PathFrame, Perspective, Scene, StereoRig
 from renderer.scene.file_versions import KEY
@@ -44,6 +52,8 @@ class RenderSettings:
         blending: how transparent surfaces that cover each other are blended.
         bloom: how exactly bloom is computed.
         occlusion: how exactly ambient occlusion is computed.
+        depth_of_field: how exactly depth of field is computed.
+        temporal: whether and how samples of many frames are put together.
         precision: that of the techniques' shaders.
         depth: the direction of depth.
         animation_step: the step of animations in seconds, 0 for every frame.
@@ -65,6 +75,8 @@ class RenderSettings:
     bloom: BloomSettings = field(default_factory=BloomSettings)
     occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
     depth_of_field: DepthOfFieldSettings = field(default_factory=DepthOfFieldSettings)
+    temporal: TemporalSettings = field(default_factory=TemporalSettings)
+    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
@@ -153,6 +165,8 @@ class RenderSettings:
         renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision, renderer.bloom = self.blending, self.precision, self.bloom
         renderer.occlusion, renderer.depth_of_field = self.occlusion, self.depth_of_field
+        renderer.temporal = self.temporal
+        renderer.environment = self.environment
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag

@@ -76,8 +76,8 @@ def load_settings(arguments: argparse.Namespace, default: RenderSettings | None 
 
 def merge_settings(arguments: argparse.Namespace) -> RenderSettings:
     """The settings of `--settings`, or the defaults, overridden by other options: those of
-    `options.technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--edge-pixels`, `--reproject`,
-    if they aren't None. The arguments of `options.technique` are then set to the merged values."""
+    `options.technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--temporal`, `--edge-pixels`,
+    `--reproject`, if they aren't None. The arguments of `options.technique` are then set to the merged values."""
     settings = load_settings(arguments)
     variants = {name: getattr(arguments, name) or None for name in TECHNIQUE_VARIANTS}
     of_technique = {
@@ -97,6 +97,7 @@ def merge_settings(arguments: argparse.Namespace) -> RenderSettings:
         "visibility.emulated": None if arguments.queries is None else arguments.queries == "emulated",
         "depth": None if arguments.depth is None else Depth(arguments.depth),
         "blending": None if arguments.blending is None else Blending(arguments.blending),
+        "temporal.is_on": arguments.temporal or None,
         "reprojects": arguments.reproject or None,
         "tessellation.edge_pixels": arguments.edge_pixels,
     }

@@ -98,7 +98,7 @@ _OPTIONS: Final = (
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    arguments.edge_pixels = None
+    arguments.edge_pixels = arguments.temporal = None
     is_auto = arguments.technique == AutoTechnique.name
     settings = merge_settings(arguments)
     arguments.reproject = arguments.reproject or (settings.reprojects and arguments.stereo is not None)

@@ -329,6 +329,7 @@ DEPTH: Final = choice(
     None,
     "the settings', reversed",
 )
+TEMPORAL: Final = switch("--temporal", "smooth edges by the samples of many frames (temporal anti-aliasing)")
 BLENDING: Final = choice(
     "--blending",
     "transparent surfaces are drawn back to front, or averaged in any order",

@@ -69,6 +69,7 @@ _OPTIONS: Final = (
     ),
     options.DEPTH,
     options.BLENDING,
+    options.TEMPORAL,
     option(
         "--edge-pixels",
         "length in pixels that edges of height fields are split down to",

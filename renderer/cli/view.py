@@ -31,6 +31,7 @@ _OPTIONS: Final = (
     options.SCENE,
     options.BACKEND,
     *options.technique("forward", has_defaults=False),
+    options.TEMPORAL,
     options.visibility(None, "the settings', or frustum"),
     options.settings(
         "file with settings, reloaded whenever it is saved; other arguments override it at the start"
@@ -94,7 +95,7 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     settings = load_settings(arguments, PLAIN)
     overrides = {name: getattr(arguments, name) for name in ("technique", "samples", "visibility")}
-    overrides["fxaa"] = arguments.fxaa or None
+    overrides |= {name: getattr(arguments, name) or None for name in ("fxaa", "temporal")}
     display = DisplaySettings(
         settings, shadows=arguments.shadows, overlay=arguments.overlay, particles=arguments.particles
     )

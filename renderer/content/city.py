@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from renderer.content.buildings import KINDS, make_building, make_street_light, make_trees
 from renderer.content.shapes import plane
+from renderer.content.skies import add_sky
 from renderer.content.specs import (
     APERTURE,
     BLOOM,
+    ENVIRONMENT,
     FOCUS,
     FOG,
     OCCLUSION,
@@ -96,6 +98,7 @@ def make_city(
     sun_degrees: float = 0.0,
     focus: float = 0.0,
     aperture: float = 0.05,
+    environment: float = 0.0,
 ) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies
     everything."""
@@ -109,6 +112,7 @@ def make_city(
     add_occlusion(builder, occlusion)
     widen_sun(builder, sun_degrees)
     add_depth_of_field(builder, focus, aperture)
+    add_sky(builder, environment)
     return builder.build()
 
 
@@ -164,6 +168,7 @@ CITY: Final = Generator(
         SUN_DEGREES,
         FOCUS,
         APERTURE,
+        ENVIRONMENT,
     ),
     make_city,
 )

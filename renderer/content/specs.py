@@ -105,6 +105,8 @@ OCCLUSION: Final = Option(
 FOCUS: Final = Option("focus", 0.0, "metres away that are sharp, all if 0", 0.0, 1e6)
 APERTURE: Final = Option("aperture", 0.05, "radius of the aperture in metres, with a focus", 1e-6, 100.0)
 
+ENVIRONMENT: Final = Option("environment", 0.0, "strength of the light of a sky all around", 0.0, 100.0)
+
 SUN_DEGREES: Final = Option("sun_degrees", 0.0, "angle that the sun or the moon fills, in degrees", 0.0, 90.0)
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from renderer.content.material_shaders import Checker, Marble, Parallax
 from renderer.content.shapes import BUILT_IN, cylinder, plane
-from renderer.content.specs import SEED, Generator, Option
+from renderer.content.skies import add_sky
+from renderer.content.specs import ENVIRONMENT, SEED, Generator, Option
 from renderer.content.surfaces import paint_surface
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
@@ -24,7 +25,9 @@ _POOL: Final = (2.6, 1.4)  # metres along x and z
 _RIM: Final = (0.12, 0.22)  # width and height of a pool's rim, metres
 
 
-def make_yard(columns: int, lights: int, pools: int, shadows: int, seed: int) -> Scene:
+def make_yard(
+    columns: int, lights: int, pools: int, shadows: int, seed: int, environment: float = 0.0
+) -> Scene:
     """Make a yard with `columns` columns, each with a ball beside it, and `pools` pools, lit by the sun and
     by `lights` point lights."""
     rng = np.random.default_rng([seed, 29])
@@ -98,6 +101,7 @@ def make_yard(columns: int, lights: int, pools: int, shadows: int, seed: int) ->
         hue = 2.0 * np.pi * (rng.random((lights, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
         where = np.stack([spread[:, 0], rng.uniform(0.4, 2.4, lights), spread[:, 1]], axis=1)
         builder.lights.add_points(where, 2.5, 0.55 + 0.45 * np.cos(hue), 1.2)
+    add_sky(builder, environment)
     projection = Perspective(near=0.05)
     builder.views["overview"] = Camera.look_at((0.9, 2.1, half + 2.6), (0.0, 0.9, 0.0), projection=projection)
     builder.views["along"] = Camera.look_at(
@@ -147,6 +151,7 @@ YARD: Final = Generator(
         Option("pools", 0, "pools in the rain, whose surfaces are simulated where they are drawn", 0, 64),
         Option("shadows", 0, "whether the sun casts shadows, 0 or 1", 0, 1),
         SEED,
+        ENVIRONMENT,
     ),
     make_yard,
 )

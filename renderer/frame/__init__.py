@@ -20,6 +20,9 @@ from renderer.frame.effects import LightWatch as LightWatch
 from renderer.frame.effects import are_effects_same as are_effects_same
 from renderer.frame.effects import collect_frame_effects as collect_frame_effects
 from renderer.frame.effects import watch_lights as watch_lights
+from renderer.frame.environment import DEFAULT_ENVIRONMENT as DEFAULT_ENVIRONMENT
+from renderer.frame.environment import EnvironmentMaps as EnvironmentMaps
+from renderer.frame.environment import EnvironmentSettings as EnvironmentSettings
 from renderer.frame.frame import Frame as Frame
 from renderer.frame.layer import Layer as Layer
 from renderer.frame.layer import SceneLayer as SceneLayer
@@ -42,6 +45,8 @@ from renderer.frame.scene_images import TextureSettings as TextureSettings
 from renderer.frame.targets import DEPTH_FORMAT as DEPTH_FORMAT
 from renderer.frame.targets import IMAGE_FORMAT as IMAGE_FORMAT
 from renderer.frame.targets import Targets as Targets
+from renderer.frame.temporal import NO_HISTORY as NO_HISTORY
+from renderer.frame.temporal import TemporalSettings as TemporalSettings
 from renderer.frame.uploads import UploadProgress as UploadProgress
 from renderer.frame.uploads import UploadSettings as UploadSettings
 from renderer.frame.view import View as View

@@ -67,11 +67,11 @@ class FrameBatch:
     def order(
         self,
         object_indices: NDArray[np.int64],
-        forward: NDArray[np.float64],
+        backward: NDArray[np.float64],
         arrange: Callable[[], list[NDArray[np.int64]]],
     ) -> list[NDArray[np.int64]]:
-        """The result of `arrange` for these objects and direction of view, computed once per frame."""
-        key, cached = forward.tobytes(), self.last_order
+        """The result of `arrange` for these objects and direction to the viewer, computed once per frame."""
+        key, cached = backward.tobytes(), self.last_order
         if cached is None or cached[0] is not object_indices or cached[1] != key:
             self.last_order = cached = object_indices, key, arrange()
         return cached[2]

@@ -272,6 +272,7 @@ class TechniqueDrawer:
 
     def draw(self, object_indices: NDArray[np.int64]) -> None:
         """Draw the objects `object_indices` (k,)."""
+        object_indices = self._select_facing(object_indices)
         resources = self._begin_batch(object_indices)
         if self._has_transparent:
             object_indices = object_indices[self._record_transparent(object_indices)]
@@ -300,6 +301,9 @@ class TechniqueDrawer:
             self.close()
         resources = self._resources
         if resources.may_simulate:
+            object_indices = self._select_facing(object_indices)
+            if not len(object_indices):
+                return
             resources.simulate(object_indices)
         if self._has_transparent:
             object_indices = object_indices[self._record_transparent(object_indices)]
@@ -333,7 +337,7 @@ class TechniqueDrawer:
                         resources.draw_tessellated(encoder, *choose_program(self._programs, group), row)
 
         view, batch = self._view, self._view.batch
-        parts = batch.order(object_indices, view.camera.forward, arrange)
+        parts = batch.order(object_indices, view.camera.rotation[2], arrange)
         key = (*self.key, *tessellated.tolist(), *resources.mirrored[tessellated].tolist())
         batch.execute(view.commands.next(), key, resources.draws, parts, issue)
         self.was_opened = True
@@ -403,6 +407,14 @@ class TechniqueDrawer:
         self.draw_result.add_transparent(object_indices[transparent])
         return ~transparent
 
+    def _select_facing(self, object_indices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The objects without those that show the eye only their backs. Two eyes share simulations, so nothing
+        is left out for both."""
+        view = self._view
+        if view.around is not view.camera:
+            return object_indices
+        return self._resources.turned.select_facing(view.camera, object_indices)
+
     def _begin_batch(self, object_indices: NDArray[np.int64]) -> SceneResources:
         """Simulate the objects that are drawn next and open the pass; return the scene's resources."""
         self._resources.simulate(object_indices, leave=self.close)
@@ -418,7 +430,7 @@ class TechniqueDrawer:
     def _farthest_depths(self, object_indices: NDArray[np.int64]) -> NDArray[np.float64]:
         """Depth of the farthest corner of each object's box."""
         objects = self._resources.scene.objects
-        x, y, z = self._view.camera.forward.tolist()
+        x, y, z = (-self._view.camera.rotation[2]).tolist()  # forward
         far: NDArray[np.float64] = (objects.upper if x > 0.0 else objects.lower)[:, 0][object_indices] * x
         far += (objects.upper if y > 0.0 else objects.lower)[:, 1][object_indices] * y
         far += (objects.upper if z > 0.0 else objects.lower)[:, 2][object_indices] * z
@@ -461,6 +473,7 @@ class TechniqueDrawer:
             object_indices = resources.select_in_view(
                 self._view.around, simulated[~resources.hidden.paused[simulated]]
             )
+            object_indices = self._select_facing(object_indices)
             resources.simulate(object_indices, leave=self.close)
 
     def __enter__(self) -> Self:

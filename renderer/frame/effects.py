@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame.depth_of_field import DEFAULT_FOCUS, DepthOfFieldSettings, is_blur_seen
+from renderer.frame.environment import DEFAULT_ENVIRONMENT, EnvironmentSettings
 from renderer.frame.occlusion import DEFAULT_OCCLUSION, OCCLUSION, OcclusionSettings, is_occlusion_seen
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
+from renderer.frame.temporal import NO_HISTORY, TemporalSettings
 from renderer.frame.thin_air import THIN_HAZE, is_fog_seen, is_haze_seen, is_sky_fogged
 from renderer.frame.transparent_layers import TransparentLayers
 from renderer.frame.visible_features import VisibleFeatures
@@ -52,6 +54,8 @@ class Effect(Choice):
     DEPTH_OF_FIELD = "depth of field"
     BLOOM = "bloom"
     AMBIENT_OCCLUSION = "ambient occlusion"
+    ENVIRONMENT = "environment"
+    SKY_BOX = "sky box"
     METALS = "metals"
     EMISSIVE_COLORS = "emissive colors"
     NORMAL_MAPS = "normal maps"
@@ -250,6 +254,9 @@ class FrameEffects:
         has_bloom: whether the scene has bloom, whatever shines in it.
         occlusion: how exactly ambient occlusion is computed.
         depth_of_field: how exactly depth of field is computed.
+        temporal: how samples of many frames are put together; `NO_HISTORY` if each frame is on its own.
+        has_movable_objects: whether the motion of objects is needed for that.
+        environment: how exactly light from an environment is computed.
         filters_penumbras: whether shadows are as soft as the sizes of sources make them.
         shaders: those that the scene's materials have of their own.
         layers_format: the format that transparent objects are added up in; None if they are blended to the
@@ -270,6 +277,9 @@ class FrameEffects:
     has_bloom: bool
     occlusion: OcclusionSettings
     depth_of_field: DepthOfFieldSettings
+    temporal: TemporalSettings
+    has_movable_objects: bool
+    environment: EnvironmentSettings
     filters_penumbras: bool
     shaders: tuple[type[Any], ...]
     sources: EffectSources
@@ -335,6 +345,9 @@ class FrameEffects:
             self.bloom,
             self.occlusion,
             self.depth_of_field,
+            self.temporal,
+            self.has_movable_objects,
+            self.environment,
             self.has_fogged_sky,
             self.layers_format,
         )
@@ -349,6 +362,8 @@ class FrameEffects:
             return self._explain_bloom(count)
         if effect is Effect.AMBIENT_OCCLUSION:
             return self._explain_occlusion(count)
+        if effect in (Effect.ENVIRONMENT, Effect.SKY_BOX):
+            return self._explain_environment(effect, count)
         if effect is Effect.DEPTH_OF_FIELD:
             return self._explain_depth_of_field(count)
         if effect in PENUMBRA_EFFECTS and not self.filters_penumbras:
@@ -378,6 +393,15 @@ class FrameEffects:
             return "the scene has ambient occlusion, within less than a pixel"
         return "surfaces take ambient light away from each other"
 
+    def _explain_environment(self, effect: Effect, count: int) -> str:
+        if not count:
+            return f"the scene has no {effect.value}"
+        if effect is Effect.SKY_BOX:
+            return "the environment is the background"
+        if not self.shows_objects:
+            return "the scene has an environment, and no object in view"
+        return "the environment gives light"
+
     def _explain_depth_of_field(self, count: int) -> str:
         if not count:
             return "the scene has no depth of field"
@@ -406,6 +430,8 @@ def collect_frame_effects(
     bloom: BloomSettings = EXACT_BLOOM,
     occlusion: OcclusionSettings = DEFAULT_OCCLUSION,
     depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
+    temporal: TemporalSettings = NO_HISTORY,
+    environment: EnvironmentSettings = DEFAULT_ENVIRONMENT,
     filters_penumbras: bool = False,
     visible_features: frozenset[str] | None = None,
     shows_objects: bool | None = None,
@@ -421,6 +447,8 @@ def collect_frame_effects(
         bloom: how bloom is to be made.
         occlusion: how ambient occlusion is to be computed.
         depth_of_field: how depth of field is to be computed.
+        temporal: how samples of many frames are to be put together.
+        environment: how light from an environment is to be computed.
         filters_penumbras: whether shadows are to be as soft as the sizes of sources make them.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
@@ -438,6 +466,8 @@ def collect_frame_effects(
     if shows_objects is None:
         shows_objects = bool(len(select_in_view(scene, camera, np.arange(len(scene.objects)))))
     in_view, air, has_fogged_sky = _look(scene, camera, sources, reaches)
+    if not (temporal.is_on and (shows_objects or has_fogged_sky)):
+        temporal = NO_HISTORY  # all samples are of one color
     if (
         last is not None
         and (
@@ -446,6 +476,8 @@ def collect_frame_effects(
             bloom,
             occlusion,
             depth_of_field,
+            temporal,
+            environment,
             filters_penumbras,
             visible_features,
             shows_objects,
@@ -456,6 +488,8 @@ def collect_frame_effects(
             last.bloom,
             last.occlusion,
             last.depth_of_field,
+            last.temporal,
+            last.environment,
             last.filters_penumbras,
             last.visible_features,
             last.shows_objects,
@@ -482,7 +516,8 @@ def collect_frame_effects(
         hidden |= {*PENUMBRA_EFFECTS}
     if not shows_objects:
         hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS, Effect.AMBIENT_OCCLUSION}
-    if not (shows_objects or has_fogged_sky):
+        hidden |= {Effect.ENVIRONMENT}
+    if not (shows_objects or has_fogged_sky or sources.counts[Effect.SKY_BOX]):
         hidden |= {Effect.DEPTH_OF_FIELD}
     hidden |= {
         _EFFECTS[name]
@@ -502,6 +537,9 @@ def collect_frame_effects(
         scene.bloom is not None,
         occlusion,
         depth_of_field,
+        temporal,
+        temporal.is_on and bool(len(scene.objects.following_indices) or scene.simulated),
+        environment,
         filters_penumbras,
         sources.shaders,
         sources,
@@ -641,6 +679,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         scene.bloom is None,
         scene.ambient_occlusion is None,
         scene.depth_of_field is None,
+        scene.environment,
         _has_ambient_light(scene),
         bool(scene.objects.casts_shadow.any()),
         tuple(scene.height_fields),
@@ -656,6 +695,8 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.BLOOM: 0 if scene.bloom is None else len(scene.list_emitters()),
         Effect.AMBIENT_OCCLUSION: int(scene.ambient_occlusion is not None and _has_ambient_light(scene)),
         Effect.DEPTH_OF_FIELD: int(scene.depth_of_field is not None),
+        Effect.ENVIRONMENT: int(scene.environment is not None and _has_ambient_light(scene)),
+        Effect.SKY_BOX: int(scene.environment is not None and scene.environment.is_visible),
         Effect.TRANSPARENCY: len(scene.list_transparent()),
         Effect.HEIGHT_FIELDS: len(height_fields),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
@@ -682,7 +723,8 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
 
 def _has_ambient_light(scene: Scene) -> bool:
     """Return whether ambient light adds more than half a level to any pixel."""
-    brightest = max(*scene.lights.sky, *scene.lights.ground)
+    environment = scene.environment
+    brightest = max(*scene.lights.sky, *scene.lights.ground) if environment is None else environment.brightest
     return brightest * scene.strongest_response() > LEAST_LIGHT
 
 

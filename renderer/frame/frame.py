@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,6 +44,7 @@ class Frame:
         precision: that of the shaders which are FAST by themselves.
         values: what passes derive from the scene, settings, targets and effects alone; frames in which only
             the camera moves share it.
+        scene_layers: what draws the layers that belong to the scene, for a pass that comes after them.
     """
 
     device: Device
@@ -53,6 +55,7 @@ class Frame:
     first: Frame | None = None
     precision: Precision = Precision.FAST
     values: dict[object, Any] = field(default_factory=dict)
+    scene_layers: Sequence[Callable[[Device, Frame], None]] = ()
     _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
     @property

@@ -70,7 +70,7 @@ class MirroredArray(Generic[T]):
             changed = indices[(rows[indices] != self._rows[indices]).any(1)]
         if len(changed) == len(rows):  # such as lights, when the eye has moved
             if array.dtype == self.buffer.dtype:
-                self.buffer.write(array)
+                self.buffer.owner.write(array)  # whose type matches
             else:  # as `_upload`, without its call
                 base, shape = self.buffer.dtype.subdtype or (self.buffer.dtype, ())
                 self.buffer.write(np.frombuffer(rows, base).reshape(-1, *shape))

@@ -36,6 +36,7 @@ from renderer.frame.mirrors import (
     split_doubles,
 )
 from renderer.frame.scene_images import SAMPLER_DEFAULTS, SceneImages, TextureSettings
+from renderer.frame.turned_surfaces import TurnedSurfaces
 from renderer.frame.uploads import SceneUploads, UploadSettings
 from renderer.light_kinds.bounds import BOUND_FIELDS
 from renderer.light_kinds.directional import pack_directional
@@ -112,6 +113,7 @@ class SceneResources:
         ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
         hidden: the objects that have been hidden for so long that they are paused.
+        turned: the surfaces that may show a view only their backs, and then aren't drawn.
         resume: brings paused height fields to this frame's view, given object indices that include theirs.
     """
 
@@ -142,6 +144,7 @@ class SceneResources:
         self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self.hidden = HiddenObjects(scene, self.simulator.deformed)
+        self.turned = TurnedSurfaces(scene)
         self.resume: Callable[[NDArray[np.int64]], None] = lambda _: None
         self._vertex_states = np.zeros(
             len(scene.objects)
@@ -368,10 +371,10 @@ class SceneResources:
         begins = self.scene.meshes.ranges["base_vertex"][mesh].astype(np.int64)
         if self._is_computed is not None and isinstance(deformed.simulation, DeviceVertexSimulation):
             self._note_computing(deformed.simulation)
-            stride = self.scene.meshes.vertices.itemsize // 4
+            stride, tangent = _vertex_layout(self.scene.meshes.vertices.dtype)
             with self._device.event(SIMULATION_EVENT):
                 deformed.simulation.deform(
-                    self._device, deformed.members[changed], self._vertex_floats, begins, stride
+                    self._device, deformed.members[changed], self._vertex_floats, begins, stride, tangent
                 )
             self._vertex_states[deformed.object_indices] = deformed.states
             return
@@ -464,6 +467,11 @@ class SceneResources:
         requested = np.flatnonzero(is_requested[lit])
         order = requested[np.argsort(lit[requested], kind="stable")]
         return repeat_each(object_indices, counts)[order], entries[order]
+
+    @property
+    def object_states(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
+        """The objects (n,) and their positions (n,) as the device has them, and the states (n,) of their vertices."""
+        return self._rows, self._object_positions, self._vertex_states
 
     @property
     def lights(self) -> Lights:
@@ -635,5 +643,14 @@ def _make_buffer(device: Device, elements: NDArray[Any], is_streamed: bool, labe
     return device.buffer(elements, label=label)
 
 
+def _vertex_layout(format: np.dtype[Any]) -> tuple[int, int]:
+    """Return the floats from vertex to vertex, and from a vertex to its tangent: -1 without one."""
+    offsets = {name: field[1] // 4 for name, field in (format.fields or {}).items()}
+    return format.itemsize // 4, offsets.get("tangent", -1)
+
+
 def _ambient(scene: Scene) -> shaders.Ambient:
+    """Return the light of the sky and the ground: none if an environment is in their place."""
+    if scene.environment is not None:
+        return shaders.Ambient(sky=(0.0, 0.0, 0.0), ground=(0.0, 0.0, 0.0))
     return shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)

@@ -37,7 +37,8 @@ from rhi import (
 from rhi.shading import TextureBinding
 
 MAX_ARRAYS: Final = 8
-"""The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own."""
+"""The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own, and
+one more of an environment."""
 TEXEL_BYTES: Final = 4
 _MAX_BIAS: Final = 16.0
 """The most levels of a bias: there are no more levels."""
@@ -197,7 +198,7 @@ class SceneImages:
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
         self.tables: tuple[TextureTable | None, TextureTable | None] | None = None
-        if count_bindings(sizes, uses) > MAX_ARRAYS:
+        if count_bindings(sizes, uses) > MAX_ARRAYS - (scene.environment is not None):
             self._make_tables(device, scene, settings, uses, table)
         else:
             self._make_arrays(device, scene, settings, sizes, uses, table)

@@ -81,7 +81,8 @@ class Targets:
         return self._by_name.get(name)
 
     def previous(self, name: str) -> Texture | None:
-        """The texture of the resource `name` in the last frame; None if that had another plan."""
+        """The texture of the resource `name` in the last frame; None if that had another plan, without a history of
+        this resource."""
         return self._last.get(name)
 
     def provide(self, textures: Sequence[SharedTexture]) -> None:
@@ -104,6 +105,14 @@ class Targets:
         used: dict[_Kind, list[Texture]] = {}
         by_name: dict[str, Texture] = {}
         others: dict[str, Texture] = {}
+        last: dict[str, Texture] = {}
+        histories = self._list_histories(textures)
+        for name, pair in histories.items():
+            for kind, textures_of_kind in free.items():
+                if pair[0] in textures_of_kind:
+                    free[kind] = [texture for texture in textures_of_kind if texture not in pair]
+                    used.setdefault(kind, []).extend(pair)
+            last[name], by_name[name] = others[name], _ = pair
         with ExitStack() as stack:
 
             def take(shared: SharedTexture) -> Texture:
@@ -119,6 +128,8 @@ class Targets:
                 return texture
 
             for shared in textures:
+                if shared.names[0] in histories:
+                    continue
                 by_name.update(dict.fromkeys(shared.names, take(shared)))
                 if shared.has_history:
                     others.update(dict.fromkeys(shared.names, take(shared)))
@@ -130,7 +141,17 @@ class Targets:
         self._textures = used
         self._by_name = by_name
         self._others = others
-        self._last = {}
+        self._last = last
+
+    def _list_histories(self, textures: Sequence[SharedTexture]) -> dict[str, tuple[Texture, Texture]]:
+        """The two textures of each resource whose history another plan goes on with: the last frame's, and that of the
+        frame before."""
+        before = {shared.names: shared for shared in self._plan or () if shared.has_history}
+        return {
+            shared.names[0]: (self._by_name[shared.names[0]], self._others[shared.names[0]])
+            for shared in textures
+            if len(shared.names) == 1 and before.get(shared.names) == shared
+        }
 
     def destroy(self) -> None:
         """Destroy all textures."""

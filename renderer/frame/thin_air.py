@@ -59,8 +59,11 @@ def is_fog_seen(scene: Scene, camera: Camera) -> bool:
 
 def is_sky_fogged(scene: Scene, camera: Camera) -> bool:
     """Return whether fog changes the background by more than half a level."""
-    fog = scene.fog
-    if fog is None or np.abs(np.subtract(fog.color, scene.background)).max() <= _threshold(
+    fog, environment = scene.fog, scene.environment
+    has_sky_box = environment is not None and environment.is_visible
+    if fog is None:
+        return False
+    if not has_sky_box and np.abs(np.subtract(fog.color, scene.background)).max() <= _threshold(
         scene, _LEAST_LINEAR
     ):
         return False

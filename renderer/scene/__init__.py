@@ -21,6 +21,7 @@ from renderer.scene.catch_up import Stepwise as Stepwise
 from renderer.scene.catch_up import TimedSimulation as TimedSimulation
 from renderer.scene.clips import Clip as Clip
 from renderer.scene.depth_of_field import DepthOfField as DepthOfField
+from renderer.scene.environment import Environment as Environment
 from renderer.scene.fog_and_bloom import Bloom as Bloom
 from renderer.scene.fog_and_bloom import Fog as Fog
 from renderer.scene.height_fields import HeightField as HeightField

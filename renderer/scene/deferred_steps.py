@@ -67,13 +67,16 @@ class DeferredSteps(ABC, Generic[H, D]):
         vertices: StorageBuffer[float],
         first_vertices: Indices,
         stride: int,
+        tangent: int = -1,
     ) -> None:
         """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame
         takes is one dispatch.
 
         Args:
-            vertices: what is drawn. begins: (j,), the number of each member's first vertex in it.
+            vertices: what is drawn.
+            first_vertices: (j,), the number of each member's first vertex in it.
             stride: floats from vertex to vertex.
+            tangent: where a vertex's tangent begins; these simulations have none.
         """
         before = self._buffers
         if before is None or before.device is not device:

@@ -27,6 +27,7 @@ from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.attachments import AttachedLights, AttachedView, Attachments
 from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.depth_of_field import DepthOfField
+from renderer.scene.environment import Environment
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.fog_and_bloom import Bloom, Fog
@@ -106,6 +107,8 @@ class Scene:
             background.
         fog, bloom, ambient_occlusion, depth_of_field: effects of the air, of the camera, of surfaces nearby and of
             the aperture, None for none; they may be exchanged between frames.
+        environment: the light from all around, in place of the sky's and the ground's; None for none. It may be
+            exchanged between frames.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs
             copies.
         seconds: the time of the last update or frame.
@@ -118,6 +121,7 @@ class Scene:
         height_fields: by the rows of their objects; the triangles of these are chosen for each view.
     """
 
+    environment: Environment | None = None
     _response: tuple[bytes | None, float] = (None, 0.0)  # the strongest, and the materials that have it
 
     def __init__(
@@ -266,6 +270,7 @@ class Scene:
             self.bloom,
             self.ambient_occlusion,
             self.depth_of_field,
+            self.environment,
             tuple(self.height_fields),
         )
 
@@ -598,6 +603,7 @@ class SceneBuilder:
         self.bloom: Bloom | None = None
         self.ambient_occlusion: AmbientOcclusion | None = None
         self.depth_of_field: DepthOfField | None = None
+        self.environment: Environment | None = None
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self.omissions = Omissions()
@@ -1060,7 +1066,7 @@ class SceneBuilder:
             attachments=self._make_attachments(nodes),
         )
         scene.fog, scene.bloom, scene.ambient_occlusion = self.fog, self.bloom, self.ambient_occlusion
-        scene.depth_of_field = self.depth_of_field
+        scene.depth_of_field, scene.environment = self.depth_of_field, self.environment
         return scene
 
     def _make_attachments(self, nodes: Nodes) -> Attachments:

@@ -92,18 +92,33 @@ class DeviceVertexSimulation(VertexSimulation, Protocol):
         vertices: StorageBuffer[float],
         first_vertices: Indices,
         stride: int,
+        tangent: int = -1,
     ) -> None:
-        """Write the present positions and normals of `members` (j,), by dispatches only.
+        """Write the present positions and normals of `members` (j,), and tangents if they have any.
 
         Args:
-            vertices: the vertices as floats; one begins with its position and normal. begins: (j,), the
-                number of each member's first vertex.
+            vertices: the vertices as floats; one begins with its position and normal.
+            first_vertices: (j,), the number of each member's first vertex.
             stride: the number of floats from vertex to vertex.
+            tangent: the number of floats before a vertex's tangent; negative if vertices have none.
         """
         ...
 
     def release(self, device: Device) -> None:
         """Destroy what the simulation holds on a device."""
+        ...
+
+
+@runtime_checkable
+class HeightSimulation(VertexSimulation, Protocol):
+    """A simulation that moves the heights of surfaces over the x and z of their objects.
+
+    Seen from so far below that no slope can face the eye, a surface with one side isn't drawn.
+    """
+
+    @property
+    def max_slope(self) -> float:
+        """The greatest slope of any triangle: metres up for each metre along x and z."""
         ...
 
 

@@ -69,6 +69,7 @@ def _display_commands(session: ViewerSession) -> Iterable[ViewerCommand]:
         session, "samples", "set the number of samples per pixel", lambda: samples, samples.__getitem__
     )
     yield _display_switch(session, "fxaa", "smooth edges")
+    yield _display_switch(session, "temporal", "smooth edges by the samples of many frames")
     yield _display_switch(session, "overlay", "draw times, counters and the culling over the image")
     yield _display_switch(session, "particles", "draw the drops of fountains as particles")
     yield _display_switch(session, "grid", "draw lines on the ground, a metre apart")

@@ -43,6 +43,7 @@ _SETTINGS: Final = {
     "technique": "technique.name",
     "samples": "technique.samples",
     "fxaa": "technique.fxaa",
+    "temporal": "temporal.is_on",
     "visibility": "algorithm",
     "blending": "blending",
 }
@@ -93,6 +94,11 @@ class DisplaySettings:
         return self.settings.technique.fxaa
 
     @property
+    def temporal(self) -> bool:
+        """True if samples of many frames are put together."""
+        return self.settings.temporal.is_on
+
+    @property
     def blending(self) -> str:
         """The blending of transparent surfaces: the value of a `Blending`."""
         return self.settings.blending.value
@@ -118,6 +124,7 @@ class DisplaySettings:
             "show",
             "samples",
             "fxaa",
+            "temporal",
             "shadows",
             "blending",
             "stereo",

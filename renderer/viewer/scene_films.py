@@ -92,6 +92,8 @@ class SceneFilm:
         """Arguments are those of `film`. Nothing is created before the block."""
         self.scene, self.camera, self.size = scene, camera, size
         self.settings = make_repeatable(settings or RenderSettings())
+        if self.settings.temporal.is_on:
+            refuse(rules.TEMPORAL_FILM, "film(settings=...)", "temporal.is_on = True", "False")
         self.backend, self.stereo = backend, stereo
         self.description = ""
         self.make_layers = layers
@@ -208,7 +210,8 @@ def film(
         progress: whether to show a bar with the time left; None: on a terminal.
 
     Raises:
-        ValidationError: `camera-frame-range` for a frame beyond the path; what `rhi_screen.film` refuses.
+        ValidationError: `camera-frame-range` for a frame beyond the path, `film-temporal` for temporal anti-aliasing;
+            what `rhi_screen.film` refuses.
         DeviceError: see there.
     """
     origin = scene if isinstance(scene, str) else ""

@@ -23,6 +23,7 @@ SMALLEST: Final = {
     "--commands": "200",
     "--draws": "20",
     "--frames": "2",
+    "--joints": "2",
     "--materials": "4",
     "--meshes": "4",
     "--objects": "20",
@@ -34,6 +35,7 @@ SMALLEST: Final = {
     "--scale": "0.001",
     "--size": "32x18",
     "--triangles": "1000",
+    "--vertices": "100",
     "--views": "1",
     "--warm-up": "1",
 }

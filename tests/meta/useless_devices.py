@@ -1,20 +1,24 @@
 """Devices of no use, and a run of the exam against each of them: what they pass says nothing about drawing.
 
 `python useless_devices.py` prints JSON: for each device the cases that it passes, by what they ask of a
-device.
+device. All devices share a process, and with it what rays have traced. A case ends at its first failure. Cases
+that ask nothing of a device are measured once, on `NoDevice`, which refuses all use: what they measure is the
+same on every device.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from faulty_backends import Faulty, replace_gl
 
 import rhi
-from renderer.lab.exam import examine, select_cases
+from renderer.lab.exam import Case, examine, select_cases, stop_at_first_failure
+from renderer.lab.exam.case import NOTHING
 
 
 class Mute(Faulty):
@@ -85,16 +89,45 @@ DEVICES: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def examine_useless(device: Callable[[Any], Any]) -> dict[str, list[int]]:
+class NoDevice:
+    """Raises at any use."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise AssertionError(f"a case that asks nothing of a device uses its {name}")
+
+
+def examine_without_device(cases: Iterable[Case]) -> list[int]:
+    """Return the cases that pass, and use no device."""
+    device: Any = NoDevice()
+    return [case.number for case in cases if case.passes(case.measure(device))]
+
+
+def examine_useless(device: Callable[[Any], Any], cases: Iterable[Case]) -> dict[str, list[int]]:
     """Return the cases that a device passes, by what they ask of it."""
-    cases = select_cases([])
-    passed: dict[str, list[int]] = {case.device_use: [] for case in cases}
-    with replace_gl(device), rhi.create_device("gl") as opened, np.errstate(all="ignore"):
-        for case, row in zip(cases, examine(opened, cases), strict=True):
+    passed = defaultdict[str, list[int]](list)
+    with (
+        replace_gl(device),
+        rhi.create_device("gl") as opened,
+        np.errstate(all="ignore"),
+        stop_at_first_failure(),
+    ):
+        for row in examine(opened, cases):
             if row.passed:
-                passed[case.device_use].append(case.number)
+                passed[row.device_use].append(row.case)
     return passed
 
 
+def examine_all() -> dict[str, dict[str, list[int]]]:
+    """Return for each device the cases that it passes, by what they ask of it."""
+    cases = select_cases([])
+    using = [case for case in cases if case.device_use != NOTHING]
+    idle = examine_without_device(case for case in cases if case.device_use == NOTHING)
+    none_passed: dict[str, list[int]] = {case.device_use: [] for case in using}
+    return {
+        name: {**none_passed, **examine_useless(device, using), NOTHING: idle}
+        for name, device in DEVICES.items()
+    }
+
+
 if __name__ == "__main__":
-    print(json.dumps({name: examine_useless(device) for name, device in DEVICES.items()}))
+    print(json.dumps(examine_all()))

@@ -27,6 +27,8 @@ ATTRIBUTES = (
     "bloom",
     "occlusion",
     "depth_of_field",
+    "temporal",
+    "environment",
     "stereo",
 )
 ARGUMENTS = (*(name for name in ATTRIBUTES if name != "stereo"), "textures", "uploads")

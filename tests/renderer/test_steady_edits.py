@@ -16,7 +16,14 @@ from test_reused_renderer import EDITS, Random, make
 
 import rhi
 from renderer.content import load_scene
-from renderer.frame import Blending, BloomSettings, DepthOfFieldSettings, Effect, OcclusionSettings
+from renderer.frame import (
+    Blending,
+    BloomSettings,
+    DepthOfFieldSettings,
+    Effect,
+    OcclusionSettings,
+    TemporalSettings,
+)
 from renderer.renderer import Renderer
 from renderer.scene import (
     AmbientOcclusion,
@@ -24,6 +31,7 @@ from renderer.scene import (
     Camera,
     Depth,
     DepthOfField,
+    Environment,
     Fog,
     Lights,
     Orthographic,
@@ -156,6 +164,7 @@ CASES: Final[dict[str, Edit]] = {
     "bloom": set_attribute(of_scene, "bloom", Bloom()),
     "ambient occlusion": set_attribute(of_scene, "ambient_occlusion", AmbientOcclusion()),
     "depth of field": set_attribute(of_scene, "depth_of_field", DepthOfField()),
+    "environment": set_attribute(of_scene, "environment", Environment(np.full((4, 8, 3), 0.7, np.float32))),
     "base color": set_items(lambda renderer: renderer.scene.materials, "base_color", (0.1, 0.9, 0.3, 0.4)),
     "emission": set_items(lambda renderer: renderer.scene.materials, "emission", 0.0),
     "set_material": lambda renderer: renderer.scene.set_material(2, double_sided=False),
@@ -177,6 +186,7 @@ CASES: Final[dict[str, Edit]] = {
     "bloom settings": lambda renderer: setattr(renderer, "bloom", BloomSettings(levels=2)),
     "occlusion settings": lambda renderer: setattr(renderer, "occlusion", OcclusionSettings(slices=3)),
     "focus settings": lambda renderer: setattr(renderer, "depth_of_field", DepthOfFieldSettings(samples=8)),
+    "temporal anti-aliasing": lambda renderer: setattr(renderer, "temporal", TemporalSettings(is_on=True)),
     "light cutoff": set_attribute(lambda renderer: renderer, "light_cutoff", 0.2),
     "technique": exchange_technique,
     "visibility": exchange_visibility,

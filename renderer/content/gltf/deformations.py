@@ -1,8 +1,8 @@
 """Skins and morph targets: meshes whose vertices are computed where they are drawn.
 
-A vertex is its position plus the weighted offsets of the mesh's targets, then the weighted mean of where the
-joints of the skin take it. Vertices of a skin are relative to the nearest node above all joints that never
-moves, and that is where the object is placed; glTF ignores the mesh's own node.
+How vertices follow weights and joints is the matter of `renderer.scene.deformation`; here are the nodes, tracks
+and skins of a file that say where those are. Vertices of a skin are relative to the nearest node above all
+joints that never moves, and that is where the object is placed; glTF ignores the mesh's own node.
 
 Both have bounds that hold at all times. A skinned vertex lies between the points where its joints take it, so
 it is within the boxes that these sweep; an offset vertex is between the extremes of each weight. Normals are
@@ -27,16 +27,16 @@ from renderer.content.gltf.tracks import NodeMotion, PropertyTracks, Track
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.catch_up import Recompute
 from renderer.scene.clips import Clips
-from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry, vertex_format
-from renderer.scene.tangents import TangentGroups, add_stretch, split_by_tangents
+from renderer.scene.deformation import DeformableMesh, DeformationBuffers, Pose
+from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
+from renderer.scene.tangents import add_stretch, split_by_tangents
+from rhi import Device, StorageBuffer
 from rhi.math import multiply, transform_bounds
 
 TARGET_ATTRIBUTES: Final = frozenset(("POSITION", "NORMAL", "TANGENT"))
 """The attributes that morph targets move."""
 
-_UP: Final = (0.0, 1.0, 0.0)
 _FIRST: Final = np.zeros(1, np.int64)
-_SHORTEST: Final = 1e-20  # length of a normal or tangent that has a direction
 _ROUNDING: Final = 2.0**-18  # of the largest coordinate: vertices are computed in float32
 
 
@@ -133,127 +133,132 @@ class Skeleton:
         below = {row for joint in joints for row in tree.chain(joint)} - set(tree.chain(self.anchor))
         rows = sorted(below)
         at = {row: number for number, row in enumerate(rows)}
-        self._parents = [at.get(tree.nodes[row].parent, -1) for row in rows]
-        self._locals = np.array([tree.nodes[row].local for row in rows]).reshape(-1, 4, 4)
-        self._joint_at = [at.get(joint, -1) for joint in joints]  # -1: the anchor itself
-        self._moving: Indices = np.flatnonzero(tree.member[rows] >= 0)
-        self._members: Indices = tree.member[rows][self._moving]
-        self._motion = tree.motion
+        self.parents: Indices = np.array([at.get(tree.nodes[row].parent, -1) for row in rows], np.int64)
+        self.rest: Floats = np.array([tree.nodes[row].local for row in rows]).reshape(-1, 4, 4)
+        self.joint_rows: Indices = np.array([at.get(joint, -1) for joint in joints], np.int64)
+        self.members: Indices = tree.member[rows]
+        self._alone = JointTable([self])
         self._cache_key = (np.nan, 0)  # for a time and a version of the clips
         self._cached: Floats = inverse_bind_matrices
 
     @property
     def moves(self) -> bool:
         """True if any joint is animated."""
-        return len(self._members) > 0
+        return bool((self.members >= 0).any())
 
     def matrices(self, seconds: float) -> Floats:
-        """Return the matrices (j, 4, 4) of all joints at a time."""
-        key = (seconds, 0 if self._motion is None else self._motion.version)
-        if key == self._cache_key:
-            return self._cached
-        if self._motion is not None and self.moves:
+        """Return the matrices (j, 4, 4) of all joints at a time; the same array as long as it is the same time."""
+        if not self.is_at(seconds):
+            self._alone.compute(seconds)
+        return self._cached
+
+    def is_at(self, seconds: float) -> bool:
+        """Return whether `matrices` are known for a time."""
+        return self._cache_key == self._key(seconds)
+
+    def store(self, seconds: float, matrices: Floats) -> None:
+        """Keep the matrices of a time."""
+        self._cached, self._cache_key = matrices, self._key(seconds)
+
+    def _key(self, seconds: float) -> tuple[float, int]:
+        return seconds, 0 if self.tree.motion is None else self.tree.motion.version
+
+
+class JointTable:
+    """The joints of several skeletons of a file, in one table: all of them are computed at once, level by
+    level."""
+
+    def __init__(self, skeletons: Sequence[Skeleton]) -> None:
+        self.skeletons = tuple(skeletons)
+        counts = np.array([len(skeleton.parents) for skeleton in skeletons], np.int64)
+        begins = np.cumsum(counts) - counts
+        self._locals = np.concatenate([skeleton.rest for skeleton in skeletons])
+        self._levels = _list_levels(_shift([skeleton.parents for skeleton in skeletons], begins))
+        self._joint_rows = _shift([skeleton.joint_rows for skeleton in skeletons], begins)
+        self._binds = np.concatenate([skeleton.inverse_bind_matrices for skeleton in skeletons])
+        self._ends = np.cumsum([len(skeleton.joints) for skeleton in skeletons])
+        members = np.concatenate([skeleton.members for skeleton in skeletons])
+        self._moving: Indices = np.flatnonzero(members >= 0)
+        self._members: Indices = members[self._moving]
+        self._motion = skeletons[0].tree.motion
+
+    def compute(self, seconds: float) -> None:
+        """Bring the matrices of all skeletons to a time."""
+        if self._motion is not None and len(self._members):
             self._motion.set_time(self._members, seconds)
             self._locals[self._moving] = self._motion.transforms(self._members)
-        worlds = np.zeros((len(self._parents) + 1, 4, 4))
+        worlds = np.zeros((len(self._locals) + 1, 4, 4))
         worlds[-1] = np.eye(4)
-        for row, parent in enumerate(self._parents):
-            worlds[row] = multiply(worlds[parent], self._locals[row])
-        self._cached, self._cache_key = multiply(worlds[self._joint_at], self.inverse_bind_matrices), key
-        return self._cached
+        for level, parents in self._levels:
+            worlds[level] = multiply(worlds[parents], self._locals[level])
+        matrices = multiply(worlds[self._joint_rows], self._binds)
+        for skeleton, part in zip(self.skeletons, np.split(matrices, self._ends[:-1]), strict=True):
+            skeleton.store(seconds, part)
+
+
+def _shift(parts: Sequence[Indices], begins: Indices) -> Indices:
+    """Return indices of several tables for the joined one; -1 stays."""
+    shifted: Indices = np.concatenate(
+        [np.where(part >= 0, part + begin, -1) for part, begin in zip(parts, begins.tolist(), strict=True)]
+    )
+    return shifted
+
+
+def _list_levels(parents: Indices) -> list[tuple[Indices, Indices]]:
+    """Return the rows of each level of a hierarchy, and their parents; -1 is above the first level."""
+    depth = np.zeros(len(parents), np.int64)
+    for row, parent in enumerate(parents.tolist()):  # parents come first
+        depth[row] = depth[parent] + 1 if parent >= 0 else 0
+    levels = [np.flatnonzero(depth == number) for number in range(int(depth.max(initial=-1)) + 1)]
+    return [(level, parents[level]) for level in levels]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DeformedMesh:
-    """A mesh with targets, with a skin, or both.
+    """A mesh with targets, with a skin, or both, as a file animates it.
 
     Attributes:
         geometry: the mesh as it stands in the file.
-        position_offsets, normal_offsets: (t, v, 3), what each of the t targets adds at weight 1.
+        shape: its vertices with targets and joints.
         weights: the targets' weights, with the tracks that animate them.
         skeleton: the joints' transforms; None without a skin.
-        joints, joint_weights: (v, 4), the joints of each vertex and their weights, which add up to 1; None
-            without a skin.
-        tangent_offsets: (t, v, 3), likewise, of the tangents that the file has.
-        tangent_groups: those by which tangents are computed after targets have moved vertices; None where
-            the file has tangents, nothing needs any, or there are no targets.
     """
 
     geometry: MeshGeometry
-    position_offsets: NDArray[np.float32]
-    normal_offsets: NDArray[np.float32]
+    shape: DeformableMesh
     weights: PropertyTracks
     skeleton: Skeleton | None
-    joints: Indices | None
-    joint_weights: Floats | None
-    tangent_offsets: NDArray[np.float32]
-    tangent_groups: TangentGroups | None
 
     @property
     def is_animated(self) -> bool:
         """True if it changes with time."""
         return bool(self.weights.list_tracks(0)) or (self.skeleton is not None and self.skeleton.moves)
 
-    @property
-    def has_tangents(self) -> bool:
-        """True if its vertices have tangents."""
-        return "tangent" in self.geometry.attributes
+    def pose(self, seconds: float) -> Pose:
+        """Return the weights of its targets and the matrices of its joints at a time."""
+        matrices = None if self.skeleton is None else self.skeleton.matrices(seconds)
+        return Pose(self.weights.evaluate(_FIRST, seconds)[0], matrices)
 
     def vertices(self, seconds: float) -> NDArray[Any]:
         """Return the vertices (v,) at a time: of `VERTEX`, with tangents if the mesh has some."""
-        source = self.geometry.vertices
-        deformed = np.zeros(len(source), vertex_format({"tangent"} if self.has_tangents else ()))
-        for name in deformed.dtype.names or ():
-            deformed[name] = source[name]
-        if len(self.position_offsets):
-            weights = self.weights.evaluate(_FIRST, seconds)[0]
-            deformed["position"] += np.tensordot(weights, self.position_offsets, 1)
-            moved = source["normal"] + np.tensordot(weights, self.normal_offsets, 1)
-            deformed["normal"] = _unit_normals(moved, source["normal"])
-            if self.tangent_groups is not None:
-                signed = self.tangent_groups.compute(deformed["position"], deformed["normal"])
-                deformed["tangent"][self.tangent_groups.corners, :3] = signed[:, :3]
-            elif self.has_tangents:
-                deformed["tangent"][:, :3] += np.tensordot(weights, self.tangent_offsets, 1)
-        if self.skeleton is not None and self.joints is not None and self.joint_weights is not None:
-            matrices = self.skeleton.matrices(seconds)[:, :3]
-            blend = np.einsum("vk,vkij->vij", self.joint_weights, matrices[self.joints])
-            deformed["position"] = (
-                np.einsum("vij,vj->vi", blend[:, :, :3], deformed["position"]) + blend[:, :, 3]
-            )
-            turned = _turn_normals(blend[:, :, :3], deformed["normal"])
-            deformed["normal"] = _unit_normals(turned, deformed["normal"])
-            if self.has_tangents:
-                tangent = deformed["tangent"]
-                along = np.einsum("vij,vj->vi", blend[:, :, :3], tangent[:, :3])
-                largest = np.abs(along).max(axis=1, keepdims=True)
-                tangent[:, :3] = np.where(
-                    largest > 0.0, along / np.where(largest > 0.0, largest, 1.0), source["tangent"][:, :3]
-                )
-                if (np.linalg.det(matrices[:, :, :3]) < 0.0).any():
-                    tangent[:, 3] *= np.where(np.linalg.det(blend[:, :, :3]) < 0.0, -1.0, 1.0)
-        if self.has_tangents:
-            tangent = deformed["tangent"]
-            length = np.linalg.norm(tangent[:, :3], axis=1, keepdims=True)
-            tangent[:, :3] = np.where(
-                length > _SHORTEST, tangent[:, :3] / np.maximum(length, _SHORTEST), (1.0, 0.0, 0.0)
-            )
-        return deformed
+        pose = self.pose(seconds)
+        return self.shape.deform(pose.weights, pose.matrices)
 
     def bounds(self) -> MeshBounds:
         """Return a box that holds all vertices at all times."""
+        shape = self.shape
         position = self.geometry.vertices["position"].astype(np.float64)
         least, most = self.weights.value_bounds(0)
         ends = np.stack(
-            [least[:, None, None] * self.position_offsets, most[:, None, None] * self.position_offsets]
+            [least[:, None, None] * shape.position_offsets, most[:, None, None] * shape.position_offsets]
         )
         low, high = position + ends.min(0).sum(0), position + ends.max(0).sum(0)
         boxes: list[MeshBounds] = []
-        if self.skeleton is None or self.joints is None or self.joint_weights is None:
+        if self.skeleton is None or shape.joints is None or shape.joint_weights is None:
             boxes.append((low.min(0), high.max(0)))
         else:
             for number, joint in enumerate(self.skeleton.joints):
-                is_moved = ((self.joints == number) & (self.joint_weights > 0.0)).any(1)
+                is_moved = ((shape.joints == number) & (shape.joint_weights > 0.0)).any(1)
                 if is_moved.any():
                     corners = low[is_moved].min(0)[None], high[is_moved].max(0)[None]
                     below, above = transform_bounds(
@@ -265,31 +270,6 @@ class DeformedMesh:
         return lower - slack, upper + slack
 
 
-def _unit_normals(normals: NDArray[Any], rest: NDArray[Any]) -> NDArray[Any]:
-    """Return normals (v, 3) of length 1. Where they have no direction they are those at `rest`, or upwards."""
-    length, rest_length = (np.linalg.norm(array, axis=1, keepdims=True) for array in (normals, rest))
-    unit: NDArray[Any] = np.where(rest_length > _SHORTEST, rest / np.maximum(rest_length, _SHORTEST), _UP)
-    return np.where(length > _SHORTEST, normals / np.maximum(length, _SHORTEST), unit)
-
-
-def _turn_normals(blend: Floats, normals: NDArray[Any]) -> Floats:
-    """Return normals (v, 3) turned as `blend` (v, 3, 3) moves points: by its cofactors, up to their length."""
-    a, b, c = blend.transpose(2, 1, 0).copy()  # columns, (3, v)
-    x, y, z = _cross(b, c), _cross(c, a), _cross(a, b)
-    turned = x * normals[:, 0] + y * normals[:, 1] + z * normals[:, 2]
-    largest = np.abs(turned).max(axis=0)  # with its sign where the matrix mirrors
-    terms = a * x  # their sum is the determinant, whose rounding is no mirror
-    largest[terms.sum(axis=0) < -_ROUNDING * np.abs(terms).sum(axis=0)] *= -1.0
-    directions: Floats = turned / np.where(largest == 0.0, 1.0, largest)
-    return directions.T
-
-
-def _cross(first: Floats, second: Floats) -> Floats:
-    """Return the cross products (3, v) of vectors; `numpy.cross` takes several times as long."""
-    (a, b, c), (x, y, z) = first, second
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
-
-
 class Deformations:
     """The deformed meshes of a file: a simulation for `SceneBuilder.simulate`."""
 
@@ -298,6 +278,8 @@ class Deformations:
     def __init__(self, meshes: Sequence[DeformedMesh], clips: Clips) -> None:
         self.meshes, self._clips = tuple(meshes), clips
         self._seconds = np.zeros(len(meshes))
+        self._buffers: DeformationBuffers | None = None
+        self._table: JointTable | None = None  # of the skeletons that the last frame drew
 
     @property
     def version(self) -> int:
@@ -307,7 +289,7 @@ class Deformations:
     def __deepcopy__(self, memo: object) -> Deformations:
         """Return a copy with times of its own; the meshes never change, and the clips are the scene's."""
         duplicate = copy(self)
-        duplicate._seconds = self._seconds.copy()
+        duplicate._seconds, duplicate._buffers, duplicate._table = self._seconds.copy(), None, None
         return duplicate
 
     def set_time(self, members: Indices, seconds: float) -> None:
@@ -317,11 +299,56 @@ class Deformations:
     def vertices(self, members: Indices) -> NDArray[Any]:
         """Return the present vertices of `members` (j,), one after another: of `VERTEX`, with tangents if
         any of the meshes has some."""
+        self._pose_skeletons(members)
         parts = [self.meshes[member].vertices(self._seconds[member]) for member in members.tolist()]
         if len({part.dtype for part in parts}) > 1:
             indices = np.zeros(3, np.uint32)
             parts = [MeshGeometry(part, indices).with_attributes({"tangent"}).vertices for part in parts]
         return np.concatenate(parts or [np.zeros(0, VERTEX)])
+
+    def deform(
+        self,
+        device: Device,
+        members: Indices,
+        vertices: StorageBuffer[float],
+        first_vertices: Indices,
+        stride: int,
+        tangent: int = -1,
+    ) -> None:
+        """Write the present vertices of `members` (j,), in one dispatch.
+
+        Args:
+            vertices: what is drawn.
+            first_vertices: (j,), the number of each member's first vertex in it.
+            stride: floats from vertex to vertex.
+            tangent: floats from the begin of a vertex to its tangent; negative if vertices have none.
+        """
+        if self._buffers is None or self._buffers.device is not device:
+            if self._buffers is not None:
+                self._buffers.destroy()
+            self._buffers = DeformationBuffers(device, [mesh.shape for mesh in self.meshes])
+        self._pose_skeletons(members)
+        poses = [self.meshes[member].pose(self._seconds[member]) for member in members.tolist()]
+        self._buffers.run(members, poses, vertices, first_vertices, stride, tangent)
+
+    def _pose_skeletons(self, members: Indices) -> None:
+        """Compute the joints of all `members` (j,) at once, if they are at the same time."""
+        seconds = np.unique(self._seconds[members]).tolist()
+        skeletons = dict.fromkeys(
+            skeleton
+            for member in members.tolist()
+            if (skeleton := self.meshes[member].skeleton) is not None and not skeleton.is_at(seconds[0])
+        )
+        if len(seconds) == 1 and len(skeletons) > 1:
+            if self._table is None or self._table.skeletons != tuple(skeletons):
+                self._table = JointTable(list(skeletons))
+            self._table.compute(seconds[0])
+
+    def release(self, device: Device) -> None:
+        """Destroy what is on this device, if anything is."""
+        if self._buffers is not None and self._buffers.device is device:
+            self._buffers.destroy()
+            self._buffers = None
 
 
 def read_skins(root: JsonObject, accessors: Accessors, tree: NodeTree) -> list[Skeleton | None]:
@@ -391,9 +418,10 @@ def read_deformed(
                 changed[number] = differences[mesh.vertex_indices]
     moved = PropertyTracks(tracks, np.zeros(len(tracks), np.int64), weights[None], clips)
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
-    return DeformedMesh(
-        mesh.geometry, offsets, turns, moved, skeleton, joints, shares, tangents, groups if targets else None
+    shape = DeformableMesh(
+        mesh.geometry.vertices, offsets, turns, tangents, joints, shares, groups if targets else None
     )
+    return DeformedMesh(mesh.geometry, shape, moved, skeleton)
 
 
 def _read_joints(

@@ -92,7 +92,7 @@ class _GltfWriter:
         self._write_animations(motions)
         self._write_lights()
         self._write_views()
-        for attribute in ("fog", "bloom", "ambient_occlusion", "depth_of_field"):
+        for attribute in ("fog", "bloom", "ambient_occlusion", "depth_of_field", "environment"):
             if getattr(self._scene, attribute) is not None:
                 self.omissions.add(attribute.replace("_", " "), "scene")
         for custom in self._scene.shaders:

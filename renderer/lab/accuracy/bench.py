@@ -161,11 +161,12 @@ def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: in
         lights.point,
         lights.spot,
         *scene.images,
+        *(() if scene.environment is None else (scene.environment.image,)),
         camera.position,
         camera.rotation,
     )
     air = lights.sky, lights.ground, scene.background, scene.haze, scene.fog
-    screen = scene.ambient_occlusion, scene.depth_of_field
+    screen = scene.ambient_occlusion, scene.depth_of_field, repr(scene.environment)
     others = (*air, *screen, scene.samplers, camera.projection, size, rays)
     digest = sha256(repr(others).encode())
     for array in arrays:

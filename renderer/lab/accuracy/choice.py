@@ -86,6 +86,10 @@ _MARGIN: Final = 4.0
 """Standard deviations between the mean error of a check's views and the error expected elsewhere."""
 _BURST: Final = 2
 """Frames that are timed after one that isn't."""
+_SETTLED: Final = 0.05
+"""A time is known well enough if its 95 % interval is no wider than this fraction of it: `_ALIKE`."""
+_MIN_SETTLED_FRAMES: Final = 8
+"""Fewer frames say too little about an interval."""
 _PLAIN: Final = {"technique.name": "forward", "algorithm": "frustum"}
 """Values for the settings that the original settings leave to trials, while combinations are measured."""
 _ATLAS_SETTING: Final = "shadows.max_atlas_size"
@@ -178,7 +182,7 @@ def select_effective_reports(
         matters = all(
             base.get(path) == value for path, value in setting.base_settings.items() if path != _ATLAS_SETTING
         )
-        lacks = setting.requirement is Requirement.STEREO or (
+        lacks = setting.requirement in (Requirement.STEREO, Requirement.HISTORY) or (
             setting.requirement in (Requirement.SHADOWS, Requirement.SHADOW_CASTING_HEIGHT_FIELDS)
             and not casts
         )
@@ -187,6 +191,7 @@ def select_effective_reports(
             setting.requirement is Requirement.AMBIENT_LIGHT and scene.ambient_occlusion is None
         )
         lacks = lacks or (setting.requirement is Requirement.FOCUS and scene.depth_of_field is None)
+        lacks = lacks or (setting.requirement is Requirement.ENVIRONMENT and scene.environment is None)
         lacks = lacks or (
             setting.requirement is Requirement.BLOOM and not (scene.bloom and len(scene.list_emitters()))
         )
@@ -415,7 +420,8 @@ class CombinationBench(Bench):
         progress: Callable[[range], Iterable[int]],
     ) -> list[list[Instant]]:
         """The times of each combination in turn, round by round; the camera moves from frame to frame. A
-        combination that a more accurate one surely beats has no further rounds.
+        combination has no further rounds once a more accurate one surely beats it, or its ratio to the first
+        one's times is known to `_SETTLED`.
 
         Args:
             trials: of the combinations, the most accurate first; what they took in the search counts, too.
@@ -440,11 +446,28 @@ class CombinationBench(Bench):
             active = [
                 position
                 for position in active
-                if not any(
-                    timed_trials[other].beats(timed_trials[position]) for other in active if other < position
+                if position == 0
+                or not (
+                    _is_settled(timed_trials[position].seconds, timed_trials[0].seconds)
+                    or any(
+                        timed_trials[other].beats(timed_trials[position])
+                        for other in active
+                        if other < position
+                    )
                 )
             ]
+            if active == [0] and len(combinations) > 1:
+                break
         return times
+
+
+def _is_settled(seconds: Floats, first: Floats) -> bool:
+    """True if the median ratio of times to those of the same frames of the first combination is known to
+    `_SETTLED`."""
+    if len(seconds) < _MIN_SETTLED_FRAMES:
+        return False
+    ratio = Interval.of(seconds / first[: len(seconds)])
+    return ratio.high - ratio.low <= _SETTLED * ratio.median
 
 
 def compute_pareto_front(
@@ -570,10 +593,12 @@ def mark_best(points: Sequence[ParetoPoint]) -> list[ParetoPoint]:
 
 @dataclass(frozen=True, slots=True)
 class _CheckResult:
-    """The errors of settings in the views of a check, and the milliseconds of a walk through them."""
+    """The errors of settings in the views of a check, the milliseconds of a walk through them, and the number
+    of views: errors may be of the first ones alone."""
 
     errors: tuple[FrameError, ...]
     times: Floats
+    views: int
 
     @property
     def totals(self) -> list[float]:
@@ -586,7 +611,7 @@ class _CheckResult:
             median_time = float(np.median(self.times))
             if (Interval.of(self.times).low if has_doubt else median_time) > budget_ms:
                 return f"{median_time:.4g} ms, the median of {len(self.times)} frames of a walk"
-        if max_error is not None and (expected := expect_error(self.totals)) > max_error:
+        if max_error is not None and (expected := expect_least(self.totals, self.views)) > max_error:
             return f"{expected:.4g} levels or more, expected from the views of the check"
         return None
 
@@ -600,19 +625,19 @@ def _check(
     *,
     has_doubt: bool = False,
 ) -> _CheckResult:
-    """Walk through frames if there is a bound on the time, and compare them, up to one beyond a bound."""
+    """Walk through frames if there is a bound on the time, and compare them until a bound is surely broken."""
     times = np.zeros(0)
     if budget_ms is not None:
         times = np.array([1e3 * instant.undisturbed for instant in bench.walk(settings, frames)])
-        too_slow = _CheckResult((), times).find_fault(budget_ms, None, has_doubt=has_doubt)
-        if too_slow is not None:
-            return _CheckResult((), times)
+        result = _CheckResult((), times, len(frames))
+        if result.find_fault(budget_ms, None, has_doubt=has_doubt) is not None:
+            return result
     errors = list[FrameError]()
     for error, _ in bench.draw_views(settings, frames):
         errors.append(error)
-        if max_error is not None and error.total > max_error:
-            break  # more views only raise what is expected
-    return _CheckResult(tuple(errors), times)
+        if max_error is not None and expect_least([each.total for each in errors], len(frames)) > max_error:
+            break  # whatever the other views show
+    return _CheckResult(tuple(errors), times, len(frames))
 
 
 def choose(
@@ -668,8 +693,8 @@ def choose(
             if fault is None:
                 selection = point, checked
                 break
-            if checked.errors:  # the next settings are likely to fail in the worst view, too
-                checks.insert(0, checks.pop(int(np.argmax(checked.totals))))
+            if checked.errors:  # the next settings are likely to fail by the same views, too
+                checks = _order_by_spread(checks, checked.totals)
             rejected, found_out = rejected + 1, fault
         if in_use is not None and (selection is None or selection[0] is not in_use):
             own = _check(bench, in_use.settings, checks, budget_ms, max_error, has_doubt=True)
@@ -744,6 +769,35 @@ def expect_error(errors: Sequence[float]) -> float:
     if len(errors) < 2:
         return max(errors)
     return max(*errors, float(np.mean(errors) + _MARGIN * np.std(errors, ddof=1)))
+
+
+def expect_least(errors: Sequence[float], count: int) -> float:
+    """The least that `expect_error` can be of `count` errors of which these are the first.
+
+    Mean plus deviations is convex and the same for any order of the other errors, so it is least where they are
+    equal: `x` above the mean of the first ones, or 0.
+    """
+    first, others = len(errors), count - len(errors)
+    if others <= 0 or count < 2:
+        return expect_error(errors)
+    mean = float(np.mean(errors))
+    squares = float(np.sum((np.asarray(errors) - mean) ** 2))
+    weight, share = first * others / count, others / count
+    # The derivative by x is 0 at this distance below the mean.
+    slope = share**2 * (count - 1)
+    steepness = _MARGIN**2 * weight**2 - slope * weight
+    x = mean - np.sqrt(slope * squares / steepness) if steepness > 0.0 else 0.0
+    rest = max(float(x), 0.0)
+    deviation = np.sqrt((squares + weight * (rest - mean) ** 2) / (count - 1))
+    return max(*errors, mean + share * (rest - mean) + _MARGIN * float(deviation), 0.0)
+
+
+def _order_by_spread(frames: Sequence[PathFrame], errors: Sequence[float]) -> list[PathFrame]:
+    """The frames, of which the first ones have these errors: first the worst one, then the best, the second
+    worst and so on. In this order few of them show that errors differ too much."""
+    ascending = np.argsort(errors, kind="stable").tolist()
+    order = [ascending.pop(0 if number % 2 else -1) for number in range(len(errors))]
+    return [frames[number] for number in order] + list(frames[len(errors) :])
 
 
 def list_held_out(

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from renderer import rules
 from renderer.content.fountains import DROPS
-from renderer.frame import Blending, BloomSettings, TextureSettings
+from renderer.frame import Blending, BloomSettings, TemporalSettings, TextureSettings
 from renderer.scene import Depth
 from renderer.scene.cloth.cloth_grid import INTERVAL, SUB_STEPS
 from renderer.settings import RenderSettings
@@ -62,6 +62,8 @@ class Requirement(Choice):
     BLOOM = "an object that emits more light than a white surface reflects"
     AMBIENT_LIGHT = "ambient light and a surface"
     FOCUS = "a surface out of focus"
+    HISTORY = "frames that follow each other"
+    ENVIRONMENT = "an environment and a surface"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
     DIVERGING_SIMULATIONS = "a simulation that depends on its history"
@@ -163,7 +165,12 @@ FLOAT64: Final = Reference("float64", is_float64=True)
 RAY_TRACED: Final = Reference("rays in float64, 16 a pixel", rays=4)
 SUPER_SAMPLED: Final = replace(
     RAY_TRACED,
-    changes={"technique.samples": 1, "technique.fxaa": False, "textures": TextureSettings(anisotropy=16.0)},
+    changes={
+        "technique.samples": 1,
+        "technique.fxaa": False,
+        "temporal.is_on": False,
+        "textures": TextureSettings(anisotropy=16.0),
+    },
     scale=4,
 )
 FORWARD_SHADING: Final = replace(RAY_TRACED, changes={"technique.name": "forward"})
@@ -210,6 +217,7 @@ ALL_SIMULATED: Final = Reference("everything simulated in each frame", {"simulat
 LAST_VALUE: Final = Reference("the scene with the last value")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
+_FINEST_ENVIRONMENT: Final = {"environment.samples": 4096, "environment.size": 512}
 _LARGE_ATLAS: Final = {**_FORWARD, "shadows.max_atlas_size": 8192}
 _RANDOM_QUERIES: Final = (
     "CHC++ picks at random when an object is queried again, so neighbouring settings may swap ranks"
@@ -298,6 +306,46 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             reference=SUPER_SAMPLED,
             non_monotonic_reason="edges come nearer to the reference, "
             "and texels as bright as an edge go away from it",
+        ),
+        _image_quality(
+            "temporal",
+            "the frames whose samples a pixel is the mean of (temporal anti-aliasing)",
+            "temporal",
+            {
+                "off": TemporalSettings(),
+                "2": TemporalSettings(True, 2),
+                "4": TemporalSettings(True, 4),
+                "8": TemporalSettings(True, 8),
+                "16": TemporalSettings(True, 16),
+            },
+            "it costs as much as a technique's whole frame where a frame takes a millisecond",
+            reference=SUPER_SAMPLED,
+            requirement=Requirement.HISTORY,
+            history_frames=16,
+            non_monotonic_reason="means of more frames flicker less, and blur what moves",
+        ),
+        _image_quality(
+            "temporal_deviations",
+            "how many standard deviations of its neighbours a pixel's history may be away",
+            "temporal.deviations",
+            _same(4.0, 2.0, 1.25, 0.75),
+            "less flickers more, and more leaves ghosts",
+            reference=SUPER_SAMPLED,
+            base_settings={**_FORWARD, "temporal.is_on": True},
+            requirement=Requirement.HISTORY,
+            history_frames=16,
+            non_monotonic_reason="clipped histories have fewer ghosts, and more of each frame's noise",
+        ),
+        _image_quality(
+            "temporal_bits",
+            "bits of a channel of the history of pixels",
+            "temporal.bits",
+            _same(16, 32),
+            "half floats are less than a level off",
+            reference=Reference("a history of 32 bits", {"temporal.bits": 32}),
+            base_settings={**_FORWARD, "temporal.is_on": True},
+            requirement=Requirement.HISTORY,
+            history_frames=16,
         ),
         _image_quality(
             "texture_filter",
@@ -546,6 +594,26 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "a level of it is at most a level of the image",
             reference=PIXEL_CENTRE_RAY,
             requirement=Requirement.AMBIENT_LIGHT,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "environment_samples",
+            "directions that a texel of narrow mirrored lobes is the mean of",
+            "environment.samples",
+            _same(16, 32, 64, 128, 256, 512),
+            "with fewer, the highlights of small bright things have spots",
+            reference=Reference("4,096 directions, 512 texels", _FINEST_ENVIRONMENT),
+            requirement=Requirement.ENVIRONMENT,
+            base_settings=_FORWARD,
+        ),
+        _image_quality(
+            "environment_size",
+            "width of the map of mirrored light in texels",
+            "environment.size",
+            _same(64, 128, 256, 512),
+            "a texel of 256 is as wide as the narrowest lobe",
+            reference=Reference("4,096 directions, 512 texels", _FINEST_ENVIRONMENT),
+            requirement=Requirement.ENVIRONMENT,
             base_settings=_FORWARD,
         ),
         _image_quality(

@@ -31,6 +31,7 @@ import numpy as np
 import rhi
 from renderer.content import GENERATORS, change_options, load_scene, parse_camera, parse_camera_path
 from renderer.content.fountains import FountainSimulation
+from renderer.content.skies import paint_sky
 from renderer.inspection.frame_cost import settle
 from renderer.lab.accuracy.bench import TRACED_PIXELS, Bench, can_ray_trace, read_image_levels
 from renderer.lab.accuracy.float64 import Float64Image, shade_in_float64
@@ -52,7 +53,7 @@ from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.measurement import Measurement, alternate
 from renderer.renderer import FrameResult
-from renderer.scene import AmbientOcclusion, Bloom, CameraPath, DepthOfField, PathFrame, Scene
+from renderer.scene import AmbientOcclusion, Bloom, CameraPath, DepthOfField, Environment, PathFrame, Scene
 from renderer.scene.arrays import Floats
 from renderer.scene.cloth import ClothSimulation
 from renderer.settings import RenderSettings
@@ -365,6 +366,8 @@ def _name_missing_part(scene: Scene, setting: QualitySetting) -> str | None:
             has = bool(scene.bloom and len(scene.list_emitters()))
         case Requirement.FOCUS:
             has = bool(scene.depth_of_field and len(scene.objects))
+        case Requirement.ENVIRONMENT:
+            has = bool(scene.environment and len(scene.objects))
         case Requirement.AMBIENT_LIGHT:
             has = bool(scene.ambient_occlusion and max(*scene.lights.sky, *scene.lights.ground) > 0.0)
         case Requirement.MOTION:
@@ -399,6 +402,8 @@ def _add_required_effect(scene: Scene, requirement: Requirement | None) -> None:
             scene.bloom = scene.bloom or Bloom()
         case Requirement.AMBIENT_LIGHT:
             scene.ambient_occlusion = scene.ambient_occlusion or AmbientOcclusion()
+        case Requirement.ENVIRONMENT:
+            scene.environment = scene.environment or Environment(paint_sky())
         case Requirement.FOCUS:
             scene.depth_of_field = scene.depth_of_field or DepthOfField(10.0, APERTURE_RADIUS)
         case Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
@@ -628,6 +633,8 @@ class SettingBench(Bench):
                     drawn[value] = images[1]
                     if view is views[0]:
                         before[value] = images[1] - images[0]
+                    elif self._setting.history_frames and view is views[1]:  # the next frame
+                        errors[value].flicker = compute_flicker(before[value], images[1] - images[0])
             best = drawn.get(list(self._renderers)[-1])
             if best is not None:
                 for value, levels in drawn.items():

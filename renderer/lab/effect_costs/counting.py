@@ -41,6 +41,8 @@ ALLOWED_LEFTOVERS: Final = frozenset(
         "BloomConstants",
         "OcclusionConstants",
         "ApertureConstants",
+        "MotionConstants",
+        "BlendConstants",
         "CascadeTable",
     )
 )

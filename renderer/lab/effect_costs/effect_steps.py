@@ -17,6 +17,7 @@ import numpy as np
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, FountainSimulation, make_drops
 from renderer.content.material_shaders import Marble
+from renderer.frame import TemporalSettings
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
@@ -200,6 +201,10 @@ def _switch_layer(kind: type[Any], renderer: Renderer, _: int, is_on: bool) -> N
 
 def _switch_fxaa(renderer: Renderer, _: int, is_on: bool) -> None:
     renderer.technique = FxaaTechnique(Forward()) if is_on else Forward()
+
+
+def _switch_temporal(renderer: Renderer, _: int, is_on: bool) -> None:
+    renderer.temporal = TemporalSettings(is_on=is_on)
 
 
 def _switch_samples(renderer: Renderer, _: int, is_on: bool) -> None:
@@ -411,6 +416,19 @@ EFFECT_STEPS: Final = (
         EffectPattern("fxaa", programs=("Fxaa",), events=("fxaa",)),
         switch=_switch_fxaa,
         modules=("renderer.techniques.parts.fxaa",),
+    ),
+    EffectStep(
+        "temporal",
+        "edges smoothed by the samples of many frames",
+        EffectPattern(
+            "temporal",
+            programs=("TemporalResolve", "TemporalImage", "MotionShader"),
+            bindings=("movement", "blending", "last_distances", "moved", "last_vertices"),
+            resources=("last vertices", "MotionConstants", "BlendConstants", "temporal*"),
+            events=("motion", "temporal anti-aliasing", "temporal image"),
+        ),
+        switch=_switch_temporal,
+        modules=("renderer.techniques.parts.temporal", "renderer.frame.motion"),
     ),
     EffectStep(
         "msaa",

@@ -4,7 +4,7 @@ for row in examine(device, select_cases([])):
     print(row.case, row.description, row.error, row.passed)
 """
 
-from renderer.lab.exam.case import Case, CaseImage, CaseResult
+from renderer.lab.exam.case import Case, CaseImage, CaseResult, stop_at_first_failure
 from renderer.lab.exam.examination import ExamRow, examine, examine_elsewhere
 from renderer.lab.exam.table import CASES, select_cases
 
@@ -17,4 +17,5 @@ __all__ = [
     "examine",
     "examine_elsewhere",
     "select_cases",
+    "stop_at_first_failure",
 ]

@@ -7,9 +7,11 @@ compared with the tolerance in one function (`Case.passes`), for the command lin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +44,36 @@ class CaseResult:
 
 Measures = Mapping[int, Callable[[Device], CaseResult]]
 """Functions that measure cases on a device, by the cases' numbers."""
+
+
+_STOPS: Final[ContextVar[bool]] = ContextVar("whether a case stops at its first failure", default=False)
+
+
+class FirstFailureError(Exception):
+    """A condition of a case doesn't hold, and nobody asks for its other figures."""
+
+
+@contextmanager
+def stop_at_first_failure() -> Iterator[None]:
+    """End cases inside the context at their first condition that doesn't hold: whatever they would measure
+    next, they fail."""
+    before = _STOPS.set(True)
+    try:
+        yield
+    finally:
+        _STOPS.reset(before)
+
+
+def check_early(holds: Mapping[str, bool]) -> None:
+    """Check conditions without which a case fails; call it where a case has much to measure after them.
+
+    Raises:
+        FirstFailureError: one isn't true, inside `stop_at_first_failure`.
+    """
+    if _STOPS.get() and not all(holds.values()):
+        raise FirstFailureError(
+            ", ".join(description for description, is_true in holds.items() if not is_true)
+        )
 
 
 def largest_error(*errors: float) -> float:

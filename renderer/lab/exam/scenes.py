@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer.content import load_scene
 from renderer.content.shapes import box, sphere
+from renderer.lab.exam.case import check_early
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
@@ -106,7 +107,10 @@ def shows_something(frames: Iterable[NDArray[np.uint8]]) -> dict[str, bool]:
     most frequent one."""
     pixels = np.concatenate([frame.reshape(-1, 4) for frame in frames])
     counts = np.unique(pixels.astype("u1").view("<u4"), return_counts=True)[1]
-    return {"frames show something": len(counts) >= 2 and bool(counts.max() < (1.0 - 5e-4) * len(pixels))}
+    is_seen = len(counts) >= 2 and bool(counts.max() < (1.0 - 5e-4) * len(pixels))
+    holds = {"frames show something": is_seen}
+    check_early(holds)
+    return holds
 
 
 class UnculledFrames:

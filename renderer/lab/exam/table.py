@@ -12,6 +12,7 @@ from renderer.lab.exam import (
     crack_cases,
     deformation_cases,
     encoding_cases,
+    environment_cases,
     far_position_cases,
     focus_cases,
     input_cases,
@@ -23,6 +24,7 @@ from renderer.lab.exam import (
     ray_traced_cases,
     shadow_cases,
     stereo_cases,
+    temporal_cases,
 )
 from renderer.lab.exam import visibility_cases as culling
 from renderer.lab.exam.case import Case
@@ -44,6 +46,8 @@ _CASE_MODULES: Final = (
     penumbra_cases,
     focus_cases,
     deformation_cases,
+    temporal_cases,
+    environment_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

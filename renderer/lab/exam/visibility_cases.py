@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from renderer.lab.exam.case import CaseImage, CaseResult, Measures
+from renderer.lab.exam.case import CaseImage, CaseResult, Measures, check_early
 from renderer.lab.exam.late_queries import late_query_results
 from renderer.lab.exam.scenes import (
     CULLING_SCENARIOS,
@@ -53,7 +53,11 @@ def measure_culled_images(number: int, device: Device) -> CaseResult:
 def _compare(device: Device, scenario: CullingScenario) -> tuple[dict[str, list[int]], dict[str, bool]]:
     scene = scenario.scene()
     with UnculledFrames(device, scene, scenario.shots(scene), scenario.size) as uncut:
-        wrong = {name: uncut.try_algorithm(name) for name in list_algorithms(device) if name in NAMES}
+        wrong = {}
+        for name in list_algorithms(device):
+            if name in NAMES:
+                wrong[name] = uncut.try_algorithm(name)
+                check_early({f"{name} draws the same": not any(wrong[name])})
     return wrong, uncut.holds
 
 
@@ -96,8 +100,10 @@ def measure_late_queries(device: Device) -> CaseResult:
             for name in list_algorithms(device):
                 if name not in QUERYING:
                     continue
+                title = f"{name}, after {latency} looks"
                 with late_query_results(latency):
-                    wrong[f"{name}, after {latency} looks"] = sum(uncut.try_algorithm(name))
+                    wrong[title] = sum(uncut.try_algorithm(name))
+                check_early({f"{title}: draws the same": not wrong[title]})
     return CaseResult(sum(wrong.values()), wrong, uncut.holds)
 
 

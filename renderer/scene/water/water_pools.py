@@ -143,6 +143,7 @@ class WaterPool:
         """The lower and the upper corner (3,) of a box that holds it at all times, for
         `SceneBuilder.add_mesh`."""
         upper = np.array([0.5 * self.size[0], self.max_height, 0.5 * self.size[1]])
+        upper = np.maximum(upper, upper.astype(np.float32))  # vertices are rounded
         return -upper, upper
 
     def make_mesh(self) -> MeshGeometry:
@@ -201,6 +202,11 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         duplicate = super().__deepcopy__(memo)
         duplicate._is_reset = self._is_reset.copy()
         return duplicate
+
+    @property
+    def max_slope(self) -> float:
+        """The greatest slope of a triangle: from the lowest to the highest point along both of its edges."""
+        return float(2.0 * self.pool.max_height * np.hypot(*(1.0 / self.pool.spacing)))
 
     def _make_initial_state(self) -> NDArray[np.float32]:
         """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water is still: of the last

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Final
 
 from renderer.frame import Blending, Effect, Frame, FrameEffects, FramePass, last_version
+from renderer.shaders.environment import EnvironmentSky
 from renderer.shaders.fog import apply_fog_to_background
 from renderer.shaders.pixels import BackgroundScreen, pixel_position
 from renderer.shaders.tone_mapping import inverse_tone_map
@@ -42,8 +43,24 @@ class SkyShader(BackgroundScreen, FinishShader):
         return self.finish(light, direction)
 
 
+class SkyBox(EnvironmentSky, BackgroundScreen, FinishShader):
+    """Draws the environment behind everything, through all of the fog."""
+
+    has_fogged_sky = False
+
+    def fragment(self) -> vec4:
+        pixel = fragment_coordinate().xy
+        start = pixel_position(self.rays, pixel, 0.0)
+        direction = pixel_position(self.rays, pixel, 1.0) - start
+        light = self.sky_at(self.rays, pixel)
+        if self.has_fogged_sky:
+            light = apply_fog_to_background(light, direction, self.fog_at(start))
+        return self.finish(light, direction)
+
+
 FINISH_SHADERS: Final[tuple[type[Shader], ...]] = (
     SkyShader,
+    SkyBox,
     ForwardShader,
     *TRANSPARENCY_SHADERS,
     *DEPTH_OF_FIELD_SHADERS,
@@ -137,8 +154,10 @@ def _resolve_pass(effects: FrameEffects, samples: str) -> FramePass[Frame]:
 
 
 def _sky_passes(effects: FrameEffects, image: str, depth: str) -> tuple[FramePass[Frame], ...]:
-    """The pass that draws the fog in front of the background over the resource `image`; none where fog
-    doesn't change it."""
+    """The pass that draws the environment, or the fog in front of the background, over the resource `image`; none
+    without an environment where fog doesn't change the background."""
+    if Effect.SKY_BOX in effects.enabled:
+        return (_sky_box_pass(effects, image, depth),)
     if not effects.has_fogged_sky:
         return ()
 
@@ -156,3 +175,20 @@ def _sky_passes(effects: FrameEffects, image: str, depth: str) -> tuple[FramePas
 
     reason = f"shows fog before the background; {effects.explain(Effect.FOG)}"
     return (FramePass("sky", draw, reason, reads=(depth,), changes={image: f"{image} with sky"}),)
+
+
+def _sky_box_pass(effects: FrameEffects, image: str, depth: str) -> FramePass[Frame]:
+    """The pass that draws the environment where no surface is."""
+
+    def draw(frame: Frame) -> None:
+        draw_full_screen(
+            frame,
+            SkyBox,
+            frame.targets[image],
+            depth=frame.targets[depth],
+            states=(DepthFunction.EQUAL,),
+            switches={"has_fog": False, "has_haze": False, "has_fogged_sky": effects.has_fogged_sky},
+        )
+
+    reason = f"draws the background; {effects.explain(Effect.SKY_BOX)}"
+    return FramePass("sky box", draw, reason, reads=(depth,), changes={image: f"{image} with sky"})

@@ -13,13 +13,14 @@ from functools import partial
 from typing import Any, Final, NoReturn, Self, overload
 
 from renderer import rules
-from renderer.frame import SHADOW_EFFECTS, Frame
+from renderer.frame import SHADOW_EFFECTS, Effect, EnvironmentMaps, Frame
 from renderer.frame.fog import bind_fog, bind_haze
 from renderer.frame.pixel_rays import bind_rays
 from renderer.frame.scene_images import SceneImages
 from renderer.light_kinds.directional import DirectionalLight
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.shaders.environment import EnvironmentConstants
 from renderer.shaders.fog import FogConstants
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import (
@@ -217,6 +218,32 @@ class FrameBindings:
     def haze(self) -> UniformBuffer[Haze]:
         """The scene's haze."""
         return bind_haze(self.frame)
+
+    @property
+    def _environment_maps(self) -> EnvironmentMaps | None:
+        """The maps of the environment; None in a frame that needs none."""
+        frame = self.frame
+        if frame.effects.enabled.isdisjoint((Effect.ENVIRONMENT, Effect.SKY_BOX)):
+            return None
+        return frame.resources.workspace(EnvironmentMaps)
+
+    @property
+    def environment(self) -> TextureBinding | None:
+        """The light that surfaces mirror, filtered for each roughness."""
+        maps = self._environment_maps
+        return None if maps is None else maps.filtered
+
+    @property
+    def environment_image(self) -> TextureBinding | None:
+        """The image of the environment."""
+        maps = self._environment_maps
+        return None if maps is None else maps.image
+
+    @property
+    def environment_constants(self) -> UniformBuffer[EnvironmentConstants] | None:
+        """The constants of the environment."""
+        maps = self._environment_maps
+        return None if maps is None else maps.constants
 
     # Shadows
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import rhi.shading as sl
 from renderer.frame import Effect, Frame, FrameEffects, FramePass
+from renderer.shaders.environment import EnvironmentSky
 from renderer.shaders.fog import FogReader, apply_fog_to_background
 from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.pixels import PixelShader, pixel_position
@@ -29,7 +30,7 @@ from renderer.techniques.parts.packed_geometry import PackedReader
 from renderer.techniques.parts.variants import FORWARD, Lighting, name_samples
 
 
-class SampleReader(PixelShader, FogReader):
+class SampleReader(PixelShader, FogReader, EnvironmentSky):
     """Base of shaders that read each sample of a pixel, and average their colours."""
 
     samples = 2
@@ -66,11 +67,14 @@ class SampleReader(PixelShader, FogReader):
     def background_color(self) -> sl.vec4:
         """Colour of a sample without a surface."""
         seen = self.background.light
+        if self.has_sky_box:
+            seen = self.sky_at(self.rays, sl.vec2(self.get_pixel()) + 0.5)
         if self.has_fog:
             pixel = sl.vec2(self.get_pixel()) + 0.5
             start = pixel_position(self.rays, pixel, 0.0)
             direction = pixel_position(self.rays, pixel, 1.0) - start
             seen = apply_fog_to_background(seen, direction, self.fog_at(start))
+        if self.has_fog or self.has_sky_box:
             seen = sl.min(seen, MAX_HALF_FLOAT) if self.keeps_light else tone_map(seen)
         return sl.vec4(seen, 1.0)
 

@@ -16,6 +16,7 @@ from renderer.light_kinds.directional import DirectionalLight, directional_incid
 from renderer.light_kinds.generation import define, for_each_kind
 from renderer.light_kinds.incidence import Incidence
 from renderer.scene import ShadingModel
+from renderer.shaders.environment import EnvironmentLight
 from renderer.shaders.fog import FogReader, apply_fog
 from renderer.shaders.lighting import (
     MAX_HALF_FLOAT,
@@ -271,7 +272,7 @@ class FinishShader(FogReader):
         return sl.vec4(seen, 1.0)
 
 
-class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
+class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentLight):
     """Shades a surface by ambient, emitted and directional light."""
 
     has_ambient_occlusion = False
@@ -289,7 +290,10 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
 
     def shade(self, surface: SurfacePoint, material: Material) -> sl.vec3:
         """Light of the surface without local lights."""
-        color = self.reflect_ambient(surface, self.ambient, material)
+        if self.has_environment:
+            color = self.reflect_environment(surface, material)
+        else:
+            color = self.reflect_ambient(surface, self.ambient, material)
         if self.has_ambient_occlusion:
             color *= self.ambient_occlusion.load(self.get_pixel()).x
         if self.has_emission:
@@ -302,6 +306,12 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
             for i in range(len(self.directional_lights)):
                 color += self.shade_directional_light(surface, i)
         return color
+
+    def reflect_environment(self, surface: SurfacePoint, material: Material) -> sl.vec3:
+        """Light of the environment that the surface sends to the eye."""
+        if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
+            return self.reflect_environment_metallic(surface)
+        return self.reflect_environment_specular(surface, material)
 
     def shade_directional_light(self, surface: SurfacePoint, light_index: int) -> sl.vec3:
         """Light that the surface reflects of a directional light."""

@@ -12,7 +12,7 @@ timestamps they are issued one by one, and so the steps are timed."""
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Final
+from typing import ClassVar, Final
 
 from renderer import rules
 from renderer.scene import Camera, Depth, Scene
@@ -31,9 +31,11 @@ class DeviceCulling(ABC):
 
     Attributes:
         first, second: the lists of the latest frame.
+        has_instances: whether alike objects that follow each other are instances of one draw.
     """
 
     opens_pass: Final = True
+    has_instances: ClassVar[bool] = True
 
     def __init__(self, scene: Scene, device: Device, occludee_shader: type[ComputeOccludees]) -> None:
         if not (device.capabilities.compute and device.capabilities.draws):
@@ -42,8 +44,10 @@ class DeviceCulling(ABC):
         self._device = device
         self._occludees = Occludees(device, len(scene.objects), occludee_shader)
         parts = count_parts(scene)
-        self.first = IndirectDrawList(device, self._occludees, parts)
-        self.second = IndirectDrawList(device, self._occludees, parts)
+        self.first, self.second = (
+            IndirectDrawList(device, self._occludees, parts, has_instances=self.has_instances)
+            for _ in range(2)
+        )
         self._repeated = CommandCache(device, "culling")
 
     @staticmethod

@@ -8,6 +8,9 @@ rows of those marked HIDDEN. The CPU sees neither: it draws both indirectly.
   objects near the eye are drawn first, for the benefit of early depth tests.
 - There are no atomics: each group counts and ranks the keys of its 64 rows in shared memory, one group
   computes the prefix sums, and each row is written to its position.
+- Consecutive rows of one mesh, part and distance class are instances of one draw, up to the 64 rows of a group.
+  Their indices follow the draw's base instance, so shaders notice nothing, and objects are drawn in the same
+  order as one by one.
 - Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part
   of their own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
 """
@@ -22,6 +25,7 @@ from numpy.typing import NDArray
 
 import rhi.shading as sl
 from renderer.scene import Scene
+from renderer.scene.arrays import list_ranges
 from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.command_cache import clear
@@ -34,6 +38,7 @@ _BUCKETS: Final = 31
 """The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km,
 then all beyond. More parts have fewer and wider ones."""
 _NO_KEY: Final = 2 * GROUP - 1
+_INSTANCE: Final = 2 * GROUP  # instead of a key: the row is an instance of the draw of a row before
 KEYS: Final = 2 * GROUP
 """Number of keys. Each of a group's lanes counts two of them."""
 MAX_PARTS: Final = (KEYS - 2) // 2
@@ -41,12 +46,15 @@ MAX_PARTS: Final = (KEYS - 2) // 2
 
 
 @cache_once
-def with_parts(shader: type[sl.Shader], parts: int) -> type[sl.Shader]:
-    """Return a shader of lists that have so many parts."""
-    if parts <= DRAW_LISTS:
+def with_parts(shader: type[sl.Shader], parts: int, *, has_instances: bool = True) -> type[sl.Shader]:
+    """Return a shader of lists that have so many parts, and draws with several instances or with one each."""
+    constants: dict[str, object] = {} if has_instances else {"has_instances": 0}
+    if parts > DRAW_LISTS:
+        constants |= {"parts": parts, "buckets": (KEYS - 2) // parts}
+    if not constants:
         return shader
-    constants = {"__module__": __name__, "parts": parts, "buckets": (KEYS - 2) // parts}
-    return type(f"{shader.__name__}{parts}", (shader,), constants)
+    name = f"{shader.__name__}{parts}{'' if has_instances else 'Single'}"
+    return type(name, (shader,), {"__module__": __name__, **constants})
 
 
 class DrawArguments(sl.Struct):
@@ -60,23 +68,27 @@ class DrawArguments(sl.Struct):
 
 
 class CountKeys(sl.Shader):
-    """Computes each row's key and its rank among the equal keys of its group, and counts each group's
-    keys."""
+    """Computes each draw's key, its number of instances and its rank among the equal keys of its group, and counts
+    each group's keys. A row that is an instance of the draw of a row before has no key."""
 
     work_group = (GROUP,)
     parts = DRAW_LISTS
     buckets = _BUCKETS
+    has_instances = 1
     object_positions: sl.Storage[ObjectPosition]
     occludees: sl.Storage[Occludee]
     marks: sl.StorageRW[sl.uint]
     keys: sl.StorageRW[sl.uint]
     counts: sl.StorageRW[sl.uint]
     in_group = sl.shared(sl.uint, GROUP)
+    meshes = sl.shared(sl.uint, GROUP)
+    heads = sl.shared(sl.uint, GROUP)
 
     def compute(self) -> None:
         object_index = sl.global_id().x
         lane = sl.local_index()
         key = _NO_KEY
+        mesh = 0
         if object_index < len(self.marks):
             mark = self.marks[object_index]
             if mark == sl.uint(VISIBLE):
@@ -85,16 +97,34 @@ class CountKeys(sl.Shader):
                     int(sl.floor((octaves + 3.0) * (2.0 * self.buckets / _BUCKETS))), 0, self.buckets - 1
                 )
                 key += self.buckets * self.object_positions[object_index].draw_list
+                mesh = self.object_positions[object_index].mesh
                 self.marks[object_index] = sl.uint(DRAWN)
             elif mark == sl.uint(HIDDEN):
                 key = self.parts * self.buckets
         self.in_group[lane] = sl.uint(key)
+        self.meshes[lane] = sl.uint(mesh)
+        sl.barrier()
+        before = sl.max(lane - 1, 0)
+        is_instance = (
+            lane > 0
+            and self.has_instances == 1
+            and key < self.parts * self.buckets
+            and self.in_group[before] == sl.uint(key)
+            and self.meshes[before] == sl.uint(mesh)
+        )
+        self.heads[lane] = sl.uint(_INSTANCE if is_instance else key)
         sl.barrier()
         rank = 0
+        instances = 1
+        is_open = True
         count = sl.uint(0)
         count_beyond = sl.uint(0)
         for other in range(GROUP):
-            other_key = self.in_group[other]
+            other_key = self.heads[other]
+            if other > lane:
+                is_open = is_open and other_key == sl.uint(_INSTANCE)
+                if is_open:
+                    instances += 1
             if other_key == sl.uint(lane):
                 count += 1
             if other_key == sl.uint(lane + GROUP):
@@ -102,13 +132,14 @@ class CountKeys(sl.Shader):
             if other < lane and other_key == sl.uint(key):
                 rank += 1
         if object_index < len(self.marks):
-            self.keys[object_index] = sl.uint(key + KEYS * rank)
+            packed = key + KEYS * (rank + GROUP * (instances - 1))
+            self.keys[object_index] = sl.uint(_NO_KEY if is_instance else packed)
         self.counts[lane * sl.group_count().x + sl.group_id().x] = count
         self.counts[(lane + GROUP) * sl.group_count().x + sl.group_id().x] = count_beyond
 
 
 class WriteDraws(sl.Shader):
-    """Writes each visible row's draw and each hidden row to the position that the prefix sums give."""
+    """Writes each draw and each hidden row to the position that the prefix sums give."""
 
     work_group = (GROUP,)
     parts = DRAW_LISTS
@@ -137,14 +168,14 @@ class WriteDraws(sl.Shader):
         if object_index < len(self.keys):
             packed = int(self.keys[object_index])
             key = packed % KEYS
-            sorted_index = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS)
+            sorted_index = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS % GROUP)
             if key < hidden_key:
                 number = key // self.buckets
                 at = int(sorted_index - self.sums[number * self.buckets * groups]) + number * len(self.keys)
                 part = self.mesh_parts[self.object_positions[object_index].mesh]
                 self.listed[at] = DrawArguments(
                     count=part.count,
-                    instances=sl.uint(1),
+                    instances=sl.uint(1 + packed // (KEYS * GROUP)),
                     first=part.first,
                     base_vertex=part.base_vertex,
                     base_instance=sl.uint(object_index),
@@ -172,7 +203,15 @@ class IndirectDrawList:
         generation: how often the list was renewed.
     """
 
-    def __init__(self, device: Device, occludees: Occludees, parts: int = DRAW_LISTS) -> None:
+    def __init__(
+        self,
+        device: Device,
+        occludees: Occludees,
+        parts: int = DRAW_LISTS,
+        *,
+        has_instances: bool = True,
+    ) -> None:
+        """Create an empty list. Without `has_instances` each object is a draw of its own."""
         count = occludees.count
         self.parts = parts
         self.generation = 0
@@ -184,7 +223,8 @@ class IndirectDrawList:
         self._occludees = occludees
         self._keys = device.storage(sl.uint, count, label="keys")
         self._counts = device.storage(sl.uint, KEYS * occludees.groups, label="key counts")
-        self._count_keys: Program[...] = device.program(with_parts(CountKeys, parts))
+        count_keys = with_parts(CountKeys, parts, has_instances=has_instances)
+        self._count_keys: Program[...] = device.program(count_keys)
         self._add_counts = device.program(PrefixSum)
         self._write_draws: Program[...] = device.program(with_parts(WriteDraws, parts))
 
@@ -268,6 +308,5 @@ class IndirectDrawList:
 
 def _object_indices(parts: list[NDArray[Any]]) -> NDArray[np.int64]:
     """Return the indices of the objects that parts of a list draw."""
-    return np.concatenate(
-        [np.zeros(0, np.int64), *(part["base_instance"].astype(np.int64) for part in parts)]
-    )
+    draws = np.concatenate([np.zeros(0, DrawArguments.dtype), *parts])
+    return list_ranges(draws["base_instance"], draws["instances"])

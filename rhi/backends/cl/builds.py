@@ -10,24 +10,23 @@
 - `Optimisation.begin` begins the optimisation earlier, even before the kernel exists.
 - `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers
   whose cache isn't a folder (`rhi.backends.cl.pocl.kernel_cache`) always do the latter.
-- The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported. When
-  the calling thread has waited for a second it says so at level WARNING, which Python shows without any
-  configuration, so that a first frame isn't silent; then after each four times as long.
+- The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported. A wait
+  of the calling thread for more than a second is shown (`build_progress.py`).
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
-from time import perf_counter
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import pyopencl as cl
 
+from rhi.backends.cl.build_progress import LOGGER, BuildProgress
 from rhi.backends.cl.cl_context import (
     FLUSHES_DENORMALS,
     KERNELS_ENVIRONMENT,
@@ -42,11 +41,8 @@ if TYPE_CHECKING:
     from rhi.backends.cl.pocl.compiler import Compiler
     from rhi.backends.cl.pocl.program_residency import EvictableProgram
 
-LOGGER: Final = logging.getLogger("rhi.kernels")
 HOT: Final = 0.02
 """Seconds of a kernel's launches after which it is optimised: one frame that is slow, or many that aren't."""
-LONG_WAIT: Final = 1.0
-"""Seconds of builds in the calling thread after which a warning says what it waits for."""
 _MAX_COMPILERS: Final = 4
 _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
@@ -90,6 +86,11 @@ class Optimisation:
         self._builds = builds
         self.heat = 0.0
 
+    @property
+    def progress(self) -> BuildProgress:
+        """The line that says how long the calling thread waits for builds."""
+        return self._builds.progress
+
     def warm(self, items: int, seconds: float) -> None:
         """Add the work-items and the seconds of a launch of the kernels to be replaced; begin when they are
         hot."""
@@ -108,7 +109,7 @@ class Optimisation:
 class Kernel:
     """A kernel, which is replaced as soon as it has been optimised."""
 
-    __slots__ = ("_items", "_name", "_optimisation", "_timed", "program")
+    __slots__ = ("_is_launched", "_items", "_name", "_optimisation", "_timed", "program")
 
     def __init__(
         self, program: EvictableProgram, name: str, optimisation: Optimisation | None = None
@@ -118,6 +119,7 @@ class Kernel:
         self._optimisation = optimisation
         self._timed: tuple[cl.Event, int] | None = None  # a launch, and its work-items
         self._items = 0  # of all launches since then
+        self._is_launched = False
         self._take(program)
 
     def _take(self, program: EvictableProgram) -> None:
@@ -149,6 +151,9 @@ class Kernel:
     def watch(self, event: cl.Event, items: int) -> cl.Event:
         """Note, and return, the event of that launch."""
         if self._optimisation is not None:
+            if not self._is_launched:
+                self._is_launched = True
+                self._optimisation.progress.note_launch(self._name, event)
             self._timed, self._items = self._timed or (event, items), self._items + items
         return event
 
@@ -179,6 +184,7 @@ class Builds:
 
     Attributes:
         built: number of programs compiled in the calling thread, those from the cache not counted.
+        progress: shows how long the calling thread waits for builds.
         quick_work: number of work-items launched of kernels that aren't optimised.
     """
 
@@ -195,7 +201,7 @@ class Builds:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)  # there is a job, or the device is closed
         self._begun = self._done = 0
-        self._waited, self._next_warning = 0.0, LONG_WAIT  # seconds of builds in the calling thread
+        self.progress = BuildProgress(lambda: (self._done, self._begun), context.waited)
         self._waiting = 0
         self._closed = False
         self.built = self.quick_work = 0
@@ -241,34 +247,21 @@ class Builds:
         count = len(request.kernels) if stored is None else 0
         self.built += stored is None
         self._count(count, 0)
-        began = perf_counter()
         try:
-            program = build_cached(self._context.context, self._cache, request, stored)
-            return self._make_evictable(program, request)
+            with (
+                nullcontext() if stored else self.progress.waiting(", ".join(request.kernels) or "a program")
+            ):
+                program = build_cached(self._context.context, self._cache, request, stored)
+                return self._make_evictable(program, request)
         finally:
             self._count(0, count)
-            if stored is None:
-                self._note_wait(perf_counter() - began)
-
-    def _note_wait(self, seconds: float) -> None:
-        """Add `seconds` to the time that the calling thread has waited for builds, and warn if that was long."""
-        self._waited += seconds
-        if self._waited < self._next_warning:
-            return
-        while self._waited >= self._next_warning:
-            self._next_warning *= 4.0
-        LOGGER.warning(
-            "the program has waited %.1f s for OpenCL kernels (programs built so far: %d). They are kept on disk, so "
-            "that the next start doesn't wait",
-            self._waited,
-            self.built,
-        )
 
     def _make_evictable(self, program: cl.Program, request: Request) -> EvictableProgram:
         return self._context.make_evictable(program, request, _ARGUMENTS if request.kernels else None)
 
     def close(self) -> None:
         """End the other processes and their builds."""
+        self.progress.close()
         with self._lock:
             self._closed = True
             for compiler in self._compilers:

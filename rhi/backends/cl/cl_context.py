@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Final, NoReturn
 
 import numpy as np
@@ -84,6 +85,7 @@ class ClContext:
         rejected_devices: devices that were tried first and can't be used, each with the reason.
         cache: the compiled programs of this device.
         programs: the programs in memory.
+        waited: seconds of building the probe kernel; 0 if it was in the cache.
     """
 
     device: cl.Device
@@ -93,6 +95,7 @@ class ClContext:
     rejected_devices: tuple[str, ...]
     cache: KernelCache
     programs: ProgramResidency
+    waited: float = 0.0
 
     def compile(self, source: str, options: Sequence[str] = ()) -> EvictableProgram:
         """Build a program, or take it from the cache. It is optimised unless `RHI_KERNELS` is `quick`."""
@@ -143,7 +146,9 @@ def open_context(loading: DriverLoader | None = None) -> ClContext:
             cache = KernelCache(
                 folder if cached else None, driver, declares=cached and declares_kernels(device)
             )
+            is_stored, began = cache.contains(_request_probe(cache).key), perf_counter()
             shares_memory = probe(context, queue, cache)
+            waited = 0.0 if is_stored else perf_counter() - began
         except (cl.Error, RuntimeError) as error:
             rejected_devices.append(f"{describe(device)}: {shorten(error)}")
         else:
@@ -151,7 +156,9 @@ def open_context(loading: DriverLoader | None = None) -> ClContext:
             if len(started) == device.max_compute_units:  # PoCL starts workers with its first device
                 spread_threads(started)
             programs = ProgramResidency(releases=cache.works)
-            return ClContext(device, context, queue, shares_memory, tuple(rejected_devices), cache, programs)
+            return ClContext(
+                device, context, queue, shares_memory, tuple(rejected_devices), cache, programs, waited
+            )
     if not devices:
         _refuse_no_device()
     given = "\n".join(rejected_devices)
@@ -223,6 +230,10 @@ def declares_kernels(device: cl.Device) -> bool:
     return "cl_khr_fp64" in device.extensions.split()
 
 
+def _request_probe(cache: KernelCache) -> Request:
+    return cache.request(_PROBE, QUICK)
+
+
 def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bool:
     """Build a kernel and run it twice, on host memory that changes in between. Return whether kernel
     and host saw each other's writes.
@@ -231,7 +242,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bo
         pyopencl.Error: the kernel can't be built or run.
         RuntimeError: the kernel computes wrong numbers.
     """
-    request = cache.request(_PROBE, QUICK)
+    request = _request_probe(cache)
     stored = cache.find(request.key)
     with cache.watch_use(request.key):
         try:
@@ -240,7 +251,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bo
             if not cache.declares:
                 raise
             cache.declares = False  # a version of the driver that can't do without its header
-            program = build_cached(context, cache, cache.request(_PROBE, QUICK), stored)
+            program = build_cached(context, cache, _request_probe(cache), stored)
     kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR

@@ -65,7 +65,8 @@ class TextureWord(enum.IntEnum):
     CLAMPS_REFERENCE = 20  # whether references of comparisons are clamped: depth is in fixed point
     ANISOTROPY = 21  # a float: the maximum ratio of a pixel area's axes; 0 for a sampler without anisotropy
     FUNCTIONS = 22  # two words: address of the addresses of functions that sample, for kernels that call them
-    LEVELS = 24
+    PLAIN_DEPTH = 24  # one float, 2D or a 2D array; the sampler filters comparisons of one level
+    LEVELS = 26  # even, as FUNCTIONS is
 
 
 class LevelWord(enum.IntEnum):
@@ -196,6 +197,14 @@ def describe_texture(
     )
     words[TextureWord.PLAIN8] = plain and stored in (ChannelEncoding.UNORM8, ChannelEncoding.SRGB8)
     words[TextureWord.PLAIN_HALF] = plain and stored is ChannelEncoding.HALF
+    words[TextureWord.PLAIN_DEPTH] = (
+        stored is ChannelEncoding.SINGLE
+        and bool(words[TextureWord.ONE_FILTER])
+        and linear[0]
+        and (texel, format.channels) == (4, 1)
+        and kind in (TextureKind.D2, TextureKind.D2_ARRAY)
+        and sampler.compare is not None
+    )
     words[TextureWord.WRAP_U : TextureWord.WRAP_W + 1] = edges
     words[TextureWord.HAS_BORDER] = WrapMode.BORDER in used
     words[TextureWord.COMPARISON] = _COMPARISONS[sampler.compare] if sampler.compare is not None else 0

@@ -24,8 +24,9 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
+from functools import cache
 from typing import Any, Final, NoReturn, TypeAlias
 
 from rhi.contract.descriptors import Stage
@@ -211,21 +212,35 @@ _NAMED: Final[dict[str, Type]] = {
 def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> Iterator[Overload]:
     """Yield the overloads of signatures that are separated by semicolons. `names` adds type names to the
     known ones."""
-    named_types = _NAMED | (names or {})
+    named_types = _NAMED | names if names else _NAMED
     for signature in signatures.split(";"):
-        result, _, rest = signature.strip().partition("(")
-        parameters = []
-        for part in filter(None, (text.strip() for text in rest.rstrip(")").split(","))):
-            name, _, type_name = part.rpartition(":")
-            parameters.append((name.strip(), type_name.strip().rstrip("&"), part.endswith("&")))
-        used = [_LETTERS[n] for n in (result, *(p[1] for p in parameters)) if n in _LETTERS]
-        for size in (1, 2, 3, 4) if used else (0,):
-            if all(size in letter for letter in used):
-                scope = {**named_types, **_SIZED[size]} if used else named_types
-                concrete = tuple(
-                    BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters
-                )
-                yield Overload(concrete, scope[result], glsl)
+        concrete = _list_concrete(signature, named_types) if names else _list_known(signature)
+        for parameters, result in concrete:
+            yield Overload(parameters, result, glsl)
+
+
+@cache
+def _list_known(signature: str) -> list[tuple[tuple[BuiltinParameter, ...], Type]]:
+    """List the parameters and results of a signature, of which many built-ins have the same."""
+    return _list_concrete(signature, _NAMED)
+
+
+def _list_concrete(
+    signature: str, named_types: Mapping[str, Type]
+) -> list[tuple[tuple[BuiltinParameter, ...], Type]]:
+    result, _, rest = signature.strip().partition("(")
+    parameters = []
+    for part in filter(None, (text.strip() for text in rest.rstrip(")").split(","))):
+        name, _, type_name = part.rpartition(":")
+        parameters.append((name.strip(), type_name.strip().rstrip("&"), part.endswith("&")))
+    used = [_LETTERS[n] for n in (result, *(p[1] for p in parameters)) if n in _LETTERS]
+    concrete = []
+    for size in (1, 2, 3, 4) if used else (0,):
+        if all(size in letter for letter in used):
+            scope = {**named_types, **_SIZED[size]} if used else named_types
+            types = [BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters]
+            concrete.append((tuple(types), scope[result]))
+    return concrete
 
 
 def _row(

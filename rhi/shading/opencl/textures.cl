@@ -246,12 +246,14 @@ static RHI_CALLED void rhi_tap(
     }
 }
 
+static RHI_INLINE FLOAT rhi_clamped(FLOAT reference) {
+    reference = SELECT((FLOAT)1.0f, reference, reference < 1.0f);
+    return SELECT((FLOAT)0.0f, reference, reference > 0.0f);
+}
+
 // Compares a reference with a depth: 1 or 0, or the depth itself without a comparison.
 static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT depth) {
-    if (w[RHI_CLAMPS_REFERENCE]) {
-        reference = SELECT((FLOAT)1.0f, reference, reference < 1.0f);
-        reference = SELECT((FLOAT)0.0f, reference, reference > 0.0f);
-    }
+    if (w[RHI_CLAMPS_REFERENCE]) reference = rhi_clamped(reference);
     FLOAT yes = (FLOAT)1.0f, no = (FLOAT)0.0f;
     switch (w[RHI_COMPARISON]) {
     case RHI_NEVER: return no;
@@ -419,6 +421,74 @@ static RHI_FUSED void rhi_bilinear_half(
     }
 }
 
+// Compares a reference with four depths, and filters the results: the bits of rhi_passes and rhi_mix.
+static RHI_FUSED FLOAT
+rhi_passed(rhi_description w, FLOAT reference, UINT a, UINT b, UINT c, UINT d, FLOAT at_x, FLOAT at_y) {
+    FLOAT e = as_FLOAT(a), f = as_FLOAT(b), g = as_FLOAT(c), h = as_FLOAT(d);
+    if (w[RHI_CLAMPS_REFERENCE]) reference = rhi_clamped(reference);
+#define RHI_PASS(condition) \
+    do { \
+        FLOAT yes = (FLOAT)1.0f, no = (FLOAT)0.0f; \
+        e = SELECT(no, yes, reference condition e), f = SELECT(no, yes, reference condition f); \
+        g = SELECT(no, yes, reference condition g), h = SELECT(no, yes, reference condition h); \
+    } while (0)
+    switch (w[RHI_COMPARISON]) {
+    case RHI_NEVER: return (FLOAT)0.0f;
+    case RHI_LESS: RHI_PASS(<); break;
+    case RHI_EQUAL: RHI_PASS(==); break;
+    case RHI_LESS_EQUAL: RHI_PASS(<=); break;
+    case RHI_GREATER: RHI_PASS(>); break;
+    case RHI_NOT_EQUAL: RHI_PASS(!=); break;
+    case RHI_GREATER_EQUAL: RHI_PASS(>=); break;
+    case RHI_ALWAYS: return (FLOAT)1.0f;
+    }
+#undef RHI_PASS
+    return rhi_mix(rhi_mix(e, f, at_x), rhi_mix(g, h, at_x), at_y);
+}
+
+// Filters comparisons of depth, 2D or a 2D array, with one level. Nothing but depth is read, so that no texel is
+// decoded, and the result isn't in memory.
+static RHI_CALLED FLOAT
+rhi_compare_depth(rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT reference) {
+    INT x, y, layer = rhi_layer(w, w + RHI_LEVELS, z);
+    rhi_description level = w + RHI_LEVELS;
+    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], row = level[RHI_ROW];
+    FLOAT at_x = rhi_before(w[RHI_WRAP_U], width, u, &x), at_y = rhi_before(w[RHI_WRAP_V], height, v, &y);
+    rhi_texture p = rhi_start(t, level);
+    INT first = layer * level[RHI_LAYER];
+    UINT a, b, c, d;
+    if (rhi_inside(width, x) && rhi_inside(height, y)) {
+#ifdef RHI_WINDOW
+        if (!RHI_WINDOW(p, row, first, x, y, &a, &b, &c, &d))
+#endif
+        {
+            first += y * row + x;
+            rhi_pair(p, first, &a, &b);
+            rhi_pair(p + 4 * row, first, &c, &d);
+        }
+    } else {
+        INT right, below;
+        rhi_edge(w[RHI_WRAP_U], width, &x, &right);
+        rhi_edge(w[RHI_WRAP_V], height, &y, &below);
+        INT i = rhi_within(x, width), j = rhi_within(right, width);
+        INT above = first + rhi_within(y, height) * row, under = first + rhi_within(below, height) * row;
+        a = rhi_gather32(p, above + i);
+        b = rhi_gather32(p, above + j);
+        c = rhi_gather32(p, under + i);
+        d = rhi_gather32(p, under + j);
+        if (w[RHI_HAS_BORDER]) {
+            UINT border = (UINT)(uint)w[RHI_BORDER_COLOR];
+            INT near_x = i == x, far_x = j == right, near_y = rhi_within(y, height) == y,
+                far_y = rhi_within(below, height) == below;
+            a = SELECT(border, a, BOTH(near_x, near_y));
+            b = SELECT(border, b, BOTH(far_x, near_y));
+            c = SELECT(border, c, BOTH(near_x, far_y));
+            d = SELECT(border, d, BOTH(far_x, far_y));
+        }
+    }
+    return rhi_passed(w, reference, a, b, c, d, at_x, at_y);
+}
+
 // Filters one level, or comparisons of its texels. In 2D and arrays `z` is the layer, in a cube the face.
 static RHI_CALLED void rhi_filter(
     rhi_texture t, rhi_description w, rhi_description level, int linear, int compared, FLOAT u, FLOAT v,
@@ -515,7 +585,12 @@ static RHI_FUSED void rhi_sampled(
     rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod,
     UINT *r
 ) {
-    if (w[RHI_ONE_FILTER]) rhi_filter(t, w, w + RHI_LEVELS, w[RHI_MINIFY], compared, u, v, z, reference, r);
+    if (compared && w[RHI_PLAIN_DEPTH]) {
+        r[0] = as_UINT(rhi_compare_depth(t, w, u, v, z, reference));
+        r[1] = r[2] = (UINT)0u;
+        r[3] = (UINT)0x3f800000u;
+    } else if (w[RHI_ONE_FILTER])
+        rhi_filter(t, w, w + RHI_LEVELS, w[RHI_MINIFY], compared, u, v, z, reference, r);
     else rhi_walk(t, w, compared, u, v, z, reference, lod, r);
 }
 
@@ -644,7 +719,8 @@ static RHI_FUSED void rhi_covered(
         rhi_average(t, w, compared, u, v, z, reference, ux, vx, zx, uy, vy, zy, bias, r);
         return;
     }
-    FLOAT lod = rhi_level_of_detail(w, u, v, z, ux, vx, zx, uy, vy, zy, bias);
+    FLOAT lod = (FLOAT)0.0f;
+    if (!w[RHI_ONE_FILTER]) lod = rhi_level_of_detail(w, u, v, z, ux, vx, zx, uy, vy, zy, bias);
     rhi_sampled(t, w, compared, u, v, z, reference, lod, r);
 }
 

@@ -114,6 +114,7 @@ def test_each_field_has_values() -> None:
         "bloom",
         "ambient_occlusion",
         "depth_of_field",
+        "environment",
     }
     assert len(spread_all()) > 500
 

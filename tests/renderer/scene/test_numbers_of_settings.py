@@ -19,7 +19,7 @@ from refusals import refused_rule
 import renderer.techniques as techniques
 import rhi
 from renderer.content import ModelLimits, load_scene
-from renderer.frame import DepthOfFieldSettings, OcclusionSettings
+from renderer.frame import DepthOfFieldSettings, OcclusionSettings, TemporalSettings
 from renderer.frame.effects import BloomSettings
 from renderer.frame.scene_images import TextureSettings
 from renderer.renderer import Renderer
@@ -48,6 +48,7 @@ SETTINGS: tuple[type[Any], ...] = (
     BloomSettings,
     DepthOfFieldSettings,
     OcclusionSettings,
+    TemporalSettings,
     ModelLimits,
     RenderSettings,
     ShadowSettings,

@@ -29,6 +29,7 @@ from renderer.scene import (
     AmbientOcclusion,
     Bloom,
     DepthOfField,
+    Environment,
     Fog,
     Scene,
     SceneBuilder,
@@ -66,6 +67,7 @@ def build_scene(
     has_bloom: bool = True,
     has_occlusion: bool = False,
     has_focus: bool = False,
+    has_environment: bool = False,
 ) -> Scene:
     """Build an opaque, a masked and a transparent box, with or without a light of each kind, in fog and with
     bloom."""
@@ -105,6 +107,8 @@ def build_scene(
         builder.ambient_occlusion = AmbientOcclusion()
     if has_focus:
         builder.depth_of_field = DepthOfField()
+    if has_environment:
+        builder.environment = Environment(np.ones((4, 8, 3), np.float32))
     builder.views["eye"] = EYE
     return builder.build()
 
@@ -122,6 +126,8 @@ def build_scenes() -> tuple[Scene, ...]:
         build_scene(has_occlusion=True),
         build_scene(has_details=True, has_occlusion=True),
         build_scene(has_focus=True),
+        build_scene(has_environment=True),
+        build_scene(has_details=True, has_environment=True),
         build_scene(has_bloom=False),  # whose layers of transparency need less than single floats
     )
 

@@ -11,6 +11,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import SceneResources, View
 from renderer.scene import Camera, Scene
+from renderer.scene.arrays import list_ranges
 from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility import NoCulling
@@ -46,6 +47,9 @@ def make_objects(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
     boxes["depth"] = rng.choice([-3.0, 0.0, 0.1, 1.1, 1.3, 5.0, 77.0, 5000.0, 1e20], count)
     parts["first"], parts["count"], parts["base_vertex"] = rng.integers(0, 999, (3, 5))
+    if seed % 2:  # runs of equal rows, which become instances
+        runs = np.arange(count) // rng.integers(1, 150)
+        marks, object_positions, boxes = marks[runs], object_positions[runs], boxes[runs]
     return marks, object_positions, boxes, parts
 
 
@@ -53,6 +57,23 @@ def expect(marks: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray, p
     """Return the expected rows of one part in the order of their draws."""
     rows = np.flatnonzero((marks == VISIBLE) & (object_positions["draw_list"] == part))
     return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
+
+
+def count_instances(rows: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return the numbers of instances of the draws of rows in order: row by row, as the module says."""
+    counts: list[int] = []
+    before = -2
+    for row in rows.tolist():
+        alike = [
+            (index // 64, int(object_positions["mesh"][index]), int(buckets(boxes["depth"][index])))
+            for index in (before, row)
+        ]
+        if row == before + 1 and alike[0] == alike[1]:
+            counts[-1] += 1
+        else:
+            counts.append(1)
+        before = row
+    return np.array(counts, np.int64)
 
 
 def check(
@@ -65,10 +86,12 @@ def check(
     count, totals, draws = len(marks), after["totals"], after["listed"]
     for part in range(4):
         rows, begin = expect(marks, object_positions, boxes, part), part * count
-        assert totals[part] == len(rows)
-        listed, mesh = draws[begin : begin + len(rows)], parts[object_positions["mesh"][rows]]
-        assert listed["base_instance"].tolist() == rows.tolist()
-        assert (listed["instances"] == 1).all()
+        instances = count_instances(rows, object_positions, boxes)
+        assert totals[part] == len(instances)
+        heads = rows[np.cumsum(instances) - instances]
+        listed, mesh = draws[begin : begin + len(heads)], parts[object_positions["mesh"][heads]]
+        assert listed["base_instance"].tolist() == heads.tolist()
+        assert listed["instances"].tolist() == instances.tolist()
         for field in ("count", "first", "base_vertex"):
             assert listed[field].tolist() == mesh[field].tolist()
     hidden = np.flatnonzero(marks == HIDDEN)
@@ -134,8 +157,8 @@ def test_lists_may_have_more_parts(device: rhi.Device, listed: int) -> None:
     order = np.argsort(np.floor(octaves * (2.0 * classes / BUCKETS)).clip(0, classes - 1), kind="stable")
     for part in range(listed):
         expected = order[((marks == VISIBLE) & (object_positions["draw_list"] == part))[order]]
-        drawn = draws["base_instance"][part * count : part * count + totals[part]]
-        assert drawn.tolist() == expected.tolist()
+        drawn = draws[part * count : part * count + totals[part]]
+        assert list_ranges(drawn["base_instance"], drawn["instances"]).tolist() == expected.tolist()
     assert totals[listed] == (marks == HIDDEN).sum()
     for resource in (occludees, lists, resources, view, given_places, given_parts):
         resource.destroy()
@@ -195,6 +218,30 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
         given_arrays.mesh_parts.owner,
     ):
         resource.destroy()
+
+
+@pytest.mark.parametrize(
+    ("count", "draws"), [(1, [1]), (63, [63]), (64, [64]), (65, [64, 1]), (200, [64, 64, 64, 8])]
+)
+def test_alike_rows_are_instances_of_a_draw_for_each_group(
+    gl: rhi.Device, count: int, draws: list[int]
+) -> None:
+    scene = load_scene(f"grid:mesh=box,count={count}")
+    resources = SceneResources(gl, scene)
+    view = aim(gl, scene, resources)
+    for has_instances in (True, False):  # without them, each row is a draw: the control
+        occludees = Occludees(gl, count)
+        occludees.marks.write(np.full(count, VISIBLE, np.uint32))
+        occludees.boxes.write(np.zeros(count, Occludee.dtype))
+        lists = IndirectDrawList(gl, occludees, has_instances=has_instances)
+        lists.list_draws(gl, resources.scene_arrays(view.buffer))
+        total = int(lists.totals.read()[0])
+        assert lists.draws.read(0, total)["instances"].tolist() == (draws if has_instances else [1] * count)
+        assert lists.read_object_indices().tolist() == list(range(count))
+        lists.destroy()
+        occludees.destroy()
+    resources.destroy()
+    view.destroy()
 
 
 def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> None:

@@ -102,3 +102,34 @@ def test_boxes_are_drawn_in_one_call_each_at_a_quarter_and_at_full_resolution(nu
     for command in boxes:
         assert command.states[rhi.DepthWrite] is rhi.DepthWrite.OFF
         assert command.states[rhi.DepthFunction] is rhi.DepthFunction.GREATER_EQUAL
+
+
+class SingleDraws(TwoPassCulling):
+    """Culling whose lists have a draw for each object."""
+
+    has_instances = False
+
+
+def test_instances_are_drawn_as_objects_one_by_one_are(device: rhi.Device) -> None:
+    """To the last bit: objects follow each other in the same order."""
+    scene, images, depths, draws = load_scene("grid:mesh=box,count=100"), [], [], []
+    camera = (
+        scene.views["overview"]
+        if "overview" in scene.views
+        else make_camera((9.0, 9.0, 14.0), (0.0, 0.0, 0.0))
+    )
+    for kind in (SingleDraws, TwoPassCulling):
+        algorithm = kind(scene, device)
+        with Renderer(device, scene, size=SIZE) as renderer:
+            for _ in range(2):
+                result = draw_with(renderer, algorithm, camera)
+            images.append(result.image.read())
+            depths.append(result.depth.read())
+            listed = len(algorithm.first.read_object_indices())
+            draws.append((listed, int(algorithm.first.totals.read()[:-1].sum())))
+        algorithm.destroy()
+    assert images[0].std() > 5.0
+    assert np.array_equal(images[0], images[1])
+    assert np.array_equal(depths[0], depths[1])
+    assert draws[0][0] == draws[0][1] == draws[1][0] > 50
+    assert draws[1][1] < 0.6 * draws[0][1]

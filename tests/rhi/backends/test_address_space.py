@@ -16,11 +16,12 @@ pytestmark = [
 ]
 
 PROGRAM = """
-import itertools, resource, sys
+import itertools, logging, resource, sys
 import numpy as np
 import rhi
 from rhi.conformance.shaders import Count, FlatColored
 from rhi.conformance.shapes import rectangle
+logging.getLogger("rhi.kernels").setLevel(logging.ERROR)  # else a slow machine says that it builds kernels
 
 backend, kind, room = sys.argv[1:]
 device = rhi.create_device(backend)

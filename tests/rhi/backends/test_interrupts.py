@@ -456,10 +456,11 @@ def test_a_resource_whose_creation_was_interrupted_is_destroyed(
 # -- the end of a process ------------------------------------------------------------------------------------
 
 SUSPENDED = """
-import sys
+import logging, sys
 import rhi
 from rhi.conformance.shaders import FlatColored
 from rhi.conformance.shapes import rectangle
+logging.getLogger("rhi.kernels").setLevel(logging.ERROR)  # else a slow machine says that it builds kernels
 
 device = rhi.create_device(sys.argv[1])
 image, mesh = device.texture((64, 64), rhi.Format.RGBA8), device.mesh(rectangle())

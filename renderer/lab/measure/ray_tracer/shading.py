@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, normalize
+from renderer.lab.measure.ray_tracer.surroundings import Surroundings
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Fog, Scene, ShadingModel
 
@@ -43,6 +44,8 @@ class LitSurfaces:
     ) -> None:
         self._scene, self._geometry, self._tree, self._has_shadows = scene, geometry, tree, has_shadows
         self._has_penumbras = has_penumbras
+        environment = scene.environment
+        self._environment = None if environment is None else Surroundings(environment)
 
     def light(self, surfaces: Surfaces) -> Floats:
         """The light (k, 3) that surfaces send to the eye, before fog."""
@@ -143,6 +146,8 @@ class LitSurfaces:
             height = 0.5 * (direction[:, 1:2] + 1.0)
             return np.asarray(sky * height + ground * (1.0 - height))
 
+        if self._environment is not None:
+            return self._reflect_environment(seen, self._environment)
         material, along = seen.material, _dot(seen.normal, seen.to_eye)
         beyond = 2.0 * along[:, None] * seen.normal - seen.to_eye
         is_metal, diffuse, mirror, rough = _select_shading_model(seen)
@@ -161,6 +166,32 @@ class LitSurfaces:
         beyond = beyond * (1.0 - blunt) + seen.normal * blunt
         left = (seen.occlusion * self._measure_openness(seen))[:, None]
         return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * left)
+
+    def _reflect_environment(self, seen: Surfaces, environment: Surroundings) -> Floats:
+        """The light of an environment that surfaces reflect. The specular model mirrors a lobe of GGX as wide as
+        its highlight, seen along the mirrored direction."""
+        is_metal, diffuse, _, rough = _select_shading_model(seen)
+        light = diffuse * environment.scatter(seen.normal)
+        material, along = seen.material, _dot(seen.normal, seen.to_eye)
+        if is_metal.any():
+            metals = _take(seen, np.flatnonzero(is_metal))
+
+            def respond(part: slice, directions: Floats, half: Floats) -> Floats:
+                count = directions.shape[1]
+                repeated = np.repeat(np.arange(len(metals.normal))[part], count)
+                surfaces = _take(metals, repeated)
+                mirrored = reflect(surfaces, directions.reshape(-1, 3), is_mirror=True)
+                return mirrored.reshape(directions.shape)
+
+            light[is_metal] += environment.mirror(metals.normal, metals.to_eye, rough[is_metal], respond)
+        others = np.flatnonzero(~is_metal)
+        if len(others):
+            shininess = material["shininess"][others].astype(np.float64)
+            rim = material["rim_strength"] * (1.0 - np.clip(along, 0.0, 1.0)) ** material["rim_power"]
+            mirrored = (material["specular_color"] + rim[:, None])[others]
+            beyond = (2.0 * along[:, None] * seen.normal - seen.to_eye)[others]
+            light[others] += mirrored * environment.gather(beyond, np.sqrt(2.0 / (shininess + 2.0)))
+        return np.asarray(light * (seen.occlusion * self._measure_openness(seen))[:, None])
 
     def _measure_openness(self, seen: Surfaces) -> Floats:
         """The share (k,) of ambient light that other surfaces leave, by the scene's `AmbientOcclusion`.
@@ -220,9 +251,10 @@ def _list_directions(to_light: Floats, sine: Floats, rings: int = _RINGS) -> Ite
         yield to_light * along + around * np.sqrt(1.0 - along**2), 1.0 / (1.0 + cosine) / rings**2
 
 
-def reflect(surfaces: Surfaces, to_light: Floats) -> Floats:
+def reflect(surfaces: Surfaces, to_light: Floats, *, is_mirror: bool = False) -> Floats:
     """The fraction (k, 3) of a light's illuminance that surfaces send to the eye: Blinn and Phong's model
-    with an energy-conserving highlight, or that of glTF 2.0, appendix B."""
+    with an energy-conserving highlight, or that of glTF 2.0, appendix B. With `is_mirror` it is what surfaces of
+    the latter mirror."""
     half = normalize(to_light + surfaces.to_eye)
     towards = _dot(surfaces.normal, half)
     is_metal, _, mirror, rough = _select_shading_model(surfaces)
@@ -240,6 +272,8 @@ def reflect(surfaces: Surfaces, to_light: Floats) -> Floats:
     )
     masks = [cosine + np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (lit, viewed)]
     fresnel = mirror + (1.0 - mirror) * ((1.0 - np.clip(_dot(surfaces.to_eye, half), 0.0, 1.0)) ** 5)[:, None]
+    if is_mirror:
+        return np.asarray(fresnel * (spread / (masks[0] * masks[1]))[:, None])
     scattered = surfaces.base * (1.0 - surfaces.metallic)[:, None] * (1.0 - fresnel)
     metal = scattered + fresnel * (spread / (masks[0] * masks[1]))[:, None]
     return np.where(is_metal[:, None], metal, specular)

@@ -9,6 +9,7 @@ import numpy as np
 
 from renderer.lab.measure.ray_tracer.shading import LitSurfaces, optical_depth
 from renderer.lab.measure.ray_tracer.surfaces import Geometry, encode_srgb
+from renderer.lab.measure.ray_tracer.surroundings import Surroundings
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Camera, Scene
 
@@ -183,17 +184,30 @@ class RayTracer:
 
     def _draw_background(self, origins: Floats, directions: Floats) -> Floats:
         """The background's colours, seen through all of the fog."""
+        environment = self._scene.environment
+        if environment is not None and environment.is_visible:
+            light = self._pass_endless_fog(Surroundings(environment).look(directions), origins, directions)
+            return light if self._keeps_light else tone_map(light)
         color = np.asarray(self._scene.background, np.float64)
         fog = self._scene.fog
         if fog is None:
             return np.broadcast_to(inverse_tone_map(color) if self._keeps_light else color, directions.shape)
+        light = self._pass_endless_fog(
+            np.broadcast_to(inverse_tone_map(color), directions.shape), origins, directions
+        )
+        return light if self._keeps_light else tone_map(light)
+
+    def _pass_endless_fog(self, light: Floats, origins: Floats, directions: Floats) -> Floats:
+        """The light (k, 3) that comes from infinitely far away through the fog."""
+        fog = self._scene.fog
+        if fog is None:
+            return light
         rises = fog.falloff * directions[:, 1] / np.linalg.norm(directions, axis=1)
         here = fog.density * np.exp(np.minimum(-fog.falloff * (origins[:, 1] - fog.base), 60.0))
         with np.errstate(divide="ignore"):
             thickness = np.where(rises > 0.0, here / np.maximum(rises, 1e-300), np.inf)
         passes = np.exp(-thickness)[:, None]
-        light = inverse_tone_map(color) * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
-        return light if self._keeps_light else tone_map(light)
+        return np.asarray(light * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes))
 
 
 def aim(

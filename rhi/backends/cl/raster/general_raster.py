@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import platform
 import sys
+from contextlib import nullcontext
 from typing import Final
 
 import numpy as np
@@ -102,9 +103,11 @@ class GeneralRaster:
             pyopencl.Error: the driver rejects the source code.
         """
         (name,) = request.kernels
+        built = self._builds.built
         program = self._compile(request, _CALL)
         words = np.zeros(2, np.uint64)
-        with translate_errors("a draw"):
+        waiting = self._builds.progress.waiting(name) if self._builds.built > built else nullcontext()
+        with translate_errors("a draw"), waiting:
             Kernel(program, name).launch(self._queue, words.ctypes.data, 1).wait()
         return int(words[0])
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from contextlib import chdir
@@ -44,18 +45,21 @@ from renderer.lab.accuracy.choice import (
     CombinationBench,
     FrameError,
     expect_error,
+    expect_least,
     list_held_out,
     mark_best,
     order_by_speed,
     select_effective_reports,
 )
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
+from renderer.lab.accuracy.race import SettingsTrial
 from renderer.lab.accuracy.sweep import SettingSample, SweepShard, ValueSample, list_views
 from renderer.lab.measure.disturbance import Instant
 from renderer.lab.measure.measurement import Interval
 from renderer.scene import PathFrame
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
+from rhi import ValidationError
 from rhi_screen.executors import SerialExecutor, make_executor
 from tests.renderer.conftest import open_device
 
@@ -188,6 +192,64 @@ def test_more_is_expected_of_other_views_than_the_mean() -> None:
     assert expect_error([2.0] * 9) == 2.0
     assert expect_error([0.0] * 999 + [9.0]) == 9.0  # the greatest is known to be possible
     assert expect_error([4.0]) == 4.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_first_errors_bound_the_expected_error(seed: int) -> None:
+    """Brute force over the other errors: equal ones, on a grid, and random ones."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 12))
+    errors = rng.gamma(2.0, 3.0, int(rng.integers(1, count + 1))).tolist()
+    others = count - len(errors)
+    least = expect_least(errors, count)
+    equal = min(expect_error(errors + [other] * others) for other in np.linspace(0.0, max(errors), 2000))
+    mixed = min(expect_error(errors + rng.gamma(2.0, 3.0, others).tolist()) for _ in range(200))
+    assert least <= mixed + 1e-9
+    assert equal - 0.02 <= least <= equal + 1e-9
+
+
+def test_a_check_ends_once_errors_differ_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No view is beyond the bound, and the mean with its margin is, whatever the last views show."""
+    errors_by_view = [3.0, 0.1, 3.0, 0.1, 3.0, 0.1, 3.0, 0.1, 3.0, 0.1]
+    drawn: list[int] = []
+
+    def draw_views(_: object, settings: RenderSettings, frames: Sequence[PathFrame]) -> Any:
+        for error, frame in zip(errors_by_view, frames, strict=True):
+            drawn.append(frame.number)
+            yield still_errors([error])[0], [1e-3]
+
+    bench_type = make_bench(lambda *_: [])
+    bench_type.draw_views = draw_views
+    monkeypatch.setattr(choice, "CombinationBench", bench_type)
+    with pytest.raises(ValidationError, match="expected from the views of the check"):
+        choose(replace(SETUP, backend="null"), [make_point(1.0, 1.0)], max_error=4.0)
+    assert expect_error(errors_by_view) > 4.0
+    assert 1 < len(drawn) < 10
+
+
+@pytest.mark.parametrize(("noise", "rounds"), [(0.001, 1), (0.4, 8)])
+def test_times_that_are_known_well_enough_are_measured_no_more(
+    monkeypatch: pytest.MonkeyPatch, noise: float, rounds: int
+) -> None:
+    rng = np.random.default_rng(1)
+    drawn = Counter[str]()
+
+    class Drawer:
+        _rounds = range(16)
+        exchange = staticmethod(lambda settings: None)
+
+        def draw(self, _: object, settings: Any, frame: object) -> None:
+            drawn[settings] += 1
+            clock[0] += (0.02 if settings == "fast" else 0.04) * float(np.exp(noise * rng.normal()))
+
+    clock = [0.0]
+    monkeypatch.setattr(choice.Instant, "now", staticmethod(lambda: Instant(clock[0], clock[0], 0.0)))
+    trials = [
+        SettingsTrial({"a": name}, (error,), np.full(6, seconds) * np.exp(noise * rng.normal(size=6)))
+        for name, error, seconds in (("best", 0.5, 0.04), ("fast", 1.0, 0.02))
+    ]
+    times = CombinationBench.time(Drawer(), trials, ["best", "fast"], [0, 1], lambda rounds: rounds)  # type: ignore[arg-type, list-item]
+    assert [len(series) for series in times] == [2 * rounds, 2 * rounds]
 
 
 def make_bench(compare: Callable[..., Any], **methods: Callable[..., Any]) -> type[Any]:

@@ -13,7 +13,16 @@ from refusals import refused_rule
 import rhi
 from renderer.cli import main
 from renderer.cli.exam import format_rows_by_backend
-from renderer.lab.exam import CASES, Case, CaseResult, ExamRow, examine, select_cases
+from renderer.lab.exam import (
+    CASES,
+    Case,
+    CaseResult,
+    ExamRow,
+    examine,
+    select_cases,
+    stop_at_first_failure,
+)
+from renderer.lab.exam.case import check_early
 from renderer.lab.exam.case_images import errors_to_image, join_images
 
 CASE = Case(7, "a thing", "another", 0.5, "metres", "reason", lambda _: CaseResult(0.25))
@@ -50,6 +59,26 @@ def test_a_case_that_a_device_lacks_something_for_does_not_apply(null: rhi.Devic
     assert (row.error, row.passed, row.remark) == (None, None, "needs shading")
     (row,) = run(null, replace(CASE, requires=("compute",)))
     assert row.passed
+
+
+def test_a_case_may_end_at_the_first_condition_that_does_not_hold(null: rhi.Device) -> None:
+    measured: list[bool] = []
+
+    def measure(is_seen: bool) -> CaseResult:
+        holds = {"something is seen": is_seen}
+        check_early(holds)
+        measured.append(is_seen)
+        return CaseResult(0.0, holds=holds)
+
+    blind, seeing = (
+        replace(CASE, measure=lambda _, is_seen=is_seen: measure(is_seen)) for is_seen in (False, True)
+    )
+    with stop_at_first_failure():
+        failed, passed = run(null, blind, seeing)
+    assert (failed.passed, failed.remark) == (False, "FirstFailureError: something is seen")
+    assert passed.passed
+    assert measured == [True]
+    assert run(null, blind)[0].remark == "not: something is seen", "control: measured to its end"
 
 
 def test_a_case_that_raises_has_failed_and_the_next_one_follows(null: rhi.Device) -> None:

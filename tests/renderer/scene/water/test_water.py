@@ -152,6 +152,16 @@ def make_pools() -> Scene:
     return builder.build()
 
 
+@pytest.mark.parametrize("width", [1.1, 2.6, 5.0137, 0.3])
+def test_bounds_hold_vertices_that_are_rounded_outwards(width: float) -> None:
+    """0.55 is less than the nearest float32."""
+    pool = WaterPool((width, width), cells=(8, 8), depth=0.01, max_height=0.1)
+    lower, upper = pool.bounds
+    positions = pool.make_vertices(np.full((1, *pool.shape), np.float32(0.1)))["position"]
+    assert (positions >= lower).all()
+    assert (positions <= upper).all()
+
+
 def test_only_visible_members_take_steps_in_a_single_dispatch(null: rhi.Device) -> None:
     scene = make_pools()
     every, single = (Camera.look_at((4.0, height, 0.5 * height), (4.0, 0.0, 0.0)) for height in (9.0, 1.5))

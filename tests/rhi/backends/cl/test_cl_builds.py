@@ -307,7 +307,11 @@ def test_a_single_launch_in_flight_is_timed_for_all() -> None:
         object(),
     )
     seconds: list[float] = []
-    optimisation = SimpleNamespace(program=None, warm=lambda items, more: seconds.append(more))
+    optimisation = SimpleNamespace(
+        program=None,
+        warm=lambda items, more: seconds.append(more),
+        progress=SimpleNamespace(note_launch=lambda *_: None),
+    )
     kernel = builds.Kernel(program, "raster", optimisation)  # type: ignore[arg-type]
     with pytest.MonkeyPatch.context() as patch:
         launches = iter([event, other, other, event])
@@ -474,26 +478,30 @@ def test_a_lock_that_is_held_leaves_no_alarm_behind(tmp_path: Path) -> None:
         signal.signal(signal.SIGALRM, before)
 
 
-def test_a_long_wait_for_kernels_is_a_warning(caplog: pytest.LogCaptureFixture, device: Device) -> None:
-    owner = get_builds(device)
-    owner._waited, owner._next_warning = 0.0, builds.LONG_WAIT
-    caplog.clear()
-    counts = []
-    for seconds in (0.9, 0.2, 2.0, 1.0, 30.0, 1.0):
-        owner._note_wait(builds.LONG_WAIT * seconds)
-        counts.append(len(caplog.records))
-    assert counts == [0, 1, 1, 2, 3, 3]
-    assert {record.levelname for record in caplog.records} == {"WARNING"}
-    assert "waited 34.1 s for OpenCL kernels" in caplog.messages[-1]
-
-
 def test_a_build_in_the_calling_thread_is_a_wait_and_a_program_from_the_cache_is_none(
-    caplog: pytest.LogCaptureFixture, device: Device
+    monkeypatch: pytest.MonkeyPatch, device: Device
 ) -> None:
+    labels: list[str] = []
     owner = get_builds(device)
+    waiting = owner.progress.waiting
+
+    def note(label: str) -> Any:
+        labels.append(label)
+        return waiting(label)
+
+    monkeypatch.setattr(owner.progress, "waiting", note)
     request = owner.request(f"kernel void raster(global int *memory) {{ memory[0] = {os.getpid()}; }}", ())
-    for warnings in (1, 0):
-        owner._waited, owner._next_warning = 0.0, 1e-9
-        caplog.clear()
+    for _ in range(2):
         owner.compile(request)
-        assert len(caplog.records) == warnings
+        assert labels == ["a program"]
+
+
+def test_the_first_launch_of_a_quick_kernel_is_a_wait(
+    monkeypatch: pytest.MonkeyPatch, device: Device
+) -> None:
+    labels: list[str] = []
+    monkeypatch.setattr(get_builds(device).progress, "note_launch", lambda label, event: labels.append(label))
+    for _ in range(2):
+        draw(device, device.program(Colored))
+        assert sorted(labels) == ["prefix", "raster", "scatter", "set_up", "transform"]
+        labels = labels[:5]
