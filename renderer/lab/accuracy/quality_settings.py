@@ -318,7 +318,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
                 "8": TemporalSettings(True, 8),
                 "16": TemporalSettings(True, 16),
             },
-            "it costs as much as a technique's whole frame where a frame takes a millisecond",
+            "moving textures blur, and films refuse it",
             reference=SUPER_SAMPLED,
             requirement=Requirement.HISTORY,
             history_frames=16,
