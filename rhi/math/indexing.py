@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def count_indices(indices: ArrayLike, weights: ArrayLike | None = None, minlength: int = 0) -> NDArray[Any]:
-    """Return how often each index occurs, or the sum of its weights; at least `minlength` numbers."""
+    """The number of occurrences of each index, or the sum of its weights; at least `minlength` numbers."""
     return np.bincount(np.asarray(indices, np.intp), weights, minlength)
 
 
 def repeat_each(values: ArrayLike, counts: ArrayLike, axis: int | None = None) -> NDArray[Any]:
-    """Return each value as often as its count says."""
+    """The values (n,), each repeated by its count."""
     return np.repeat(values, np.asarray(counts, np.intp), axis)

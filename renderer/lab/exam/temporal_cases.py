@@ -33,7 +33,7 @@ _SETTINGS: Final[dict[str, dict[str, object]]] = {
 }
 
 
-class Fence:
+class BarFence:
     """A scene of a fence, a wheel and a block, in a world of its own scale.
 
     Attributes:
@@ -100,13 +100,13 @@ class Fence:
 
 
 @cache  # the same for each device
-def trace_fences() -> dict[str, tuple[Fence, Floats]]:
+def trace_fences() -> dict[str, tuple[BarFence, Floats]]:
     """Fences by title, each with the ray-traced levels (h, w, 3) of its last frame."""
     fences = {
-        "in a world of 1 mm": Fence(1e-3, 0.0, is_parallel=False),
-        "parallel, far from the origin": Fence(1.0, _FAR, is_parallel=True),
+        "in a world of 1 mm": BarFence(1e-3, 0.0, is_parallel=False),
+        "parallel, far from the origin": BarFence(1.0, _FAR, is_parallel=True),
     }
-    traced = dict[str, tuple[Fence, Floats]]()
+    traced = dict[str, tuple[BarFence, Floats]]()
     for title, fence in fences.items():
         camera = fence.move(0)
         fence.scene.update()
@@ -115,7 +115,7 @@ def trace_fences() -> dict[str, tuple[Fence, Floats]]:
 
 
 def draw_last_frame(
-    device: Device, fence: Fence, technique: str, changes: dict[str, object], *, frames: int, moves: bool
+    device: Device, fence: BarFence, technique: str, changes: dict[str, object], *, frames: int, moves: bool
 ) -> CaseImage:
     """Draw some frames of a fence; return the last one."""
     settings = RenderSettings().change_all({"technique.name": technique, "algorithm": "none", **changes})

@@ -29,6 +29,7 @@ def test_options_are_parsed_and_the_rest_keep_their_defaults():
         "sun_degrees": 0.0,
         "focus": 0.0,
         "aperture": 0.05,
+        "environment": 0.0,
     }
     assert values == {"blocks": 5, "detail": 3} | rest
     assert GENERATORS["city"].parse("") == {"blocks": 44, "detail": 7} | rest

@@ -146,8 +146,8 @@ class LoadsAndStores(sl.Shader):
 
     def compute(self) -> None:
         texel = sl.ivec2(sl.global_id().xy)
-        chosen = self.source.load(texel, self.at[0]) + self.source.load(texel, 1)
-        self.target.store(texel, chosen + self.source.load(texel))
+        texels = self.source.load(texel, self.at[0]) + self.source.load(texel, 1)
+        self.target.store(texel, texels + self.source.load(texel))
 
 
 def test_a_load_outside_the_texture_or_its_levels_is_zero(naga: Any) -> None:
