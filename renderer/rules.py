@@ -64,6 +64,11 @@ BAD_VERTICES: Final = Rule(
 BAD_MESH: Final = Rule(
     "scene-bad-mesh", "a mesh consists of triangles: three indices each, each of them the index of a vertex"
 )
+SMALL_BOUNDS: Final = Rule(
+    "scene-small-bounds",
+    "the declared bounds of a mesh hold all of its vertices",
+    "enlarge them, or leave `bounds` out if nothing moves its vertices",
+)
 BAD_HEIGHTS: Final = Rule(
     "scene-bad-heights",
     "a height field needs finite heights over a rectangle and a maximum number of triangles",

@@ -644,7 +644,7 @@ class SceneBuilder:
             check_finite("add_mesh(bounds=...)", lower=bounds[0], upper=bounds[1])
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 declared = f"{bounds[0]} to {bounds[1]}"
-                refuse(rules.BAD_MESH, "add_mesh(bounds=...)", declared, f"at least {lower} to {upper}")
+                refuse(rules.SMALL_BOUNDS, "add_mesh(bounds=...)", declared, f"at least {lower} to {upper}")
         elif id(geometry) not in self._mesh_ids:
             self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)

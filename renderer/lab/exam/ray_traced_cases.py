@@ -84,13 +84,14 @@ def draw(
     size: tuple[int, int] = SIZE,
     technique: str = "forward",
     changes: Mapping[str, Any] | None = None,
+    seconds: float = 0.0,
 ) -> NDArray[Any]:
-    """Render a frame without culling, with changes of settings by their paths."""
+    """Render a frame at a time without culling, with changes of settings by their paths."""
     settings = RenderSettings().change_all(
         {"technique.name": technique, "algorithm": "none", **(changes or {})}
     )
     with settings.open(device, scene, size) as renderer:
-        return renderer.render(settings.adapt_camera(camera)).image.read()
+        return renderer.render(settings.adapt_camera(camera), seconds).image.read()
 
 
 def measure_traced_views(make: Callable[[], TestViews], device: Device) -> CaseResult:

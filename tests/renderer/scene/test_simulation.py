@@ -359,7 +359,7 @@ def refusal(change: object) -> str:
         (lambda b, n, bound, free, m: b.simulate([4], Clock(1)), "scene-bad-index"),
         (
             lambda b, n, bound, free, m: b.add_mesh(BUILT_IN["box"](), bounds=(np.zeros(3), np.ones(3))),
-            "scene-bad-mesh",
+            "scene-small-bounds",
         ),
     ],
 )
