@@ -37,7 +37,7 @@ def test_a_texel_is_stored_finer_than_images_have_it() -> None:
     ]
 
 
-@pytest.mark.nightly_cases("cl-False-*", "cl-True-*Deferred", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("make", [Deferred, TiledDeferred, ClusteredDeferred, partial(TiledDeferred, 4)])
 @pytest.mark.parametrize("bends", [False, True])
 def test_normals_of_8_bits_are_seen_to_be_rounded_and_those_of_16_are_those_of_rays(

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import pytest
 from frames import count_draws, draw, draw_each, list_passes, make_boxes, make_lit_boxes, max_difference
-from nightly_reasons import FEWER_CASES
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 
 import rhi
 import rhi.shading as sl
@@ -152,6 +152,7 @@ AIR: Final = "night:lights=64,blocks=8,fog=0.02,bloom=0.3"
 THINGS: Final = "bazaar:instances=300,materials=20,meshes=10,lights=16"
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", [AIR, THINGS, "glass"])
 def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(
     drawing_device: rhi.Device, name: str
