@@ -129,8 +129,11 @@ def test_compare_reads_the_settings_that_tune_writes(
     assert [row["algorithm"] for row in compared["rows"]] == ["chc_plus_plus", "optimized_chc_plus_plus"]
 
 
-def test_render_reads_the_settings_that_tune_writes(tuned: tuple[Path, dict[str, Any]]) -> None:
-    assert main(["render", *share_settings(tuned[0]), "--visibility", "chc_plus_plus"]) == 0
+def test_render_reads_the_settings_that_tune_writes(
+    tuned: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    output = ["--output", str(tmp_path / "city.png")]
+    assert main(["render", *share_settings(tuned[0]), "--visibility", "chc_plus_plus", *output]) == 0
 
 
 def share_settings(folder: Path) -> list[str]:
