@@ -339,11 +339,9 @@ class Renderer:
         """The algorithm; one that is named is created once, and destroyed with the renderer."""
         if not isinstance(visibility, str):
             return to_visibility(call, visibility, self.scene, self.device)
-        algorithm = self._named_algorithms.get(visibility)
-        if algorithm is None:
-            algorithm = to_visibility(call, visibility, self.scene, self.device)
-            self._named_algorithms[visibility] = algorithm
-        return algorithm
+        if visibility not in self._named_algorithms:
+            self._named_algorithms[visibility] = to_visibility(call, visibility, self.scene, self.device)
+        return self._named_algorithms[visibility]
 
     @property
     def size(self) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """NumPy's functions of index arrays, for indices of 64 bits on every platform.
 
 Where a pointer has 32 bits, as in Pyodide, `numpy.bincount` and `numpy.repeat` refuse indices and counts of 64
-bits. Ours take both. Ruff refuses NumPy's (`pyproject.toml`), unless the number of repetitions is one integer.
+bits. Ours take both. Ruff refuses NumPy's (`pyproject.toml`).
 """
 
 from __future__ import annotations

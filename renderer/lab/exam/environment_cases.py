@@ -17,9 +17,9 @@ from renderer.content import BUILT_IN
 from renderer.content.skies import paint_sky
 from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
 from renderer.lab.exam.ray_traced_cases import draw
-from renderer.lab.exam.scenes import shows_something
+from renderer.lab.exam.scenes import make_projection, shows_something
 from renderer.lab.measure.ray_tracer import RayTracer
-from renderer.scene import Camera, Environment, Fog, Orthographic, Perspective, Scene, SceneBuilder
+from renderer.scene import Camera, Environment, Fog, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
 from renderer.scene.environment import texel_directions
 from rhi import Device
@@ -80,11 +80,7 @@ def make_balls(environment: Environment, unit: float, offset: float, fog: Fog | 
 
 def make_ball_camera(unit: float, offset: float, *, is_parallel: bool) -> Camera:
     """The camera that looks at the balls."""
-    projection = (
-        Orthographic(4.6 * unit, _ASPECT, 0.0, 16.0 * unit)
-        if is_parallel
-        else Perspective(aspect=_ASPECT, near=0.05 * unit)
-    )
+    projection = make_projection(unit, _ASPECT, 4.6, is_parallel=is_parallel)
     eye, aim = (np.multiply(point, unit) + offset for point in ((0.6, 2.4, 4.6), (0.0, 1.4, 0.0)))
     return Camera.look_at(eye, aim, projection=projection)
 

@@ -15,14 +15,12 @@ import numpy as np
 from renderer.content import BUILT_IN
 from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
 from renderer.lab.exam.ray_traced_cases import draw
-from renderer.lab.exam.scenes import shows_something
+from renderer.lab.exam.scenes import make_projection, shows_something
 from renderer.lab.measure.ray_tracer import RayTracer
 from renderer.scene import (
     Camera,
     DepthOfField,
     Fog,
-    Orthographic,
-    Perspective,
     Scene,
     SceneBuilder,
 )
@@ -90,11 +88,7 @@ def make_posts(unit: float, offset: float, aperture: float, fog: Fog | None) -> 
 
 def make_post_camera(unit: float, offset: float, *, is_parallel: bool) -> Camera:
     """The camera that looks at the posts; its focus is on the middle one."""
-    projection = (
-        Orthographic(3.2 * unit, _ASPECT, 0.0, 16.0 * unit)
-        if is_parallel
-        else Perspective(aspect=_ASPECT, near=0.05 * unit)
-    )
+    projection = make_projection(unit, _ASPECT, 3.2, is_parallel=is_parallel)
     eye, aim = (np.multiply(point, unit) + offset for point in ((0.0, 1.3, 4.0), (0.0, 0.6, 0.0)))
     return Camera.look_at(eye, aim, projection=projection)
 

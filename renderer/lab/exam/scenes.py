@@ -17,7 +17,7 @@ from renderer.content import load_scene
 from renderer.content.shapes import box, sphere
 from renderer.lab.exam.case import check_early
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
+from renderer.scene import Camera, Orthographic, Perspective, Projection, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
 from renderer.scene.cloth import ClothSimulation, Gust, Wind, make_cloth_grid
 from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
@@ -249,6 +249,16 @@ def make_views() -> dict[str, tuple[Scene, Camera]]:
             Camera.look_at(ORIGIN, WALL_POSITION, projection=Orthographic(6.0, near=0.0, far=40.0)),
         ),
     }
+
+
+def make_projection(
+    unit: float, aspect: float, height: float, *, is_parallel: bool, fov: float = Perspective.fov
+) -> Projection:
+    """The projection of a camera in a world whose metre has `unit` metres: parallel, of a view this many of them
+    high, or in perspective."""
+    if is_parallel:
+        return Orthographic(height * unit, aspect, 0.0, 16.0 * unit)
+    return Perspective(fov, aspect, 0.05 * unit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ import numpy as np
 
 from renderer.content import BUILT_IN
 from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
-from renderer.lab.exam.scenes import shows_something
+from renderer.lab.exam.scenes import make_projection, shows_something
 from renderer.lab.measure.ray_tracer import RayTracer
-from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
+from renderer.scene import Camera, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from rhi import Device
@@ -91,11 +91,7 @@ class BarFence:
             np.multiply(point, self.unit) + self.offset
             for point in ((0.3 + aside, 1.1, 4.0), (0.5 * aside, 0.5, 0.0))
         )
-        projection = (
-            Orthographic(2.6 * self.unit, _ASPECT, 0.0, 16.0 * self.unit)
-            if self.is_parallel
-            else Perspective(0.7, _ASPECT, 0.05 * self.unit)
-        )
+        projection = make_projection(self.unit, _ASPECT, 2.6, is_parallel=self.is_parallel, fov=0.7)
         return Camera.look_at(eye, aim, projection=projection)
 
 

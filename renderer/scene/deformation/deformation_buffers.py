@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Indices
+from renderer.scene.arrays import Floats, Indices, list_ranges
 from renderer.scene.deformation.deformable_mesh import DeformableMesh, any_mirrors
 from renderer.scene.deformation.deformation_kernels import (
     LANES,
@@ -119,10 +119,10 @@ class DeformationBuffers:
             mesh = self._meshes[member]
             if pose.matrices is not None:
                 table["matrix"][row], table["mirrors"][row] = matrices.add(pose.matrices, mesh.middle)
-            begin = sum(len(part) for part in targets)
-            active = self._select_targets(member, pose.weights)
-            targets.append(active)
-            table["targets_begin"][row], table["targets_end"][row] = begin, begin + len(active)
+            targets.append(self._select_targets(member, pose.weights))
+        target_counts = [len(active) for active in targets]
+        table["targets_end"] = np.cumsum(target_counts)
+        table["targets_begin"] = table["targets_end"] - target_counts
         layout = DeformationLayout(stride=stride, tangent=tangent)
         self._dispatch(members, table, matrices.rows, np.concatenate(targets), vertices, layout)
 
@@ -166,8 +166,7 @@ class DeformationBuffers:
         group_counts = -(-table["count"].astype(np.int64) // LANES)
         groups: Any = np.zeros(int(group_counts.sum()), DeformationGroup.dtype)
         groups["member"] = repeat_each(np.arange(len(table)), group_counts)
-        begins = np.cumsum(group_counts) - group_counts
-        groups["first"] = LANES * (np.arange(len(groups)) - repeat_each(begins, group_counts))
+        groups["first"] = LANES * list_ranges(np.zeros_like(group_counts), group_counts)
         groups["influences"] = np.concatenate([self._group_influences[member] for member in members.tolist()])
         transient, program = self.device.transient, self.device.program(DeformVertices)
         bindings: dict[str, Any] = {

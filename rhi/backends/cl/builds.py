@@ -20,7 +20,6 @@ import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -35,7 +34,7 @@ from rhi.backends.cl.cl_context import (
     build_again,
     build_cached,
 )
-from rhi.backends.cl.pocl.kernel_cache import Request, make_mark
+from rhi.backends.cl.pocl.kernel_cache import CachedProgram, Request, make_mark
 
 if TYPE_CHECKING:
     from rhi.backends.cl.pocl.compiler import Compiler
@@ -244,17 +243,21 @@ class Builds:
         if quick:
             request = self._cache.request(request.source, (*request.options, *QUICK), request.kernels)
         stored = self._cache.find(request.key)
-        count = len(request.kernels) if stored is None else 0
-        self.built += stored is None
+        if stored is not None:
+            return self._build(request, stored)
+        count = len(request.kernels)
+        self.built += 1
         self._count(count, 0)
         try:
-            with (
-                nullcontext() if stored else self.progress.waiting(", ".join(request.kernels) or "a program")
-            ):
-                program = build_cached(self._context.context, self._cache, request, stored)
-                return self._make_evictable(program, request)
+            with self.progress.waiting(", ".join(request.kernels) or "a program"):
+                return self._build(request, None)
         finally:
             self._count(0, count)
+
+    def _build(self, request: Request, stored: CachedProgram | None) -> EvictableProgram:
+        """Build a program, or load the one that is stored."""
+        program = build_cached(self._context.context, self._cache, request, stored)
+        return self._make_evictable(program, request)
 
     def _make_evictable(self, program: cl.Program, request: Request) -> EvictableProgram:
         return self._context.make_evictable(program, request, _ARGUMENTS if request.kernels else None)

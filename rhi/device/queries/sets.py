@@ -99,8 +99,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         set_indices = self._resolve_query_indices(query_indices, draws, call)
         if query_indices is None:
             return set_indices
-        starts = run_starts(set_indices).astype(np.intp, copy=False)  # a page's NumPy has indices of 32 bits
-        repeated = count_indices(starts) > 1
+        repeated = count_indices(run_starts(set_indices)) > 1
         if repeated.any():
             repeat = f"query {repeated.argmax()} again after other queries"
             self._core.refuse(QUERY_INDICES, call, repeat, "consecutive draws for each query")

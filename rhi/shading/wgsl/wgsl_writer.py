@@ -572,7 +572,7 @@ class WgslWriter(TextWriter):
             if len(texts) > 1:  # llvmpipe returns the size of one level for all lanes
                 level = f"u32(clamp({texts[1]}, 0, i32(textureNumLevels({texture})) - 1))"
                 form = f"vec{3 if type.kind is TextureKind.D3 else 2}<u32>"
-                size = f"max({size} >> {form}({level}), {form}(1u))"
+                size = _level_size(size, form, level)
             return (
                 f"vec3<i32>(vec3<u32>({size}, textureNumLayers({texture})))"
                 if layered
@@ -628,13 +628,14 @@ class WgslWriter(TextWriter):
         texel, sizes = ("at.xy" if layered else "at"), "textureDimensions(image)"
         name = f"rhi_load_{''.join(filter(str.isalnum, form))}"
         parameters, outside = [f"image: {form}", f"at: {self.type(position.type)}"], []
-        if rest and not (is_constant(rest[0]) and texts[1] in ("0", "i32(0)") and not samples):
+        is_first = not rest or (isinstance(rest[0], tree.Constant) and rest[0].value == 0)
+        if samples or not is_first:
             index = "index"
             parameters.append("index: i32")
             outside.append(f"u32(index) >= textureNum{'Samples' if samples else 'Levels'}(image)")
             name += "_of"
             if not samples:
-                sizes = f"max({sizes} >> {size}(u32(index)), {size}(1u))"
+                sizes = _level_size(sizes, size, "u32(index)")
         else:
             texts = texts[:1]
         if layered:
@@ -757,6 +758,11 @@ class WgslWriter(TextWriter):
         declarations = ", ".join(f"{parameter}: {type}" for parameter in parameters.split())
         self.helpers[name] = f"fn {name}({declarations}) -> {type} {{ {body} }}"
         return name
+
+
+def _level_size(size: str, form: str, level: str) -> str:
+    """Return the size of a mip level by that of the first; `form` is their type."""
+    return f"max({size} >> {form}({level}), {form}(1u))"
 
 
 _POLYFILLS: Final[dict[str, Callable[[WgslWriter, tree.BuiltinCall], str]]] = {
