@@ -1,11 +1,10 @@
 """Costs of 7,000 boxes that the device culls and lists: as instances of few draws, and as a draw each.
 
 The scene is a layer of equal boxes, or a block of layers, drawn by `two_pass`, whose lists the device makes
-(Deferred+, 1.3.1). In one variant alike boxes that follow each other are instances of one draw, in the other each
-box is a draw.
-Draws are those of both lists of the last frame. Of the layer all boxes are visible; those of the block hide each
-other, so fewer of them follow each other. The variants take turns, round by round, in one process; times are
-medians over the rounds, from the frame's begin until the device is finished.
+(Deferred+, 1.3.1). In one variant all visible boxes are instances of one draw in each list, in the other each box is
+a draw. Draws are those of both lists of the last frame. Of the layer all boxes are visible; those of the block hide
+each other. The variants take turns, round by round, in one process; times are medians over the rounds, from the
+frame's begin until the device is finished.
 
     python benchmarks/instances.py [--backend gl] [--objects 7000] [--rounds 15] [--json]
 """

@@ -51,6 +51,7 @@ from renderer.frame import (
     watch_lights,
 )
 from renderer.frame.attributes import CheckedAttribute, TypedAttribute
+from renderer.frame.detail import DetailLimit
 from renderer.frame.motion import SceneMotion
 from renderer.frame.scene_images import SceneImages
 from renderer.frame.temporal import STILL_AFTER, TemporalHistory, compute_offset, shift_samples
@@ -101,6 +102,8 @@ _LONGEST_PAUSE: Final = 0.5
 """The seconds between two frames from which on temporal anti-aliasing begins anew."""
 ANIMATION_LAG: Final = 0.5
 """The lag allowed for small objects, in pixels, unless one says otherwise."""
+DETAIL_ERROR: Final = 1.0
+"""The largest error of levels of detail, in pixels, unless one says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +277,7 @@ class Renderer:
             self._view = View(device, "eye", self._to_visibility("Renderer(visibility=...)", visibility))
             stack.callback(self._view.destroy)
             self._resources = SceneResources(device, scene, textures, uploads)
+            self._resources.detail_error = DETAIL_ERROR
             self._validation = self.simulator.validation = validation
             stack.pop_all()
 
@@ -319,6 +323,20 @@ class Renderer:
     def light_cutoff(self, cutoff: float) -> None:
         rules.check_non_negative(rules.BAD_CUTOFF, "Renderer.light_cutoff = …", cutoff)
         self._resources.light_cutoff, self._steady = cutoff, None
+
+    @property
+    def detail_error(self) -> float:
+        """The largest error of levels of detail, in pixels of the image and in texels of shadow maps; 0 draws all
+        meshes in full. It may be exchanged between any two frames.
+
+        Meshes with levels (`SceneBuilder.add_mesh`) are drawn as the coarsest one that is nowhere farther from the
+        full mesh than that. What the device lists (`two_pass`, `depth_pyramid`) is drawn in full."""
+        return self._resources.detail_error
+
+    @detail_error.setter
+    def detail_error(self, pixels: float) -> None:
+        rules.check_non_negative(rules.BAD_DETAIL, "Renderer.detail_error = …", pixels)
+        self._resources.detail_error, self._steady = pixels, None
 
     @property
     def view(self) -> View:
@@ -576,6 +594,8 @@ class Renderer:
             features.reconsider()
             return None
         self._view.aim(camera)
+        if resources.levels is not None:
+            self._limit_detail()
         if self._animation_step:
             self._set_time(seconds)
         else:
@@ -595,6 +615,8 @@ class Renderer:
             resources.workspace(SceneMotion).begin_frame(resources)
         else:
             around = self._aim(camera)
+        if resources.levels is not None:
+            self._limit_detail()
         expected = simulator.drawn_objects
         simulator.begin_frame(self._set_time(seconds))
         self.scene.refresh()
@@ -664,6 +686,12 @@ class Renderer:
             view.aim(eye, around)
         return around
 
+    def _limit_detail(self) -> None:
+        """Set the limit of levels of detail: that of all eyes."""
+        resources, pair = self._resources, self._pair
+        cameras = [view.camera for view in ([self._view] if pair is None else [self._view, pair.view])]
+        resources.detail_limit = DetailLimit.compute(cameras, self._targets.size, resources.detail_error)
+
     @property
     def _is_temporal(self) -> bool:
         """True if samples of many frames are put together, unless the view shows one color."""
@@ -712,6 +740,7 @@ class Renderer:
             camera.rotation.tobytes(),
             camera.projection,
             self.light_cutoff,
+            self.detail_error,
             None if maps is None else maps.settings,
             None if tessellator is None else tessellator.settings,
             tuple(map(id, self.layers)),

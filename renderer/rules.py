@@ -286,6 +286,7 @@ BAD_TIME: Final = Rule(
 )
 BAD_LAG: Final = Rule("animation-lag", "the lag allowed for small objects, in pixels, is out of its range")
 BAD_CUTOFF: Final = Rule("light-cutoff", "the cut-off of local lights is out of its range")
+BAD_DETAIL: Final = Rule("detail-error", "the largest error of levels of detail is out of its range")
 BAD_SCALE: Final = Rule("render-scale", "the render scale is out of its range")
 BAD_EDGE: Final = Rule("tessellation-edge", "the edge length of tessellation, in pixels, is out of its range")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")

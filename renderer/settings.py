@@ -24,7 +24,7 @@ from renderer.frame import (
     TemporalSettings,
     TextureSettings,
 )
-from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
+from renderer.renderer import ANIMATION_LAG, DETAIL_ERROR, FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, PathFrame, Perspective, Scene, StereoRig
 from renderer.scene.file_versions import KEY
 from renderer.scene.files import read_json
@@ -59,6 +59,7 @@ class RenderSettings:
         animation_step: the step of animations in seconds, 0 for every frame.
         animation_lag: the lag allowed for small objects, in pixels, 0 for nothing.
         light_cutoff: the light of a light that is too faint to matter, 0 for none.
+        detail_error: the largest error of levels of detail, in pixels, 0 for full meshes.
         simulates_hidden: whether what an absence would change, such as cloth, is simulated where it isn't
             drawn.
         reprojects: whether a second eye's image is made from the first one's.
@@ -82,6 +83,7 @@ class RenderSettings:
     animation_step: float = 0.0
     animation_lag: float = ANIMATION_LAG
     light_cutoff: float = 0.0
+    detail_error: float = DETAIL_ERROR
     simulates_hidden: bool = False
     reprojects: bool = False
     scale: float = 1.0
@@ -94,6 +96,7 @@ class RenderSettings:
         rules.check_non_negative(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step)
         rules.check_non_negative(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
         rules.check_non_negative(rules.BAD_CUTOFF, "RenderSettings(light_cutoff=...)", self.light_cutoff)
+        rules.check_non_negative(rules.BAD_DETAIL, "RenderSettings(detail_error=...)", self.detail_error)
         rules.check_scale("RenderSettings(scale=...)", self.scale)
 
     def get(self, path: str) -> Any:
@@ -171,7 +174,7 @@ class RenderSettings:
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag
         renderer.light_cutoff, renderer.simulates_hidden = self.light_cutoff, self.simulates_hidden
-        renderer.scale = self.scale
+        renderer.detail_error, renderer.scale = self.detail_error, self.scale
 
     def save(self, path: Path, **metadata: Any) -> None:
         """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores

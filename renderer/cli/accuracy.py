@@ -20,8 +20,8 @@ that change images of this scene are combined greedily, drawn and timed. Their e
 the flicker, the change of a pixel's error from frame to frame, times the weight of --flicker: --flicker 0
 looks at stills alone, and takes textures without mip levels. The choice is checked with ten more
 views, where the mean of their errors plus four standard deviations must be within the bound, and tried in twenty
-others. With --keep, an earlier choice remains as long as it may be within the bound and no other is better by
-more than what was measured is uncertain, so noise changes nothing. The choice is written to
+others. With --keep, an earlier choice remains as long as it may be within the bound and no other is surely
+better by more than 5 %, so noise changes nothing. The choice is written to
 DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with
 --settings. An older one is removed before anything is measured, so none is left if
 the choice is refused.

@@ -22,9 +22,14 @@ from rhi import refuse
 def open_scene(text: str) -> Scene:
     """Load the scene that `SCENE` names; list on stderr what was left out of its file."""
     scene = load_scene(text)
+    note_omissions(scene)
+    return scene
+
+
+def note_omissions(scene: Scene) -> None:
+    """List on stderr what was left out of a scene's file."""
     for omission in scene.omissions:
         note(f"left out: {omission}")
-    return scene
 
 
 def make_technique(arguments: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:

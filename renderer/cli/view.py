@@ -16,16 +16,19 @@ that is printed here and has a token: whoever knows it can do what the console c
 from __future__ import annotations
 
 import argparse
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from renderer.cli import options
-from renderer.cli.arguments import load_settings, open_scene
+from renderer.cli.arguments import load_settings, note_omissions
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, note
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.viewer.display_settings import PLAIN, SHADOWS, DisplaySettings
 from renderer.viewer.frame_budget import FrameBudget, load_steps
+
+if TYPE_CHECKING:
+    from renderer.viewer.viewer_screen import ViewerScreen
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -88,8 +91,7 @@ def _run(arguments: argparse.Namespace) -> None:
             "--live (the folder of a Pareto front) and --budget-ms (milliseconds per frame) need each other"
         )
     steps = None if arguments.live is None else load_steps(arguments.live / "pareto_front.json")
-    scene = open_scene(arguments.scene)
-    camera = None if arguments.camera is None else parse_camera(arguments.camera, scene, arguments.frame)
+    budget = None if steps is None else FrameBudget(steps, arguments.budget_ms)
     script = (
         "" if arguments.script is None else arguments.script.read_text(encoding="utf-8", errors="replace")
     )
@@ -101,39 +103,48 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     display = display.change(**{name: value for name, value in overrides.items() if value is not None})
     viewer_screen = open_viewer(
-        scene,
+        arguments.scene,
         arguments.backend,
         canvas=arguments.canvas,
         size=arguments.size,
         display=display,
-        camera=camera,
+        begin=lambda viewer_screen: _begin(viewer_screen, arguments, budget, script),
         vsync=not arguments.immediate,
         max_fps=10_000.0 if arguments.immediate else 60.0,
     )
     try:
-        session = viewer_screen.viewer.session
+        viewer = viewer_screen.viewer
         if arguments.settings is not None:
-            viewer_screen.viewer.file_reloader.note_settings(arguments.settings)
-        session.change(
-            **{name: value for name, value in vars(arguments).items() if name in ("show", "stereo") and value}
-        )
-        if steps is not None:
-            session.set_budget(FrameBudget(steps, arguments.budget_ms))
-        viewer_screen.viewer.run_script(script)
+            viewer.file_reloader.note_settings(arguments.settings)
         if arguments.listen is not None:
             port = viewer_screen.listen(arguments.listen, arguments.write_to)
-            note(
-                f"listening on 127.0.0.1:{port}, for connections whose first line is: "
-                f"{viewer_screen.viewer.greeting}"
-            )
-        viewer_screen.end_after = arguments.frames
+            note(f"listening on 127.0.0.1:{port}, for connections whose first line is: {viewer.greeting}")
         viewer_screen.run()
         if arguments.frames is not None:
+            session = viewer.session
             worked = f"{1e3 * session.counter.processor:.1f} ms of processors a frame"
             budget_text = "" if session.budget is None else f"   {session.budget.describe()}"
             note(f"{session.counter.describe()}   {worked}{budget_text}")
     finally:
         viewer_screen.close()
+
+
+def _begin(
+    viewer_screen: ViewerScreen, arguments: argparse.Namespace, budget: FrameBudget | None, script: str
+) -> None:
+    """Apply the arguments that need the scene, before its first frame."""
+    session = viewer_screen.viewer.session
+    note_omissions(session.scene)
+    if arguments.camera is not None:
+        session.begin_at(parse_camera(arguments.camera, session.scene, arguments.frame))
+    session.change(
+        **{name: value for name, value in vars(arguments).items() if name in ("show", "stereo") and value}
+    )
+    if budget is not None:
+        session.set_budget(budget)
+    viewer_screen.viewer.run_script(script)
+    if arguments.frames is not None:
+        viewer_screen.end_after = viewer_screen.frames + arguments.frames
 
 
 COMMAND: Final = Subcommand("view", "show a scene in a window, and move through it", _OPTIONS, _run, __doc__)

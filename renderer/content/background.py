@@ -42,17 +42,20 @@ class BackgroundLoad:
     """A scene that is being loaded by a thread of its own, from its text as in `load_scene`, or by a function.
 
     All methods may be called from any thread. When the interpreter exits, loads are cancelled.
+
+    Attributes:
+        name: the scene's text, or the name of the function.
     """
 
     def __init__(self, scene: str | Callable[[], Scene]) -> None:
         self._load = scene if callable(scene) else lambda: load_scene(scene)
-        self._name = scene if isinstance(scene, str) else getattr(scene, "__name__", "scene")
+        self.name = scene if isinstance(scene, str) else getattr(scene, "__name__", "scene")
         self._progress = LoadProgress(0.0, "")
         self._is_cancelled = threading.Event()
         self._ended = threading.Event()
         self._scene: Scene | None = None
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name=f"load {self._name}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"load {self.name}", daemon=True)
         _LOADS.add(self)
         self._thread.start()
 
@@ -81,7 +84,7 @@ class BackgroundLoad:
         if self._error is not None:
             raise self._error
         if self._scene is None:
-            refuse(rules.LOAD_CANCELLED, f"BackgroundLoad({self._name!r})", "a load that was cancelled")
+            refuse(rules.LOAD_CANCELLED, f"BackgroundLoad({self.name!r})", "a load that was cancelled")
         return self._scene
 
     def wait(self, timeout: float | None = None) -> Scene | None:

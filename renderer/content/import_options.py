@@ -181,6 +181,9 @@ class ModelPlacement:
         lights["position"][is_free] = self._move(lights["position"][is_free])
         for name, factor in (("range", scale), ("source_radius", scale), ("intensity", scale**2)):
             lights[name][first:] *= factor
+        if kind.has_shapes:
+            for name in ("source_right", "source_up"):
+                lights[name][first:] *= scale
 
     def _move_view(self, name: str, view: Camera) -> Camera:
         is_free = name not in self._builder.attached_views

@@ -66,6 +66,7 @@ class DrawResult:
         self._lists: list[tuple[DeviceDrawList, int]] = []
         self._being_read: list[Callable[[], NDArray[np.int64]]] | None = None
         self._transparent: list[NDArray[np.int64]] = []
+        self._limit = resources.detail_limit
 
     @property
     def is_on_cpu(self) -> bool:
@@ -156,7 +157,15 @@ class DrawResult:
     @cached_property
     def triangles(self) -> int:
         """The number of triangles of all objects drawn."""
-        return self._resources.count_triangles(self.object_indices)
+        resources = self._resources
+        if self._limit is None:
+            return resources.count_triangles(self.object_indices)
+        listed = len(self.opaque) - sum(
+            len(step if isinstance(step, np.ndarray) else step[0]) for step in self._steps
+        )
+        on_cpu, by_device = np.split(self.opaque, [len(self.opaque) - listed])
+        count = resources.count_triangles(np.concatenate([on_cpu, self.transparent]), self._limit)
+        return count + (resources.count_triangles(by_device) if listed else 0)
 
 
 class TechniqueDrawer:
@@ -237,6 +246,11 @@ class TechniqueDrawer:
         return self._resources.scene_arrays(self._view.buffer)
 
     @property
+    def size(self) -> tuple[int, int]:
+        """The width and the height of the targets in pixels."""
+        return self.depth.size
+
+    @property
     def key(self) -> tuple[object, ...]:
         """The values that the pass's commands depend on, besides the objects."""
         return (*self._fixed_key, self._resources.groups, self.was_opened)
@@ -292,7 +306,9 @@ class TechniqueDrawer:
         for run in _split_runs(object_indices, resources.group[object_indices]):
             group = int(resources.group[run[0]])
             with self._device.states(*draw_group_states(group)):
-                resources.draw_objects(self._device, *choose_program(self._programs, group), run)
+                resources.draw_objects(
+                    self._device, *choose_program(self._programs, group), run, resources.detail_limit
+                )
 
     def draw_alone(self, object_indices: NDArray[np.int64]) -> None:
         """Draw the objects `object_indices` (k,) in a pass of their own. Commands are recorded when they
@@ -320,9 +336,10 @@ class TechniqueDrawer:
             ordered = others
             if len(others) > 1:
                 ordered = others[self._farthest_depths(others).argsort(kind="stable")]
+            draws = resources.select_draws(ordered, resources.detail_limit)
             if len(resources.groups) == 1:
-                return [ordered]
-            return [ordered[resources.select_group(ordered, group)] for group in resources.groups]
+                return [draws]
+            return [draws[resources.select_group(ordered, group)] for group in resources.groups]
 
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
             with self._begin(encoder, clears=not self.was_opened):
@@ -357,7 +374,8 @@ class TechniqueDrawer:
         object_indices, query_indices = object_indices[order], query_indices[order]
         for group in resources.groups:
             selected = resources.select_group(object_indices, group)
-            draws = resources.draws[object_indices[selected]]
+            rows = resources.select_draws(object_indices[selected], resources.detail_limit)
+            draws = resources.draws[rows]
             if draws.size:
                 program, bindings = choose_program(self._programs, group)
                 with self._device.states(*draw_group_states(group)):
@@ -382,8 +400,9 @@ class TechniqueDrawer:
             if far_sides_first and CullMode.NONE in states:
                 parts = self._split_sides(run, states)
             for part, part_states in parts:
+                draws = resources.draws[resources.select_draws(part, resources.detail_limit)]
                 with self._device.states(*part_states):
-                    self._device.draw_many(program, resources.mesh, resources.draws[part], **bindings)
+                    self._device.draw_many(program, resources.mesh, draws, **bindings)
 
     def _split_sides(
         self, run: NDArray[np.int64], states: tuple[State, ...]
@@ -454,6 +473,7 @@ class TechniqueDrawer:
         with self._begin(encoder, clears=first and self._clears_list):
             for group in self._resources.groups:
                 program, bindings = choose_program(self._programs, group)
+                bindings = bindings | {"objects": draws.objects, "object_positions": draws.object_positions}
                 with encoder.states(*draw_group_states(group)):
                     encoder.draw_indirect(program, self._resources.mesh, draws.arguments(group), **bindings)
 

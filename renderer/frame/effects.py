@@ -25,6 +25,7 @@ from renderer.frame.thin_air import THIN_HAZE, is_fog_seen, is_haze_seen, is_sky
 from renderer.frame.transparent_layers import TransparentLayers
 from renderer.frame.visible_features import VisibleFeatures
 from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.shapes import flag_areas
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.lights.frustum_culling import select_lights_in_view
 from renderer.scene import Camera, Scene
@@ -38,15 +39,18 @@ from rhi.errors.choices import Choice
 
 class Effect(Choice):
     """An effect that a scene may call for. Each kind of lights with a position has three: `…_LIGHTS`,
-    `…_SPHERES` (such lights with a radius) and `…_SHADOWS`."""
+    `…_SPHERES` (such lights with a radius) and `…_SHADOWS`; kinds with shapes have `…_AREAS`, too."""
 
-    _ignore_ = "kind sphere_kind shadow_kind"
+    _ignore_ = "kind sphere_kind area_kind shadow_kind"
 
     DIRECTIONAL_LIGHTS = "directional lights"
     for kind in LOCAL_LIGHT_KINDS:
         vars()[f"{kind.name.upper()}_LIGHTS"] = f"{kind.noun}s"
     for sphere_kind in LOCAL_LIGHT_KINDS:
         vars()[f"{sphere_kind.name.upper()}_SPHERES"] = f"{sphere_kind.noun}s with a radius"
+    for area_kind in LOCAL_LIGHT_KINDS:
+        if area_kind.has_shapes:
+            vars()[f"{area_kind.name.upper()}_AREAS"] = f"{area_kind.noun}s that are rectangles or tubes"
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
@@ -85,17 +89,21 @@ _EFFECTS: Final = {effect.value: effect for effect in Effect}
 
 
 class LocalLightEffects(NamedTuple):
-    """The effects of a kind of lights with a position besides the lights themselves: their shadows, and those
-    that are spheres."""
+    """The effects of a kind of lights with a position besides the lights themselves: their shadows, those that
+    are spheres, and those that are rectangles or tubes, if any may be."""
 
     kind: LocalLightKind
     shadows: Effect
     spheres: Effect
+    areas: Effect | None
 
 
 LOCAL_LIGHTS: Final = {
     Effect[f"{kind.name.upper()}_LIGHTS"]: LocalLightEffects(
-        kind, Effect[f"{kind.name.upper()}_SHADOWS"], Effect[f"{kind.name.upper()}_SPHERES"]
+        kind,
+        Effect[f"{kind.name.upper()}_SHADOWS"],
+        Effect[f"{kind.name.upper()}_SPHERES"],
+        Effect[f"{kind.name.upper()}_AREAS"] if kind.has_shapes else None,
     )
     for kind in LOCAL_LIGHT_KINDS
 }
@@ -211,6 +219,11 @@ for _effect, _row in LOCAL_LIGHTS.items():
     _noun = _row.kind.noun
     _NOUNS[_effect] = (_noun, f"{_noun}s")
     _NOUNS[_row.spheres] = (f"{_noun} with a radius", f"{_noun}s with a radius")
+    if _row.areas is not None:
+        _NOUNS[_row.areas] = (
+            f"{_noun} that is a rectangle or tube",
+            f"{_noun}s that are rectangles or tubes",
+        )
     _NOUNS[_row.shadows] = (f"{_noun} that casts shadows", f"{_noun}s that cast shadows")
 
 
@@ -497,20 +510,23 @@ def collect_frame_effects(
         and _shows_same(last, in_view, air, has_fogged_sky)
     ):
         return last
+    penumbras = []
     for effect, row in LOCAL_LIGHTS.items():
         lights_of_kind, light_indices = lights.of_kind(row.kind), in_view[effect]
-        in_view[row.spheres] = light_indices[lights_of_kind["source_radius"][light_indices] > 0.0]
+        wide = in_view[row.spheres] = light_indices[lights_of_kind["source_radius"][light_indices] > 0.0]
+        if row.areas is not None:
+            in_view[row.areas] = _NONE
+            if sources.counts[row.areas]:
+                areas = flag_areas(lights_of_kind)
+                in_view[row.areas] = light_indices[areas[light_indices]]
+                in_view[row.spheres] = wide[~areas[wide]]
         in_view[row.shadows] = (
             light_indices[lights_of_kind["casts_shadow"][light_indices]]
             if sources.counts[row.shadows]
             else _NONE
         )
-    in_view[Effect.LOCAL_PENUMBRAS] = np.concatenate(
-        [
-            np.intersect1d(in_view[row.shadows], in_view[row.spheres], assume_unique=True)
-            for row in LOCAL_LIGHTS.values()
-        ]
-    )
+        penumbras.append(np.intersect1d(in_view[row.shadows], wide, assume_unique=True))
+    in_view[Effect.LOCAL_PENUMBRAS] = np.concatenate(penumbras)
     hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)} | air
     if not filters_penumbras:
         hidden |= {*PENUMBRA_EFFECTS}
@@ -711,9 +727,13 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         lights_of_kind = lights.of_kind(row.kind)
         counts[effect] = len(lights_of_kind)
         counts[row.shadows] = _count_casting(scene, lights_of_kind)
-        counts[row.spheres] = int(np.count_nonzero(lights_of_kind["source_radius"]))
-        spheres = lights_of_kind[lights_of_kind["source_radius"] > 0.0]
-        counts[Effect.LOCAL_PENUMBRAS] += _count_casting(scene, spheres)
+        is_wide = lights_of_kind["source_radius"] > 0.0
+        counts[row.spheres] = int(np.count_nonzero(is_wide))
+        counts[Effect.LOCAL_PENUMBRAS] += _count_casting(scene, lights_of_kind[is_wide])
+        if row.areas is not None:
+            is_area = flag_areas(lights_of_kind)
+            counts[row.areas] = int(np.count_nonzero(is_area))
+            counts[row.spheres] -= int(np.count_nonzero(is_wide & is_area))
         centers, radii = row.kind.bound_lights(lights_of_kind)
         local_lights.append((centers.copy(), radii))
     shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from renderer.frame.mirrors import MirroredArray, MirroredTable, split_doubles
 from renderer.light_kinds.generation import define, for_kind
 from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.shapes import flag_areas, pack_shapes
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.scene.arrays import Floats
 from renderer.scene.lights import Lights
@@ -121,8 +122,8 @@ class _KindBuffers:
 
 
 class LocalLightBuffers:
-    """The lights of a scene that have a position, on a device; `radii` has those of sources, if there are
-    any."""
+    """The lights of a scene that have a position, on a device; `radii` and `shapes` have those of sources, if
+    there are any."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -135,6 +136,8 @@ class LocalLightBuffers:
                 resources.callback(kind.destroy)
             self.radii = MirroredTable(device, _CHANNELS[len(LOCAL_LIGHT_KINDS) - 1], "source radii")
             resources.callback(self.radii.destroy)
+            self.shapes = MirroredTable(device, Format.RGBA32F, "source shapes")
+            resources.callback(self.shapes.destroy)
             self._commands = CommandCache(device, "")
             resources.callback(self._stop_kernels)
             self._resources = resources.pop_all()
@@ -167,6 +170,7 @@ class LocalLightBuffers:
             ]
             self._pack(needed)
             self._write_radii(needed)
+            self._write_shapes(needed)
             self._state = state
             self._placed.clear()
         moved = [eye for eye, position in enumerate(eyes) if self._placed.get(eye) != position.tobytes()]
@@ -218,12 +222,23 @@ class LocalLightBuffers:
     def _write_radii(self, needed: Sequence[NDArray[Any]]) -> None:
         """Upload the radii of sources: the lights of all kinds with the same index share a texel."""
         radii = np.zeros((max(map(len, needed)), self._channels), np.float32)
-        for channel, lights in enumerate(needed):
+        for channel, (kind, lights) in enumerate(zip(LOCAL_LIGHT_KINDS, needed, strict=True)):
             radii[: len(lights), channel] = lights["source_radius"]
+            if kind.has_shapes:
+                radii[: len(lights), channel][flag_areas(lights)] = 0.0
         if radii.any():
             self.radii.write(radii)
         else:
             self.radii.destroy()
+
+    def _write_shapes(self, needed: Sequence[NDArray[Any]]) -> None:
+        """Upload the shapes of sources, two texels for each light of the kind that has them."""
+        for kind, lights in zip(LOCAL_LIGHT_KINDS, needed, strict=True):
+            if kind.has_shapes:
+                if flag_areas(lights).any():
+                    self.shapes.write(pack_shapes(lights).reshape(-1, 4))
+                else:
+                    self.shapes.destroy()
 
     def _run(self, views: Views, *, is_new: bool) -> None:
         """Run the kernels that place the lights for both eyes. What `is_new` is uploaded first."""

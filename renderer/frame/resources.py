@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
+from renderer.frame.detail import DetailLevels, DetailLimit
 from renderer.frame.hidden_objects import HiddenObjects
+from renderer.frame.instance_sets import InstanceSets
 from renderer.frame.local_lights import LocalLightBuffers, Views
 from renderer.frame.mirrors import (
     MirroredArray,
@@ -61,6 +63,7 @@ from rhi import (
     Program,
     State,
     StorageBuffer,
+    Texture,
     UniformBuffer,
     refuse,
 )
@@ -92,7 +95,9 @@ class SceneResources:
 
     Attributes:
         mesh: all meshes in one.
-        draws: (n,) of `rhi.DRAW`, one for each object.
+        draws: (n,) of `rhi.DRAW`, one for each object, and behind them those of levels of detail.
+        levels: these levels; None if no mesh has any.
+        detail_limit: the limit of their error in this frame, None for full meshes.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its
             triangles.
         group: (n,) the number of each object's group: objects of one group are drawn with the same program
@@ -104,6 +109,7 @@ class SceneResources:
             their `draws` have as many as there can be, and unused ones are empty.
         tessellations: how often triangles were chosen.
         indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
+        detail_error: the largest error of levels of detail in pixels, and in texels of shadow maps; 0 for none.
         light_cutoff: the irradiance at which local lights end; 0 for none (`Lights.cut`).
         images: the scene's images; None if no material reads any.
         objects, object_positions, materials, directional, light_list: the arrays that shaders read.
@@ -116,6 +122,10 @@ class SceneResources:
         turned: the surfaces that may show a view only their backs, and then aren't drawn.
         resume: brings paused height fields to this frame's view, given object indices that include theirs.
     """
+
+    light_cutoff = 0.0
+    detail_error = 0.0
+    detail_limit: DetailLimit | None = None
 
     def __init__(
         self,
@@ -151,7 +161,6 @@ class SceneResources:
         )  # by object, the state of the vertices on the device
         self._device = device
         self._material_version = -1  # that of the materials on the device
-        self.light_cutoff = 0.0
         self._chosen_lights: tuple[object, Lights] = (None, scene.lights)  # and what they were chosen from
         objects = scene.objects
         computed = [
@@ -168,6 +177,7 @@ class SceneResources:
             self._is_computed[np.concatenate(computed)] = True
             self._stack.callback(self._release_all)
         self.mesh: Mesh = self._make_mesh(device, scene)
+        self.levels = DetailLevels(scene) if len(scene.meshes.level_ranges) else None
         self.tessellations = 0
         self.draws = self._make_draws()
         self.tessellated_indices: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
@@ -195,7 +205,7 @@ class SceneResources:
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._object_positions: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
-        self._object_positions["mesh"] = objects.mesh
+        self._instance_sets = keep(InstanceSets(device, objects.mesh))
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.transparent_indices: NDArray[np.int64] = np.zeros(0, np.int64)
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
@@ -222,19 +232,30 @@ class SceneResources:
     def _make_draws(self) -> NDArray[Any]:
         """Draw arguments of each object."""
         ranges = self.scene.meshes.ranges[self.scene.objects.mesh]
-        return self.mesh.draws(
+        draws = self.mesh.draws(
             ranges["first_index"],
             ranges["index_count"],
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(ranges)),
         )
+        return draws if self.levels is None else self.levels.list_draws(draws)
+
+    def select_draws(self, object_indices: NDArray[np.int64], limit: DetailLimit | None) -> NDArray[np.int64]:
+        """The indices in `draws` (k,) of what objects (k,) are drawn as within a limit of the error: all of their
+        meshes without one."""
+        if limit is None or self.levels is None:
+            return object_indices
+        return self.levels.select(object_indices, limit)
 
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
         """Create the mesh of all meshes. The device writes indices of height fields, and vertices of some
         simulations."""
         meshes = scene.meshes
         vertices: NDArray[Any] | Buffer = meshes.vertices
-        indices: NDArray[Any] | Buffer = meshes.indices
+        every_index: NDArray[np.uint32] = meshes.indices
+        if len(meshes.level_ranges):
+            every_index = np.concatenate([meshes.indices, meshes.level_indices])
+        indices: NDArray[Any] | Buffer = every_index
         is_streamed = self.upload_settings is not None
         if self._is_computed is not None or is_streamed:
             vertices = self._keep(_make_buffer(device, meshes.vertices, is_streamed, "vertices"))
@@ -242,7 +263,9 @@ class SceneResources:
             assert isinstance(vertices, Buffer)
             self._vertex_floats = device.storage(float, vertices)
         if scene.height_fields or is_streamed:
-            indices = self._keep(_make_buffer(device, meshes.indices, is_streamed, "indices"))
+            indices = self._keep(_make_buffer(device, every_index, is_streamed, "indices"))
+            if is_streamed and len(meshes.level_ranges):
+                indices.write(meshes.level_indices, len(meshes.indices))
         if scene.height_fields:
             assert isinstance(indices, Buffer)
             self.indices = device.storage(uint, indices)
@@ -255,9 +278,12 @@ class SceneResources:
         draws = self.draws[self.tessellated_indices].view(DrawArguments.dtype)
         return self._keep(self._device.storage(DrawArguments, draws, label="height field draws"))
 
-    def count_triangles(self, object_indices: NDArray[np.int64]) -> int:
-        """Number of triangles of the objects `object_indices` (k,). For height fields it is the last
-        view's, which is read back from the device."""
+    def count_triangles(self, object_indices: NDArray[np.int64], limit: DetailLimit | None = None) -> int:
+        """Number of triangles of the objects `object_indices` (k,), drawn within a limit of the error. For height
+        fields it is the last view's, which is read back from the device."""
+        if limit is not None and self.levels is not None:  # there are no height fields
+            draws = self.draws[self.select_draws(object_indices, limit)]
+            return int(draws["count"].sum(dtype=np.int64)) // 3
         is_tessellated = np.isin(object_indices, self.tessellated_indices)
         if not is_tessellated.any():
             return self.scene.count_triangles(object_indices)
@@ -272,15 +298,17 @@ class SceneResources:
         program: Program[...],
         bindings: dict[str, Any],
         object_indices: NDArray[np.int64],
+        limit: DetailLimit | None,
     ) -> None:
-        """Draw objects in one call, plus one for each height field."""
+        """Draw objects in one call within a limit of the error, plus one for each height field."""
         if len(self.tessellated_indices):
             is_tessellated = np.isin(object_indices, self.tessellated_indices)
             for object_index in object_indices[is_tessellated].tolist():
                 self.draw_tessellated(device, program, bindings, object_index)
             object_indices = object_indices[~is_tessellated]
         if len(object_indices):
-            device.draw_many(program, self.mesh, self.draws[object_indices], **bindings)
+            draws = self.draws[self.select_draws(object_indices, limit)]
+            device.draw_many(program, self.mesh, draws, **bindings)
 
     def draw_tessellated(
         self, encoder: Encoder, program: Program[...], bindings: dict[str, Any], object_index: int
@@ -325,7 +353,8 @@ class SceneResources:
         objects, object_positions = self.objects.buffer, self.object_positions.buffer
         assert objects is not None, "a scene has at least one object"
         assert object_positions is not None
-        return SceneArrays(view, objects, object_positions, self.mesh_parts)
+        sets = self._instance_sets.update(self.group)
+        return SceneArrays(view, objects, object_positions, self.mesh_parts, *sets)
 
     def simulate(
         self,
@@ -448,6 +477,11 @@ class SceneResources:
         scene's `shaders`."""
         return any(group // len(DRAW_GROUPS) == number for group in self.groups)
 
+    @property
+    def source_shapes(self) -> Texture | None:
+        """The shapes of lights that are rectangles or tubes; None without any."""
+        return self._local_lights.shapes.texture
+
     def select_group(self, object_indices: NDArray[np.int64], number: int) -> slice | NDArray[np.bool_]:
         """Index into `object_indices` of the objects of a group. A scene with one group needs no test."""
         return slice(None) if len(self.groups) == 1 else self.group[object_indices] == number
@@ -530,9 +564,8 @@ class SceneResources:
             scene.materials["double_sided"][objects.material] != 0,
         )
         shader = scene.materials["shader"][objects.material]
-        has_others = not np.array_equal(objects.mesh, self._object_positions["mesh"])
+        has_others = self._instance_sets.follow(objects.mesh)
         if has_others:
-            self._object_positions["mesh"] = objects.mesh
             self.draws = self._make_draws()
         if not has_others and all(
             np.array_equal(new, old)
@@ -567,6 +600,7 @@ class SceneResources:
             self.mirrored + 2 * self._has_two_sides.astype(np.int32) + len(DRAW_GROUPS) * self._shader
         )
         self.groups = tuple(np.unique(self.group).tolist())
+        self._instance_sets.forget()
 
     def _transform(self, object_indices: NDArray[np.int64]) -> None:
         """Update the elements of the arrays that hold the transforms of the objects `object_indices`."""
@@ -586,6 +620,7 @@ class SceneResources:
         positions = self._object_positions[object_indices]
         positions["high"], positions["low"] = split_doubles(world[:, :3, 3])
         positions["draw_list"] = self._find_lists(object_indices)
+        positions["object_index"] = object_indices
         self._object_positions[object_indices] = positions
 
     def _list_lights(self) -> bool:

@@ -76,11 +76,21 @@ def count_positions(call: str, position: ArrayLike) -> int:
     return len(positions)
 
 
+def check_side(call: str, name: str, value: ArrayLike) -> float:
+    """A side of a source in metres: a finite number, 0 or more."""
+    return float(_check_numbers(call, name, value, (1,), minimum=0.0)[0])
+
+
+def check_direction(call: str, name: str, value: ArrayLike) -> Floats:
+    """The unit vector (3,) along a direction."""
+    return np.asarray(_normalize(call, _check_numbers(call, name, value, (1, 3)), name)[0])
+
+
 def _check_related_fields(
     call: str, fields: Container[str], values: Mapping[str, Any] | NDArray[Any]
 ) -> None:
-    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, sources (k,) that are too wide, and radii of
-    sources (k,) above the ranges: a light ends at its range from the centre."""
+    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, sources (k,) that are too wide, and sources (k,)
+    beyond the ranges: a light ends at its range from the centre."""
     columns: Any = values
     if "source_radius" in fields:
         radii, ranges = columns["source_radius"], columns["range"]
@@ -89,6 +99,8 @@ def _check_related_fields(
             value = _describe(allowed, lambda index: f"source_radius={radii[index]}, range={ranges[index]}")
             tip = "let the light reach farther than its source"
             refuse(rules.BAD_LIGHT, call, value, "source_radius <= range", tip)
+    if "source_right" in fields:
+        _check_shapes(call, fields, columns)
     if "angular_diameter" in fields:
         diameters = columns["angular_diameter"]
         allowed = diameters <= WIDEST_SOURCE
@@ -103,9 +115,31 @@ def _check_related_fields(
             refuse(rules.BAD_LIGHT, call, value, "0 <= inner <= outer <= pi")
 
 
-def _check_numbers(call: str, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
+def _check_shapes(call: str, fields: Container[str], columns: Any) -> None:
+    """Refuse rectangles (k,) whose sides aren't at right angles, and sources that reach beyond the range."""
+    right = np.asarray(columns["source_right"], np.float64)
+    up = np.asarray(columns["source_up"], np.float64) if "source_up" in fields else np.zeros_like(right)
+    length, height = np.linalg.norm(right, axis=1), np.linalg.norm(up, axis=1)
+    slant = np.abs((right * up).sum(axis=1))
+    allowed = (slant <= _OFF_UNIT * length * height) & ((height == 0.0) | (length > 0.0))
+    if not allowed.all():
+        value = _describe(allowed, lambda index: f"source_right={right[index]}, source_up={up[index]}")
+        refuse(rules.BAD_LIGHT, call, value, "sides at right angles, or source_up = 0 for a tube")
+    ranges = np.asarray(columns["range"], np.float64)
+    radii = np.where(height > 0.0, 0.0, np.asarray(columns["source_radius"], np.float64))
+    extent = np.sqrt(length**2 + height**2 + radii**2)
+    allowed = (extent <= ranges * (1.0 + _ROUNDING)) | (length == 0.0)
+    if not allowed.all():
+        value = _describe(allowed, lambda index: f"a source of {extent[index]:g} m, range={ranges[index]}")
+        tip = "let the light reach farther than its source"
+        refuse(rules.BAD_LIGHT, call, value, "half the diagonal or axis <= range", tip)
+
+
+def _check_numbers(
+    call: str, name: str, value: ArrayLike, shape: tuple[int, ...], *, minimum: float = -np.inf
+) -> Floats:
     """Finite numbers of `shape`, (k,) or (k, 3), from a `value` for each light or one for all."""
-    minimum = 0.0 if name in _NON_NEGATIVE else -np.inf
+    minimum = 0.0 if name in _NON_NEGATIVE else minimum
     numbers = read_floats(f"{call}({name}=...)", value, rule=rules.BAD_LIGHT)
     expected = "a finite number" if len(shape) == 1 else "three finite numbers"
     if minimum >= 0.0:
@@ -123,12 +157,12 @@ def _check_numbers(call: str, name: str, value: ArrayLike, shape: tuple[int, ...
     return by_light
 
 
-def _normalize(call: str, directions: Floats) -> Floats:
+def _normalize(call: str, directions: Floats, name: str = "direction") -> Floats:
     """Unit vectors (k, 3) along directions."""
     allowed = np.asarray(directions.any(1))
     if not allowed.all():
         value = _describe(allowed, lambda light_index: f"{directions[light_index]}")
-        refuse(rules.BAD_LIGHT, f"{call}(direction=...)", value, "three finite numbers, not all 0")
+        refuse(rules.BAD_LIGHT, f"{call}({name}=...)", value, "three finite numbers, not all 0")
     scaled = directions / np.abs(directions).max(axis=1, keepdims=True)  # no under- or overflow
     units = np.asarray(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
     is_unit = np.abs(units - directions).max(axis=1, keepdims=True) <= _ROUNDING

@@ -73,6 +73,11 @@ class LightKind:
         return "direction" in (self.dtype.names or ())
 
     @property
+    def has_shapes(self) -> bool:
+        """True if the sources of the lights may be rectangles and tubes."""
+        return "source_right" in (self.dtype.names or ())
+
+    @property
     def has_range(self) -> bool:
         """True if the lights have a position and end at their range from it."""
         return "range" in (self.dtype.names or ())

@@ -38,6 +38,7 @@ from renderer.scene.meshes import RANGE as RANGE
 from renderer.scene.meshes import VERTEX as VERTEX
 from renderer.scene.meshes import Meshes as Meshes
 from renderer.scene.meshes import MeshGeometry as MeshGeometry
+from renderer.scene.meshes import MeshLevel as MeshLevel
 from renderer.scene.meshes import list_attributes as list_attributes
 from renderer.scene.meshes import make_geometry as make_geometry
 from renderer.scene.meshes import vertex_format as vertex_format
@@ -59,6 +60,7 @@ from renderer.scene.rigs import measure_parallax as measure_parallax
 from renderer.scene.scene import ObjectHandle as ObjectHandle
 from renderer.scene.scene import Scene as Scene
 from renderer.scene.scene import SceneBuilder as SceneBuilder
+from renderer.scene.simplification import simplify as simplify
 from renderer.scene.simulation import AdvanceResult as AdvanceResult
 from renderer.scene.simulation import DeformedObjects as DeformedObjects
 from renderer.scene.simulation import DeviceVertexSimulation as DeviceVertexSimulation

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.light_kinds.kind import LightKind
+from renderer.light_kinds.shapes import turn_sides
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.lights import Lights
 from renderer.scene.nodes import Nodes
@@ -47,7 +48,8 @@ def orthonormalize_axes(world: Floats) -> Floats | None:
 class AttachedLights:
     """Lights `indices` (k,) of the kind named `kind_name` at the rows `nodes` (k,).
 
-    `positions` and `directions` (k, 3) are in the space of the node; zeros where the kind has none.
+    `positions` and `directions` (k, 3), and `sides` (k, 2, 3) of sources that are rectangles or tubes, are in the
+    space of the node; zeros where the kind has none.
     """
 
     kind_name: str  # scenes travel between processes, kinds don't
@@ -55,6 +57,7 @@ class AttachedLights:
     nodes: Indices
     positions: Floats
     directions: Floats
+    sides: Floats
 
     @classmethod
     def read(cls, kind: LightKind, lights: Lights, indices: Indices, nodes: Indices) -> AttachedLights:
@@ -67,6 +70,9 @@ class AttachedLights:
             nodes,
             rows["position"].astype(np.float64) if kind.has_range else nowhere,
             rows["direction"].astype(np.float64) if kind.has_direction else nowhere,
+            np.stack([rows["source_right"], rows["source_up"]], axis=1).astype(np.float64)
+            if kind.has_shapes
+            else np.zeros((len(indices), 2, 3)),
         )
 
     def follow(self, nodes: Nodes, lights: Lights) -> None:
@@ -83,6 +89,9 @@ class AttachedLights:
             lengths = np.linalg.norm(directions, axis=1)
             is_long = lengths >= _SHORTEST
             array["direction"][indices[is_long]] = directions[is_long] / lengths[is_long, None]
+        if self.sides.any():
+            right, up = turn_sides(worlds[:, :3, :3], self.sides[is_there])
+            array["source_right"][indices], array["source_up"][indices] = right, up
 
     def _read_array(self, lights: Lights) -> NDArray[Any]:
         array: NDArray[Any] = getattr(lights, self.kind_name)

@@ -3,8 +3,9 @@ eye.
 
 A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range, so
 that a light has a volume outside which it can be ignored. Its light comes from a point, or from a sphere of
-`source_radius` metres around it. A spot light fades from its inner to its outer half angle. Ambient light is
-a hemisphere: sky colour from above, ground colour from below.
+`source_radius` metres around it; point lights may be rectangles and tubes, too (`renderer.light_kinds.shapes`).
+A spot light fades from its inner to its outer half angle. Ambient light is a hemisphere: sky colour from above,
+ground colour from below.
 
 No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadows` for all of them).
 """
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer.light_kinds.kind import LightKind
+from renderer.light_kinds.shapes import measure_extent
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS, AllLightArrays
 from renderer.scene.arrays import Floats
 from renderer.scene.negligible import LEAST_LIGHT
@@ -102,6 +104,8 @@ class Lights(AllLightArrays):
             lights = self.of_kind(kind).copy()
             brightest = lights["intensity"].astype(np.float64) * lights["color"].max(axis=1, initial=0.0)
             farthest = np.maximum(np.sqrt(brightest / cutoff), lights["source_radius"])
+            if kind.has_shapes:  # the range is that from the middle
+                farthest += measure_extent(lights)
             lights["range"] = np.minimum(lights["range"], farthest)
             setattr(shorter, kind.name, lights)
         shorter.refresh()

@@ -156,6 +156,19 @@ class MeshGeometry:
         )
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class MeshLevel:
+    """A simplified version of a mesh: other triangles between the same vertices.
+
+    Attributes:
+        indices: (3 * triangles,) uint32.
+        error: no point of the mesh is farther than this from the level, and none of the level from the mesh.
+    """
+
+    indices: NDArray[np.uint32]
+    error: float
+
+
 def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
     """Join several meshes to one, which has the attributes of all of them."""
     attributes: frozenset[str] = frozenset().union(*(part.attributes for part in parts))
@@ -284,6 +297,11 @@ class Meshes:
         ranges: (m,) of `RANGE`.
         lower, upper: (m, 3) float64, local bounds.
         names: the names of the meshes, m of them.
+        level_indices: (l,) uint32, the indices of all simplified versions, as `indices`.
+        level_ranges: (k,) of `RANGE`, the parts of `level_indices`; those of mesh i are from `level_begins[i]`
+            to `level_begins[i + 1]`, ever coarser.
+        level_errors: (m, most levels) float64, the bound of each level's distance from its mesh, infinite
+            where there is none.
         with_tangents: the meshes that had tangents, which normal maps need; others have the same for all
             vertices.
     """
@@ -293,8 +311,10 @@ class Meshes:
         geometries: Sequence[MeshGeometry],
         names: Sequence[str],
         bounds: Sequence[MeshBounds | None] = (),
+        levels: Sequence[Sequence[MeshLevel]] = (),
     ) -> None:
-        """`bounds` that aren't None replace those of the geometries, for meshes that change."""
+        """`bounds` that aren't None replace those of the geometries, for meshes that change; `levels` are the
+        simplified versions of each mesh."""
         count = len(geometries)
         attributes: frozenset[str] = frozenset().union(*(g.attributes for g in geometries))
         self.with_tangents = frozenset(i for i, g in enumerate(geometries) if "tangent" in g.attributes)
@@ -318,10 +338,27 @@ class Meshes:
         self.lower: Floats = corners[:, 0]
         self.upper: Floats = corners[:, 1]
         self.names: tuple[str, ...] = tuple(names)
+        self._list_levels(levels or [()] * count)
         self._layers: dict[int, int] = {}  # of meshes whose layers were counted
         self._flat: dict[int, bool] = {}  # of meshes that were asked about
         for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
             array.flags.writeable = False
+
+    def _list_levels(self, levels: Sequence[Sequence[MeshLevel]]) -> None:
+        """Put the levels of all meshes into shared arrays."""
+        counts = [len(of_mesh) for of_mesh in levels]
+        every = [level for of_mesh in levels for level in of_mesh]
+        self.level_begins: NDArray[np.int64] = np.cumsum([0, *counts])
+        self.level_errors: Floats = np.full((len(levels), max(counts, default=0)), np.inf)
+        for row, of_mesh in zip(self.level_errors, levels, strict=True):
+            row[: len(of_mesh)] = [level.error for level in of_mesh]
+        self.level_indices: NDArray[np.uint32] = np.concatenate(
+            [np.zeros(0, np.uint32), *(level.indices for level in every)]
+        )
+        self.level_ranges: NDArray[Any] = np.zeros(len(every), RANGE)
+        self.level_ranges["index_count"] = [len(level.indices) for level in every]
+        ends = np.cumsum(self.level_ranges["index_count"], dtype=np.uint32)
+        self.level_ranges["first_index"] = ends - self.level_ranges["index_count"]
 
     def __len__(self) -> int:
         return len(self.ranges)

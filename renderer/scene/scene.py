@@ -64,6 +64,7 @@ from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
 from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import CameraPath
+from renderer.scene.simplification import simplify
 from renderer.scene.simulation import (
     FunctionOfTime,
     ObjectSimulation,
@@ -610,6 +611,7 @@ class SceneBuilder:
         self.files: list[Path] = []
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
+        self._level_counts: list[int] = []
         self._height_fields: dict[int, HeightField] = {}  # by mesh
         self._mesh_names: list[str] = []
         self._table = MaterialTable()
@@ -632,11 +634,21 @@ class SceneBuilder:
         self._attached_lights: list[tuple[LightKind, Indices, Indices]] = []
         self._attached_views: dict[str, int] = {}
 
-    def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
+    def add_mesh(
+        self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None, *, levels: int = 0
+    ) -> int:
         """Add a mesh and return its id: the same as before for a mesh without `bounds` that was added before.
 
-        The vertices of a simulated mesh must never leave its `bounds`.
+        Args:
+            bounds: the vertices of a simulated mesh must never leave them.
+            levels: up to so many simplified versions are made (`simplify`), which renderers draw where
+                their error is small enough (`Renderer.detail_error`). A mesh with `bounds` has none.
         """
+        levels = rules.check_count(rules.BAD_MESH, "add_mesh(levels=...)", levels, 0)
+        if bounds is not None and levels:
+            refuse(
+                rules.BAD_MESH, "add_mesh(levels=...)", levels, "0, since the mesh has bounds: it may change"
+            )
         if bounds is None and (mesh_id := self._mesh_ids.get(id(geometry))) is not None:
             return mesh_id
         if bounds is not None:
@@ -648,6 +660,7 @@ class SceneBuilder:
         elif id(geometry) not in self._mesh_ids:
             self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)
+        self._level_counts.append(levels)
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
@@ -737,6 +750,7 @@ class SceneBuilder:
             is_mergeable[rows] = False
         is_mergeable &= (materials["alpha_mode"] != AlphaMode.BLEND)[table[:, 2]]
         is_mergeable &= np.array([bounds is None for bounds in self._bounds])[table[:, 1]]
+        is_mergeable &= np.array(self._level_counts)[table[:, 1]] == 0
         is_mergeable &= np.linalg.det(nodes.transforms[table[:, 0], :3, :3]) != 0.0
         keys = [
             (
@@ -778,6 +792,7 @@ class SceneBuilder:
         ids = {int(mesh): number for number, mesh in enumerate(used)}
         self._geometries = [self._geometries[mesh] for mesh in ids]
         self._bounds = [self._bounds[mesh] for mesh in ids]
+        self._level_counts = [self._level_counts[mesh] for mesh in ids]
         self._mesh_names = [self._mesh_names[mesh] for mesh in ids]
         self._mesh_ids = {key: ids[mesh] for key, mesh in self._mesh_ids.items() if mesh in ids}
         self._height_fields = {ids[mesh]: field for mesh, field in self._height_fields.items() if mesh in ids}
@@ -1014,7 +1029,11 @@ class SceneBuilder:
         self._check_simulated(table[:, 1])
         (materials, parameters), textures = self._table.make_arrays(), self._textures.make()
         geometries = self._complete_vertices(table, materials, textures)
-        meshes = Meshes(geometries, self._mesh_names, self._bounds)
+        levels = [
+            simplify(geometry, count) if count else ()
+            for geometry, count in zip(geometries, self._level_counts, strict=True)
+        ]
+        meshes = Meshes(geometries, self._mesh_names, self._bounds, levels)
         animated = nodes.index_of_id[
             np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])
         ]

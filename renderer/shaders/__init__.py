@@ -15,6 +15,7 @@ from renderer.shaders.materials import MaterialShader as MaterialShader
 from renderer.shaders.structs import DRAW_LISTS as DRAW_LISTS
 from renderer.shaders.structs import Ambient as Ambient
 from renderer.shaders.structs import Haze as Haze
+from renderer.shaders.structs import ListEntry as ListEntry
 from renderer.shaders.structs import Material as Material
 from renderer.shaders.structs import MeshPart as MeshPart
 from renderer.shaders.structs import Object as Object

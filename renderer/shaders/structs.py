@@ -69,7 +69,8 @@ TABLE_WIDTH: Final = 64
 
 
 class ObjectPosition(Struct):
-    """An object's world position, `high` + `low` (two floats for each double), and its mesh.
+    """An object's world position, `high` + `low` (two floats for each double), and its index, which lists of draws
+    that the device makes have in another order.
 
     `draw_list` is the part of a list of draws that it is in where the device makes lists, `DRAW_LISTS` for
     each shader of materials: the sum of 1 if its transform mirrors it, which reverses the winding of its
@@ -78,9 +79,16 @@ class ObjectPosition(Struct):
     """
 
     high: vec3
-    mesh: int
+    object_index: int
     low: vec3
     draw_list: int
+
+
+class ListEntry(Struct):
+    """An object that a list of draws may have, and its mesh."""
+
+    object: uint
+    mesh: int
 
 
 class MeshPart(Struct):

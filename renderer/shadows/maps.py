@@ -37,6 +37,7 @@ from renderer.frame import (
     choose_program,
     draw_group_states,
 )
+from renderer.frame.detail import DetailLimit
 from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
 from renderer.frame.resources import DRAW_GROUPS, SceneResources
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS
@@ -218,7 +219,10 @@ class ShadowMaps:
         self._scene: Scene | None = None
         self._needed: MapPlanner | None = None
         self._material_version = -1  # of the materials that the maps show
-        self._used_settings = self.settings
+        self._used_settings: tuple[ShadowSettings, float] = (
+            self.settings,
+            0.0,
+        )  # and the error of levels of detail
         self._maps: dict[MapKey, ShadowMap] = {}
         self._tree = TileAllocator(1)
         self._atlas: Texture | None = None
@@ -296,8 +300,10 @@ class ShadowMaps:
         """
         resources = frame.resources
         scene = resources.scene
-        if self._scene is not scene or self._used_settings != self.settings or self._follow_materials(scene):
+        used_settings = self.settings, resources.detail_error
+        if self._scene is not scene or self._used_settings != used_settings or self._follow_materials(scene):
             self._reset(scene)
+            self._used_settings = used_settings
         assert self._needed is not None
         self.casters_drawn = 0
         self._frame += 1
@@ -587,6 +593,10 @@ class ShadowMaps:
         ):
             for shadow_map, rows in maps:
                 x, y, size = shadow_map.tile
+                assert shadow_map.required is not None
+                limit = DetailLimit.compute(
+                    [shadow_map.required.camera], (size, size), resources.detail_error
+                )
                 for number, (view, viewport, casters) in enumerate(shadow_map.parts(rows)):
                     with device.states(viewport, Scissor(x, y, size, size)):
                         if number == 0:
@@ -602,7 +612,9 @@ class ShadowMaps:
                                 program, bindings = choose_program(programs, group)
                                 bindings = bindings | {"view": view}
                                 with device.states(*draw_group_states(group)):
-                                    resources.draw_objects(device, program, bindings, drawn[groups == group])
+                                    resources.draw_objects(
+                                        device, program, bindings, drawn[groups == group], limit
+                                    )
 
     def _draw_huge(self, resources: SceneResources, shadow_map: ShadowMap, rows: Indices) -> None:
         """Draw those of the casters `rows` that are huge beside a map, cut to it."""
@@ -646,7 +658,6 @@ class ShadowMaps:
         self._widest = float((scene.objects.upper - scene.objects.lower).max(initial=0.0))
         self.coarse_objects.clear()
         self._material_version = scene.material_version
-        self._used_settings = self.settings
 
     def _forget(self, key: MapKey) -> None:
         shadow_map = self._maps.pop(key)

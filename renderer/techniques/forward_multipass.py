@@ -73,7 +73,7 @@ class BasePassShader(ForwardShader):
     object. Light lists aren't used here: their varyings carry the object index."""
 
     def list_lights(self, object_data: Object) -> LightBounds:
-        return LightBounds(self.get_object_index())
+        return LightBounds(self.object_positions[self.get_object_index()].object_index)
 
     def fragment(self, v: SurfaceVarying) -> BaseTexels:  # type: ignore[override]  # more targets
         return BaseTexels(
@@ -242,7 +242,7 @@ def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) 
         return
     pairs: Any = np.zeros(len(objects), LightPair.dtype)
     pairs["object"], pairs["entry"] = objects, entries
-    draws = resources.draws[objects]
+    draws = resources.draws[resources.select_draws(objects, resources.detail_limit)]
     draws["base_instance"] = np.arange(len(objects))
     kinds = {**NO_LOCAL_LIGHTS, f"has_{kind.name}_lights": True}
     programs = bind_programs(
@@ -263,5 +263,5 @@ def _list_visible(frame: Frame) -> Indices:
     if frame.draw_result.is_on_cpu:
         return frame.draw_result.opaque
     resources = frame.resources
-    object_indices = resources.select_in_view(frame.camera, np.arange(len(resources.draws)))
+    object_indices = resources.select_in_view(frame.camera, np.arange(len(resources.scene.objects)))
     return object_indices[~resources.is_transparent[object_indices]]

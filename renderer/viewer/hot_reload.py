@@ -8,6 +8,9 @@
   missing is waited for.
 - **The settings** that were read last.
 
+Scenes that a line names are loaded by a thread (`renderer.viewer.scene_loading`); one whose files were saved is read
+between two frames.
+
 A failure is shown in the frame for as long as the file is faulty, and the last good version keeps drawing.
 """
 
@@ -20,12 +23,14 @@ from traceback import extract_tb
 from typing import Final
 
 from renderer import rules
-from renderer.content import GENERATORS, change_options, load_scene
+from renderer.content import GENERATORS, BackgroundLoad, change_options, load_scene
 from renderer.light_kinds import LIGHT_KINDS
+from renderer.scene import Scene
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
 from renderer.viewer.commands import output_path, parse_number, switch
+from renderer.viewer.scene_loading import SceneLoading
 from renderer.viewer.session import ViewerSession
 from rhi import Reloader, RhiError, ShaderError
 
@@ -42,11 +47,15 @@ class FileReloader:
 
     Attributes:
         wake: called by another thread when a file was saved, so that a frame is drawn soon.
+        loading: the scene that `open_scene` loads.
+        patience: the seconds that `open_scene` waits for it; None: until it is loaded.
     """
 
     def __init__(self, session: ViewerSession, show_message: Callable[[str, bool], None]) -> None:
         """`show_message` is told what is exchanged, and what is wrong."""
         self.wake: Callable[[], object] = lambda: None
+        self.loading = SceneLoading()
+        self.patience: float | None = None
         self._session = session
         self._say = show_message
         self._settings: Path | None = None
@@ -70,7 +79,7 @@ class FileReloader:
             ValidationError: `reload-watch`: watchfiles is missing.
         """
         if not on:
-            self.close()
+            self._stop_watching()
         elif self._reloader is None:
             device = self._session.renderer.device
             reloader = Reloader(device, on_error=self._report, on_save=lambda: self.wake())
@@ -79,22 +88,33 @@ class FileReloader:
                 self._reloader = reloader
                 self._watch_files()
             except BaseException:
-                self.close()
+                self._stop_watching()
                 raise
 
-    def show_scene(self, text: str) -> str:
-        """Show the scene that a text names, from its first view, or the present one with other options
-        (`lights=300`), from here; return its whole text.
+    def open_scene(self, text: str) -> str:
+        """Load and show the scene that a text names, or the present one with other options (`lights=300`), as
+        `show_scene` does; return its whole text, or what is being loaded if that takes longer than `patience`.
+        `update` then shows it.
 
         Raises:
             RhiError: what is wrong with it. Then the present one stays.
         """
+        self.loading.follow(BackgroundLoad(change_options(self._session.scene.name, text)), self.show_scene)
+        return self.loading.wait(self.patience)
+
+    def show_scene(self, scene: Scene) -> str:
+        """Show a scene, from its first view, or from here if it is the present one with other options; return its
+        whole text.
+
+        Raises:
+            RhiError: what refuses to draw it. Then the present one stays.
+        """
         session, before = self._session, self._session.scene.name
-        session.exchange(load_scene(change_options(before, text)))
-        if session.scene.name.partition(":")[0] != before.partition(":")[0]:
-            session.camera = next(iter(session.scene.views.values()))
+        session.exchange(scene)
+        if scene.name.partition(":")[0] != before.partition(":")[0]:
+            session.begin_at(next(iter(scene.views.values())))
         self._watch_files()
-        return session.scene.name
+        return scene.name
 
     def read_settings(self, path: Path) -> None:
         """Draw with the settings of a file, and with what is saved to it later.
@@ -112,7 +132,13 @@ class FileReloader:
         self._watch_files()
 
     def update(self) -> None:
-        """Exchange what was saved. Call it between two frames."""
+        """Show the scene that has been loaded, and exchange what was saved. Call it between two frames."""
+        try:
+            message, is_error = self.loading.update(), False
+        except Exception as error:  # also of a library that reads files
+            message, is_error = describe_fault(error), True
+        if message:
+            self._say(message, is_error)
         reloader = self._reloader
         if reloader is None:
             return
@@ -132,6 +158,11 @@ class FileReloader:
         if reloader.exchanged > before:
             self._say(f"exchanged {reloader.exchanged - before} programs", False)
 
+    def roll_back(self, error: Exception) -> bool:
+        """Use the texts of shaders of the last checkpoint again, if these are watched and `error` may be theirs;
+        return whether any were exchanged (`Reloader.roll_back`)."""
+        return self._reloader is not None and self._reloader.roll_back(error)
+
     def remember_shaders(self) -> None:
         """Keep the texts of shaders that a frame was just drawn with, for a start at which they are at
         fault."""
@@ -139,7 +170,11 @@ class FileReloader:
             self._reloader.checkpoint()
 
     def close(self) -> None:
-        """Stop watching."""
+        """Stop loading and watching."""
+        self.loading.cancel()
+        self._stop_watching()
+
+    def _stop_watching(self) -> None:
         if self._reloader is not None:
             self._reloader.close()
             self._reloader = None
@@ -157,7 +192,7 @@ class FileReloader:
         if path in (
             scene_file.resolve() for scene_file in self._session.scene.files
         ):  # which may be those of another scene by now
-            self.show_scene(self._session.scene.name)
+            self.show_scene(load_scene(self._session.scene.name))
             self._say(f"read {path.name} again", False)
 
     def _read_saved_settings(self, path: Path) -> None:
@@ -192,12 +227,12 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
 
     summary = "show another scene, or this one with other options: lights=300"
     yield ViewerCommand(
-        "scene", summary, file_reloader.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),)
+        "scene", summary, file_reloader.open_scene, (Parameter("TEXT", words=lambda: GENERATORS),)
     )
 
     def lights(number: int | None = None) -> str:
         if number is not None:
-            file_reloader.show_scene(f"lights={number}")
+            file_reloader.show_scene(load_scene(change_options(session.scene.name, f"lights={number}")))
         session.draw_hidden_frame()  # which finds what reaches objects
         lights, (effects, _) = session.scene.lights, session.renderer.plan(session.camera)
         kinds = ", ".join(f"{len(lights.of_kind(kind))} {kind.name}" for kind in LIGHT_KINDS)
@@ -209,7 +244,8 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
 
     def show_objects(number: int | None = None) -> str:
         if number is not None:
-            file_reloader.show_scene(f"{_COUNTS.get(session.scene.name.partition(':')[0], 'count')}={number}")
+            option = _COUNTS.get(session.scene.name.partition(":")[0], "count")
+            file_reloader.show_scene(load_scene(change_options(session.scene.name, f"{option}={number}")))
         objects = session.scene.objects
         return f"{len(objects.node)} objects, {int(objects.is_shown.sum())} of them not hidden"
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.frame import Layer
+from renderer.frame import Layer, UploadSettings
 from renderer.inspection.frame_times import CapturedFrame, capture_frames
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, PathFrame, Scene
@@ -61,6 +61,7 @@ class ViewerSession:
         hit, hit_lines: what was picked, and lines about it.
         folder: commands write only below it; None: anywhere.
         budget: selects the settings of frames, if any; changing settings ends it.
+        uploads: how many bytes of the next scene each frame uploads; None: all before its first frame.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class ViewerSession:
     ) -> None:
         """`show_message` receives unrequested messages, and whether they are errors."""
         self.layers = tuple(layers)
+        self.uploads: UploadSettings | None = None
         self._original = OriginalState(device, scene)
         self.renderer, self._configurator = self._open(device, scene, size, display, self._original)
         self._last_working = display
@@ -120,6 +122,11 @@ class ViewerSession:
         self._result = None  # its rows are those of the old scene
         self.clear()
 
+    def restart(self) -> None:
+        """Begin at the beginning of the scene's time, and count frames from now on."""
+        self.seconds = 0.0
+        self.counter = FrameCounter()
+
     def _open(
         self,
         device: Device,
@@ -130,7 +137,9 @@ class ViewerSession:
     ) -> tuple[Renderer, Configurator]:
         with ExitStack() as stack:
             textures = display.settings.textures
-            renderer = Renderer(device, scene, visibility="none", size=size, textures=textures)
+            renderer = Renderer(
+                device, scene, visibility="none", size=size, textures=textures, uploads=self.uploads
+            )
             stack.callback(renderer.destroy)
             configurator = Configurator(renderer, display, original, self.layers)
             stack.pop_all()
@@ -160,6 +169,11 @@ class ViewerSession:
         else:
             self.controller = Fly(camera, speed)
 
+    def begin_at(self, camera: Camera) -> None:
+        """Fly from a camera, at a speed that suits the scene."""
+        self.replay = None
+        self.controller = Fly(camera, suitable_speed(self.scene))
+
     def drive(self, name: str) -> None:
         """Fly or orbit from here. An orbit is around what was picked, or what is in the middle of the image,
         or the scene."""
@@ -179,8 +193,15 @@ class ViewerSession:
             or self._recorder is not None
             or (len(self.renderer.simulator.simulations) > 0 and not self.is_paused)
             or self.renderer.is_trying
+            or self.is_uploading
             or self.display.overlay
         )
+
+    @property
+    def is_uploading(self) -> bool:
+        """True until all of the scene is on the device."""
+        uploads = self.renderer.uploads
+        return uploads is not None and not uploads.is_done
 
     # -- display settings ------------------------------------------------------------------------------------
 

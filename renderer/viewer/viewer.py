@@ -95,6 +95,7 @@ class Viewer:
         self._pointer: tuple[int, int] | None = None
         self._typed = ""  # a key that may be a character, until a character event says which one
         self._notes: deque[tuple[float, str, bool]] = deque(maxlen=_NOTES)
+        self._progress = ""  # of loading, in the latest frame
 
     # -- events ----------------------------------------------------------------------------------------------
 
@@ -105,9 +106,16 @@ class Viewer:
             self.session.is_moving
             or self._gestures.has_pressed_keys
             or self.gamepads.is_pushed
-            or self._queue
+            or (self._queue and not self.is_loading)
             or self._notes
+            or (self._progress and not self.is_loading)  # which the next frame doesn't show any more
         )
+
+    @property
+    def is_loading(self) -> bool:
+        """True while a scene is being loaded. Scripts and lines from the socket wait until all of it is on the
+        device."""
+        return self.file_reloader.loading.is_loading
 
     def handle(self, event: Event) -> None:
         """Handle an event of rendercanvas or of a game controller (`rhi_screen.gamepads`). Events that it doesn't
@@ -298,14 +306,18 @@ class Viewer:
 
     def _run_waiting(self, now: float) -> None:
         """Run the lines received over the socket, and the lines of scripts until one waits."""
-        if self._server is not None:
+        if self._server is not None and not self._waits:
             self._server.poll()
         for _ in range(_BATCH):
-            if not self._queue or now < self._resume or self.is_over:
+            if not self._queue or now < self._resume or self.is_over or self._waits:
                 return
             line = self._queue.popleft()
             if line.strip():
                 self.run(line)
+
+    @property
+    def _waits(self) -> bool:
+        return self.is_loading or self.session.is_uploading
 
     # -- frames ----------------------------------------------------------------------------------------------
 
@@ -348,9 +360,17 @@ class Viewer:
         limited = np.clip(push + stick_push, -FAST_FACTOR, FAST_FACTOR)
         return limited, np.clip(turn + stick_turn, -1.0, 1.0)
 
+    def _describe_loading(self) -> str:
+        uploads = self.session.renderer.uploads
+        if self.is_loading:
+            return self.file_reloader.loading.describe()
+        return f"uploading {uploads.progress.fraction:.0%}" if uploads and self.session.is_uploading else ""
+
     def _describe(self) -> InterfaceState:
         session = self.session
         words = [session.counter.describe(), session.display.describe()]
+        self._progress = self._describe_loading()
+        words += filter(None, [self._progress])
         if session.budget is not None:
             words.append(session.budget.describe())
         if session.is_recording:

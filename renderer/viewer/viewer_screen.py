@@ -1,24 +1,27 @@
 """A viewer on a screen: in a window, a notebook, a browser page.
 
-Frames are drawn only while something moves, and after each event. While lines may come over a socket, ten a
-second are drawn at least.
+Frames are drawn only while something moves, and after each event. While lines may come over a socket, or a scene is
+being loaded, ten a second are drawn at least.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from renderer import rules
-from renderer.content import load_scene
+from renderer.content import BackgroundLoad
+from renderer.frame import UploadSettings
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
 from renderer.viewer.commands import switch
 from renderer.viewer.display_settings import DisplaySettings
+from renderer.viewer.scene_loading import make_placeholder
 from renderer.viewer.viewer import Viewer
 from rhi import Reloader, RhiError, Texture
 from rhi.errors import DeviceError
@@ -30,7 +33,10 @@ from rhi_screen.rules import INSTALL, SCREEN_MISSING
 if TYPE_CHECKING:
     from renderer.viewer.panel import Panel
 
-_LISTENING: Final = 10.0  # frames a second
+_WAITING: Final = 10.0
+"""Frames a second, at least, while lines may come over a socket or a scene is being loaded."""
+_PATIENCE: Final = 0.1
+"""Seconds without a frame in which a scene may be loaded."""
 
 
 class ViewerScreen:
@@ -52,6 +58,11 @@ class ViewerScreen:
         self.end_after: int | None = None
         self.panel: Panel | None = None
         self._is_closed = False
+        self._is_listening = False
+        self._rate = 0.0
+        self._error: Exception | None = None
+        viewer.file_reloader.patience = _PATIENCE
+        viewer.session.uploads = UploadSettings()
         viewer.session.renderer.show = self._show
         viewer.set_size = self._set_size
         viewer.gamepads = screen.gamepads
@@ -69,28 +80,74 @@ class ViewerScreen:
         screen.canvas.request_draw(self.draw)
 
     def run(self) -> None:
-        """Run the screen's loop until its canvas is closed."""
+        """Run the screen's loop until its canvas is closed; an error of `draw` ends it and is raised."""
         self.screen.run(self.draw)
+
+    def follow_load(
+        self,
+        load: BackgroundLoad,
+        begin: Callable[[ViewerScreen], object] | None = None,
+        camera: Camera | None = None,
+    ) -> None:
+        """Show a scene, once it is loaded, from a camera, by default its first view, at the beginning of its time,
+        and call `begin` before its first frame. If anything fails, `draw` raises it."""
+        reloader, session = self.viewer.file_reloader, self.viewer.session
+
+        def show(scene: Scene) -> str:
+            try:
+                reloader.show_scene(scene)
+            except Exception as error:  # maybe of a shader
+                if not reloader.roll_back(error):
+                    raise
+                reloader.show_scene(scene)
+            session.begin_at(camera or next(iter(scene.views.values())))
+            session.restart()
+            if begin is not None:
+                begin(self)
+            return ""
+
+        def fail(error: Exception) -> None:
+            self._error = error
+
+        reloader.loading.follow(load, show, fail)
+        self._request_next()
 
     def listen(self, port: int, folder: Path | None = None) -> int:
         """Run the lines that come over a socket (`Viewer.listen`); return the port."""
         port = self.viewer.listen(port, folder)
-        self.screen.canvas.set_update_mode("ondemand", min_fps=_LISTENING)
+        self._is_listening = True
+        self._request_next()
         return port
 
     def draw(self) -> None:
-        """Draw and show a frame; the canvas calls this."""
+        """Draw and show a frame; the canvas calls this.
+
+        Raises:
+            Exception: why the scene of `follow_load` can't be shown.
+        """
         viewer, canvas = self.viewer, self.screen.canvas
         viewer.resize(self.screen.size, canvas.get_pixel_ratio())
         self.screen.gamepads.poll()
         if self.panel is not None:
             self.panel.apply_changes()
         viewer.draw()
+        if self._error is not None:
+            raise self._error
         self.frames += 1
-        needs_frame = self.panel is not None and self.panel.needs_frame
         if viewer.is_over or self.frames == self.end_after:
             canvas.close()
-        elif viewer.is_moving or needs_frame or self.end_after is not None:
+        else:
+            self._request_next()
+
+    def _request_next(self) -> None:
+        """Request the next frame if it may differ, and set how long the canvas waits for another reason."""
+        viewer, canvas = self.viewer, self.screen.canvas
+        rate = _WAITING if self._is_listening or viewer.is_loading else 0.0
+        if rate != self._rate:
+            self._rate = rate
+            canvas.set_update_mode("ondemand", min_fps=rate)
+        needs_frame = self.panel is not None and self.panel.needs_frame
+        if viewer.is_moving or needs_frame or self.end_after is not None:
             canvas.request_draw()
 
     def _show(self, image: Texture) -> None:
@@ -180,6 +237,7 @@ def open_viewer(
     camera: Camera | None = None,
     settings: str | Path | None = None,
     reload: bool = True,
+    begin: Callable[[ViewerScreen], object] | None = None,
     **options: Any,
 ) -> ViewerScreen:
     """Open a screen that shows a scene.
@@ -194,26 +252,32 @@ def open_viewer(
         reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are
             saved, and shaders that can't be drawn with at the beginning are as they were when a viewer has
             drawn last.
+        begin: called before the scene's first frame. With it, a scene that takes long to load is loaded while
+            frames show the progress (`ViewerScreen.follow_load`).
         options: those of `rhi_screen.open_screen`.
 
     Raises:
         DeviceError: what is missing, and what to install.
+        RhiError: what is wrong with the scene, if that is known before the first frame.
     """
+    load: BackgroundLoad | None = None
     if isinstance(scene, str):
-        scene = load_scene(scene)
+        load = BackgroundLoad(scene)
+        loaded = load.wait(None if begin is None else _PATIENCE)
+        scene, load = (make_placeholder(scene), load) if loaded is None else (loaded, None)
     display = display or DisplaySettings()
     if settings is not None:
         display = display.change(settings=RenderSettings.load(Path(settings)))
     backend = backend or os.environ.get("RHI_BACKEND") or "gl"
     screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
     try:
-        begin = partial(Viewer, screen.device, scene, size=screen.size, display=display, camera=camera)
+        make_viewer = partial(Viewer, screen.device, scene, size=screen.size, display=display, camera=camera)
         try:
-            viewer = begin()
+            viewer = make_viewer()
         except Exception as error:  # maybe of a shader
             if not reload or not Reloader(screen.device).roll_back(error):
                 raise
-            viewer = begin()
+            viewer = make_viewer()
         if settings is not None:
             viewer.file_reloader.note_settings(Path(settings))
         if reload:
@@ -221,10 +285,15 @@ def open_viewer(
                 viewer.file_reloader.watch(True)
             except RhiError as error:  # the image is shown without it
                 viewer.show_message(rules.describe(error))
+        viewer_screen = ViewerScreen(viewer, screen)
+        if load is not None:
+            viewer_screen.follow_load(load, begin, camera)
+        elif begin is not None:
+            begin(viewer_screen)
     except BaseException:
         screen.close()
         raise
-    return ViewerScreen(viewer, screen)
+    return viewer_screen
 
 
 def view(scene: Scene | str, backend: str | None = None, **options: Any) -> Any:

@@ -18,9 +18,10 @@ from typing import NoReturn, Protocol
 from renderer import rules
 from renderer.scene import Camera
 from renderer.scene.arrays import Indices
-from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants
-from rhi import Encoder, IndirectDraws, QuerySet, Readback, Texture, refuse
-from rhi.shading import StorageRange, UniformRange
+from renderer.shaders import ListEntry, MeshPart, Object, ObjectPosition, ViewConstants
+from renderer.visibility.boxes.bounds import UNKNOWN_SIZE
+from rhi import Encoder, IndirectDraws, QuerySet, Readback, StorageBuffer, Texture, refuse
+from rhi.shading import StorageRange, UniformRange, uint
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +29,17 @@ class SceneArrays:
     """The buffers of a scene on a device, as shaders read them.
 
     An object is an element of `objects` and of `object_positions`; its index is the base instance of its
-    draw. A mesh is an element of `mesh_parts`.
+    draw. A mesh is an element of `mesh_parts`, and that of an object is in `object_meshes`. The objects of an
+    instance set are neighbours in `list_entries`, from one of `set_begins` to the next.
     """
 
     view: UniformRange[ViewConstants]
     objects: StorageRange[Object]
     object_positions: StorageRange[ObjectPosition]
     mesh_parts: StorageRange[MeshPart]
+    object_meshes: StorageRange[int]
+    list_entries: StorageRange[ListEntry]
+    set_begins: StorageRange[uint]
 
 
 class DeviceDrawList(Protocol):
@@ -42,9 +47,12 @@ class DeviceDrawList(Protocol):
 
     Attributes:
         generation: how often the list was made; a different number means a different list.
+        objects, object_positions: those of the scene that the draws' instances read.
     """
 
     generation: int
+    objects: StorageBuffer[Object]
+    object_positions: StorageBuffer[ObjectPosition]
 
     def arguments(self, part: int) -> IndirectDraws:
         """Return the draws of the objects whose `ObjectPosition.draw_list` is `part`."""
@@ -79,6 +87,11 @@ class SceneDrawer(Protocol):
     @property
     def depth(self) -> Texture:
         """The depth target. It may be read, or used in another pass, while this pass is closed."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The width and the height of the image in pixels."""
         ...
 
     @property
@@ -145,6 +158,11 @@ class CallbackDrawer:
     def depth(self) -> Texture:
         """Refused: there is no target."""
         self._refuse("depth")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The size of an image of many pixels: there is no target."""
+        return UNKNOWN_SIZE
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -79,7 +79,9 @@ class SoftwareDepth:
         self._depth.render(camera, occluders, size)
 
         objects = self._scene.objects
-        lower, upper, far = pad_boxes(camera, objects.lower[object_indices], objects.upper[object_indices])
+        lower, upper, far = pad_boxes(
+            camera, objects.lower[object_indices], objects.upper[object_indices], (width, height)
+        )
         visible_mask = near_mask(camera, lower, upper, far)
         tested = np.flatnonzero(~visible_mask)
         lower, upper = lower[tested], upper[tested]

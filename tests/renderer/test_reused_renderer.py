@@ -41,6 +41,7 @@ def move_light(renderer: Renderer, random: Random) -> None:
     light_array["position"] = random.uniform((-30, 1, -30), (30, 4, 30)) * random.choice([1.0, 0.1])
     light_array["range"], light_array["intensity"] = random.uniform(1, 12), random.uniform(0, 6)
     light_array["source_radius"] = random.choice([0.0, 0.5])
+    lights.point["source_right"] = random.choice([0.0, 0.4])
 
 
 def turn_sun(renderer: Renderer, random: Random) -> None:

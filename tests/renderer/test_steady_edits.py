@@ -153,6 +153,7 @@ CASES: Final[dict[str, Edit]] = {
             ("casts_shadow", True),
         )
     },
+    "point source_right": set_items(of_lights("point"), "source_right", (0.4, 0.0, 0.0)),
     "directional angular_diameter": set_items(of_lights("directional"), "angular_diameter", 0.1),
     "no lights": replace_lights,
     "sky": set_attribute(lambda renderer: renderer.scene.lights, "sky", (0.3, 0.1, 0.2)),
@@ -188,6 +189,7 @@ CASES: Final[dict[str, Edit]] = {
     "focus settings": lambda renderer: setattr(renderer, "depth_of_field", DepthOfFieldSettings(samples=8)),
     "temporal anti-aliasing": lambda renderer: setattr(renderer, "temporal", TemporalSettings(is_on=True)),
     "light cutoff": set_attribute(lambda renderer: renderer, "light_cutoff", 0.2),
+    "error of levels of detail": set_attribute(lambda renderer: renderer, "detail_error", 3.0),
     "technique": exchange_technique,
     "visibility": exchange_visibility,
     "stereo": set_attribute(lambda renderer: renderer, "stereo", Stereo(StereoRig())),

@@ -1,6 +1,7 @@
 """The work of the processor for a frame in which only the camera has moved: calls of Python functions, counted
 on null. Unlike times, counts are the same on every machine."""
 
+import gc
 import sys
 from dataclasses import replace
 
@@ -31,11 +32,14 @@ def count_calls(action):
         nonlocal count
         count += event == "call"
 
+    gc.collect()
+    gc.disable()  # whose callbacks, such as hypothesis's, are calls too
     sys.setprofile(note)
     try:
         action()
     finally:
         sys.setprofile(None)
+        gc.enable()
     return count
 
 
@@ -55,5 +59,5 @@ def test_a_frame_of_the_city_in_which_only_the_camera_moves_takes_few_calls(null
         renderer.render(moved(FRAMES_UNTIL_STEADY))
         draws = sum(draw["draws"] for draw in null.stream.draws()[-1:])
         calls = count_calls(lambda: renderer.render(moved(FRAMES_UNTIL_STEADY + 1)))
-    assert draws > 30
+    assert draws > (30 if visibility == "frustum" else 10)  # a list has a draw for each mesh
     assert calls <= CALLS[technique, visibility]

@@ -15,6 +15,7 @@ from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import INFINITE, get_extras
 from renderer.content.gltf.tracks import compose
 from renderer.light_kinds.arrays import WIDEST_SOURCE
+from renderer.light_kinds.shapes import turn_sides
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.attachments import orthonormalize_axes
@@ -165,6 +166,8 @@ class LightCollector:
             row["source_radius"] = (
                 0.0 if extras is None else extras.real("source_radius", 0.0, 0.0, row["range"])
             )
+            if kind.has_shapes:
+                row |= _read_sides(extras, world)
         else:
             row["angular_diameter"] = (
                 0.0 if extras is None else extras.real("angular_diameter", 0.0, 0.0, WIDEST_SOURCE)
@@ -190,6 +193,15 @@ class LightCollector:
             follows = nodes >= 0
             if follows.any():
                 builder.attach_lights(kind.name, added[follows], nodes[follows])
+
+
+def _read_sides(extras: JsonObject | None, world: Floats) -> dict[str, Floats]:
+    """The sides of a light's source, from the space of its node."""
+    names = ("source_right", "source_up")
+    zero = (0.0, 0.0, 0.0)
+    sides = np.array([zero if extras is None else extras.reals(name, 3, zero) for name in names])
+    right, up = turn_sides(world[None, :3, :3], sides[None])
+    return {"source_right": right[0], "source_up": up[0]}
 
 
 def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:

@@ -419,6 +419,10 @@ class _GltfWriter:
                 extras: dict[str, Any] = {"casts_shadow": True} if light["casts_shadow"] else {}
                 if kind.has_range and light["source_radius"] > 0.0:
                     extras["source_radius"] = float(light["source_radius"])
+                if kind.has_shapes:
+                    for side in ("source_right", "source_up"):
+                        if light[side].any():
+                            extras[side] = light[side].tolist()
                 if not kind.has_range and light["angular_diameter"] > 0.0:
                     extras["angular_diameter"] = float(light["angular_diameter"])
                 if extras:
@@ -441,6 +445,9 @@ class _GltfWriter:
                 for field, values in (("position", attached.positions), ("direction", attached.directions)):
                     if field in (lights.dtype.names or ()):
                         lights[field][attached.indices] = values
+                if kind.has_shapes:
+                    for number, field in enumerate(("source_right", "source_up")):
+                        lights[field][attached.indices] = attached.sides[:, number]
         return lights, followed.tolist()
 
     def _write_views(self) -> None:

@@ -24,8 +24,9 @@ A time is checked likewise: all settings of the front that may be within it by t
 candidates, and the most accurate one is taken whose median frame of a walk through the views of the check is
 within it.
 
-Times of two settings may be nearer to each other than noise. So settings in use may be passed: they are kept as
-long as they may be within the bounds, unless others are surely better (`_is_surely_better`).
+Times of two settings may be nearer to each other than noise, and a race of another day may try a combination that
+the first one missed. So settings in use may be passed: they are kept as long as they may be within the bounds,
+unless others are surely better, and by more than what counts as equal (`_is_surely_better`).
 
 In the end, what the original settings left to trials (`auto`) is left to them again: it saves time, and loses
 nothing.
@@ -728,13 +729,14 @@ def _is_surely_better(
     frames: Sequence[PathFrame],
     budget_ms: float | None,
 ) -> bool:
-    """True if other settings are better than those in use by more than the 95 % intervals of what was measured:
-    faster, or with a bound on the time surely within it and more accurate in the same views."""
+    """True if other settings are surely better than those in use, by more than `_ALIKE`: faster, or with a bound
+    on the time surely within it and more accurate in the same views. Surely means at both ends of the 95 %
+    intervals of what was measured. A smaller gain may be a matter of which combinations a race has tried."""
     (point, checked), (used, own) = other, in_use
     if budget_ms is None:
-        return bench.compare_times(point.settings, used.settings, frames).high < 1.0
+        return bench.compare_times(point.settings, used.settings, frames).high < 1.0 / _ALIKE
     ratios = np.array(checked.totals) / np.maximum(own.totals, 1e-9)
-    return Interval.of(checked.times).high <= budget_ms and Interval.of(ratios).high < 1.0
+    return Interval.of(checked.times).high <= budget_ms and Interval.of(ratios).high < 1.0 / _ALIKE
 
 
 def order_by_speed(points: Iterable[ParetoPoint]) -> list[ParetoPoint]:

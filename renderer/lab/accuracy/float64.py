@@ -223,7 +223,8 @@ def _read_corners(renderer: Renderer, triangles: NDArray[np.int64]) -> NDArray[A
     assert mesh.vertices is not None
     assert mesh.indices is not None
     vertices, indices = mesh.vertices.read(), mesh.indices.read()
-    draws = renderer.resources.draws[triangles[:, 0]]
+    resources = renderer.resources
+    draws = resources.draws[resources.select_draws(triangles[:, 0], resources.detail_limit)]
     first = draws["first"].astype(np.int64) + 3 * triangles[:, 1]
     corners: NDArray[Any] = vertices[
         indices[first[:, None] + np.arange(3)] + draws["base_vertex"].astype(np.int64)[:, None]

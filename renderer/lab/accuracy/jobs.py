@@ -138,11 +138,25 @@ def load_or_compute_pareto_front(
     values_in_use: Mapping[str, str] | None = None,
 ) -> list[ParetoPoint]:
     """The Pareto front (`compute_pareto_front`); read from the folder if it was computed from the same
-    reports."""
+    reports. A stored front without `values_in_use` is read, too, if it has a point with these values: so a
+    second choice looks at the same points as the first."""
     if folder is None:
         return compute_pareto_front(setup, reports, progress, values_in_use=values_in_use)
-    parts = [_VERSION, to_json(setup), [asdict(report) for report in reports], dict(values_in_use or {})]
-    path = folder / f"pareto-front-{_hash(parts)}.json"
+    in_use = dict(values_in_use or {})
+    measured = [_VERSION, to_json(setup), [asdict(report) for report in reports]]
+    path, first_path = (folder / f"pareto-front-{_hash([*measured, values])}.json" for values in (in_use, {}))
+    points = _load_front(path, setup)
+    if points is None and in_use:
+        first_points = _load_front(first_path, setup) or []
+        points = first_points if any(point.values == in_use for point in first_points) else None
+    if points is None:
+        points = compute_pareto_front(setup, reports, progress, values_in_use=values_in_use)
+        _write_whole(path, json.dumps([asdict(point) | {"settings": None} for point in points]))
+    return points
+
+
+def _load_front(path: Path, setup: sweep.SweepSetup) -> list[ParetoPoint] | None:
+    """The points of a stored front; None if there is none, or it is damaged."""
     try:
         stored_points = json.loads(path.read_text(encoding="utf-8"))
         base = make_plain(setup.settings)
@@ -150,9 +164,7 @@ def load_or_compute_pareto_front(
             ParetoPoint(**point | {"settings": combine(base, point["values"])}) for point in stored_points
         ]
     except (OSError, ValueError, TypeError, KeyError):
-        points = compute_pareto_front(setup, reports, progress, values_in_use=values_in_use)
-        _write_whole(path, json.dumps([asdict(point) | {"settings": None} for point in points]))
-        return points
+        return None
 
 
 def _hash(parts: object) -> str:

@@ -897,6 +897,7 @@ NOT_QUALITY_SETTINGS: Final[Mapping[str, str]] = {
     "technique.tiles.slices": "tiles end at the surfaces that they show",
     "technique.tiles.sphere_test": "as that of clusters, which is a quality setting",
     "visibility.emulated": "the same query results in another way",
+    "detail_error": "a bound in pixels by itself, and no built-in scene has meshes with levels",
     "shadows.split": "divides the same texels between near and far",
     "shadows.min_size": "maps that small are of lights that light a few pixels",
     "shadows.max_atlas_size": "a limit of memory, which shrinks maps beyond it",

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from renderer import rules
 from renderer.lab.exam import (
+    area_light_cases,
     crack_cases,
     deformation_cases,
     encoding_cases,
@@ -48,6 +49,7 @@ _CASE_MODULES: Final = (
     deformation_cases,
     temporal_cases,
     environment_cases,
+    area_light_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

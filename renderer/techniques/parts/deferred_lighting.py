@@ -35,12 +35,12 @@ from renderer.techniques.parts.samples import (
     frame_samples,
     list_samples,
 )
-from renderer.techniques.parts.scene_shader import ShadingShader
+from renderer.techniques.parts.scene_shader import AreaReflectingShader, ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, local_light_effects
 from rhi import Format
 
 
-class LightingShader(VolumeShader, GeometryReader):
+class LightingShader(VolumeShader, GeometryReader, AreaReflectingShader):
     """Lights the geometry buffer by light volumes."""
 
     precision = sl.Precision.FAST
@@ -53,6 +53,12 @@ class LightingShader(VolumeShader, GeometryReader):
             return sl.vec4(0.0)
         material_texel = self.load_material(pixel, 0)
         surface = self.read_surface(material_texel, texel, pixel, 0, position)
+        if self.has_areas:
+            shape = self.source_shape(v.light)
+            if shape.strength > 0.0:
+                incidence = self.light_incidence(position, v.light)
+                area = self.reflect_area(surface, incidence, self.offset_to_light(position, v.light), shape)
+                return sl.vec4(self.apply_shadow(area, position, surface.geometric_normal, v.light), 0.0)
         if self.has_spheres:
             size = self.squared_angular_size(position, v.light)
             sphere = self.reflect_sphere(surface, self.light_incidence(position, v.light), size)

@@ -15,6 +15,7 @@ from typing import Any, Final, NoReturn, Self, overload
 from renderer import rules
 from renderer.frame import SHADOW_EFFECTS, Effect, EnvironmentMaps, Frame
 from renderer.frame.fog import bind_fog, bind_haze
+from renderer.frame.lobe_fits import LobeTable
 from renderer.frame.pixel_rays import bind_rays
 from renderer.frame.scene_images import SceneImages
 from renderer.light_kinds.directional import DirectionalLight
@@ -203,6 +204,16 @@ class FrameBindings:
     def source_radii(self) -> Texture | None:
         """The source radii of local lights in metres, a channel for each kind."""
         return self.frame.resources.source_radii.texture
+
+    @property
+    def source_shapes(self) -> Texture | None:
+        """The shapes of local lights that are rectangles or tubes, two texels for each light."""
+        return self.frame.resources.source_shapes
+
+    @property
+    def lobe_fits(self) -> TextureBinding:
+        """The table of lobes by which such lights are lit."""
+        return self.frame.resources.workspace(LobeTable).binding
 
     @property
     def light_list(self) -> StorageBuffer[int] | None:

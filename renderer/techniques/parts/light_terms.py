@@ -7,11 +7,12 @@ from typing import Final
 
 import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
+from renderer.light_kinds.incidence import MIN_SQUARED_DISTANCE
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceWriter, surface_format
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
-from renderer.techniques.parts.scene_shader import ReflectingShader
+from renderer.techniques.parts.scene_shader import AreaReflectingShader, ReflectingShader
 from renderer.techniques.parts.variants import make_scene_drawer
 from rhi import Format, Texture
 
@@ -71,7 +72,7 @@ def luminance(color: sl.vec3) -> float:
     return sl.dot(color, sl.vec3(0.2126, 0.7152, 0.0722))
 
 
-class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
+class TermShader(VolumeShader, SurfaceReader, AreaReflectingShader):
     """Base of shaders that accumulate the terms of lights by light volumes."""
 
     precision = sl.Precision.FAST
@@ -97,6 +98,15 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
             occlusion=1.0,
             emissive=sl.vec3(1.0),
         )
+        if self.has_areas:
+            shape = self.source_shape(light)
+            if shape.strength > 0.0:
+                to_center = self.offset_to_light(position, light)
+                area = self.area_lighting_terms(surface, to_center, shape)
+                at_a_metre = incidence.irradiance * sl.max(sl.dot(to_center, to_center), MIN_SQUARED_DISTANCE)
+                return self.spread(
+                    self.apply_shadow(at_a_metre, position, surface.geometric_normal, light), area
+                )
         # The terms of spheres have their n·l.
         facing = 1.0 if self.has_spheres else sl.dot(surface.normal, incidence.direction)
         if facing <= 0.0:
@@ -109,6 +119,10 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
             else self.lighting_terms(surface, incidence.direction)
         )
         light_in = self.apply_shadow(incidence.irradiance * facing, position, surface.geometric_normal, light)
+        return self.spread(light_in, terms)
+
+    def spread(self, light_in: sl.vec3, terms: sl.vec3) -> LightTerms:
+        """The terms of a light of this irradiance."""
         specular = light_in * terms.y
         return LightTerms(
             diffuse=sl.vec4(light_in * terms.x, luminance(specular)),

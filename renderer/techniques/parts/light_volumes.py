@@ -37,6 +37,7 @@ from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.volumes import FARTHEST_CORNER, VolumeCorner
 from renderer.light_kinds.volumes import VolumeVarying as VolumeVarying
 from renderer.lights.hulls import make_cone, make_sphere
+from renderer.shaders.area_lights import AreaLightReader
 from renderer.shaders.pixels import PixelRays, nearness_to_distance
 from renderer.shaders.spheres import SphereLightReader
 from renderer.shaders.structs import ViewConstants
@@ -64,12 +65,13 @@ _MARGIN: Final = 1.001
 """The factor by which volumes are wider than they must be, for the rounding of what is drawn."""
 
 
-class VolumeShader(SphereLightReader, ShadowReceiver):
+class VolumeShader(SphereLightReader, AreaLightReader, ShadowReceiver):
     """Base of shaders that draw light volumes; `volume_lights` are the indices of the lights. A
     technique's fragment stage is combined with the volumes of one kind of lights, some of which may be
-    spheres."""
+    spheres, rectangles or tubes."""
 
     has_spheres = False
+    has_areas = False
     has_parallel_rays = False
 
     view: sl.Uniform[ViewConstants]
@@ -83,6 +85,10 @@ class VolumeShader(SphereLightReader, ShadowReceiver):
     def light_incidence(self, position: sl.vec3, light: int) -> Incidence:
         """Direction and irradiance of the light of this index at a position."""
         return Incidence(direction=sl.vec3(0.0), irradiance=sl.vec3(0.0))
+
+    def offset_to_light(self, position: sl.vec3, light: int) -> sl.vec3:
+        """Vector from a position to the middle of the light of this index."""
+        return sl.vec3(0.0)
 
     def squared_angular_size(self, position: sl.vec3, light: int) -> float:
         """Squared angular size (radius²/distance²) of the light of this index, seen from `position`."""
@@ -133,6 +139,9 @@ class ${Element}Volumes(KindVolume, VolumeShader):
 
     def light_incidence(self, position: sl.vec3, light: int) -> Incidence:
         return $incidence(position, self.${kind}_lights[light])
+
+    def offset_to_light(self, position: sl.vec3, light: int) -> sl.vec3:
+        return self.${kind}_lights[light].position - position
 
     def squared_angular_size(self, position: sl.vec3, light: int) -> float:
         return self.squared_angular_sizes(self.${kind}_lights[light].position - position, light).$component
@@ -255,7 +264,8 @@ def draw_volumes(
         states: states instead of those that light what is in a volume.
     """
     device = frame.device
-    switches = {**switches, "has_spheres": LOCAL_LIGHTS[effect].spheres in frame.effects.enabled}
+    row, enabled = LOCAL_LIGHTS[effect], frame.effects.enabled
+    switches = {**switches, "has_spheres": row.spheres in enabled, "has_areas": row.areas in enabled}
     program: Any = frame.program(shader_variant(frame, shader, VOLUMES[effect], **switches))
     mask: Any = device.program(VOLUMES[effect]) if is_masked else None
     behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Final
 import rhi.shading as sl
 from renderer.light_kinds.bounds import BOUND_FIELDS, LightBounds
 from renderer.light_kinds.directional import DirectionalLight, directional_incidence
-from renderer.light_kinds.generation import define, for_each_kind
-from renderer.light_kinds.incidence import Incidence
+from renderer.light_kinds.generation import define, for_each_kind, for_kind
+from renderer.light_kinds.incidence import MIN_SQUARED_DISTANCE, Incidence
 from renderer.scene import ShadingModel
+from renderer.shaders.area_lights import AreaLightReader, SourceShape, area_terms
 from renderer.shaders.environment import EnvironmentLight
 from renderer.shaders.fog import FogReader, apply_fog
 from renderer.shaders.lighting import (
@@ -319,8 +320,31 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
         return self.shadow_directional_light(light, surface.position, surface.geometric_normal, light_index)
 
 
-class LocalLightReader(ReflectingShader, SphereLightReader, ShadowReceiver):
-    """Base of shaders that light surfaces by local lights."""
+class AreaReflectingShader(ReflectingShader, AreaLightReader):
+    """Reflection of light of rectangles and tubes."""
+
+    lean = True
+
+    def area_lighting_terms(self, surface: SurfacePoint, to_center: sl.vec3, shape: SourceShape) -> sl.vec3:
+        """The terms of `lighting_terms`, each times its n·l, for the light of a rectangle or a tube, per unit of
+        intensity."""
+        if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
+            return area_terms(surface, to_center, shape, self.lobe_fit(surface, True), True)
+        return area_terms(surface, to_center, shape, self.lobe_fit(surface, False), False)
+
+    def reflect_area(
+        self, surface: SurfacePoint, light: Incidence, to_center: sl.vec3, shape: SourceShape
+    ) -> sl.vec3:
+        """Light of a rectangle or a tube that the surface reflects to the eye. `light` is that of a point in its
+        middle."""
+        terms = self.area_lighting_terms(surface, to_center, shape)
+        color = surface.base_color * terms.x + surface.specular_color * terms.y + terms.z
+        return color * (light.irradiance * sl.max(sl.dot(to_center, to_center), MIN_SQUARED_DISTANCE))
+
+
+class LocalLightReader(AreaReflectingShader, SphereLightReader, ShadowReceiver):
+    """Base of shaders that light surfaces by local lights. `has_…_areas` says for a kind whether its lights may be
+    rectangles or tubes."""
 
     has_gaps = False
 
@@ -331,6 +355,17 @@ class LocalLightReader(ReflectingShader, SphereLightReader, ShadowReceiver):
         none."""
         return self.light_list[entry]
 
+
+_SHADE_AREA: Final = """
+        if self.has_${kind}_areas:
+            shape = self.source_shape(light_index)
+            if shape.strength > 0.0:
+                to_center = self.${kind}_lights[light_index].position - surface.position
+                area = self.reflect_area(
+                    surface, $incidence(surface.position, self.${kind}_lights[light_index]), to_center, shape
+                )
+                return self.shadow_${kind}_light(area, surface.position, surface.geometric_normal, light_index)
+"""
 
 if TYPE_CHECKING:
 
@@ -343,7 +378,10 @@ if TYPE_CHECKING:
 else:
     LocalLightShader = define(
         "class LocalLightShader(LocalLightReader):\n"
-        + for_each_kind("    has_${kind}_lights = False\n    ${kind}_lights: sl.Storage[$Element]\n")
+        + for_each_kind(
+            "    has_${kind}_lights = False\n$areas    ${kind}_lights: sl.Storage[$Element]\n",
+            areas=lambda _, kind: f"    has_{kind.name}_areas = False\n" if kind.has_shapes else "",
+        )
         + """
     def shade_local_lights(self, surface: SurfacePoint, lights: LightBounds) -> sl.vec3:
         color = sl.vec3(0.0)
@@ -367,7 +405,7 @@ else:
             surface, self.${kind}_lights[light_index].position, self.${kind}_lights[light_index].range
         ):
             return sl.vec3(0.0)
-        if self.has_${kind}_spheres:
+$areas        if self.has_${kind}_spheres:
             size = self.squared_angular_sizes(
                 self.${kind}_lights[light_index].position - surface.position, light_index
             ).$component
@@ -377,7 +415,8 @@ else:
             return self.shadow_${kind}_light(sphere, surface.position, surface.geometric_normal, light_index)
         light = self.reflect_light(surface, $incidence(surface.position, self.${kind}_lights[light_index]))
         return self.shadow_${kind}_light(light, surface.position, surface.geometric_normal, light_index)
-"""
+""",
+            areas=lambda _, kind: for_kind(_SHADE_AREA, kind) if kind.has_shapes else "",
         ),
         "LocalLightShader",
         __name__,

@@ -21,9 +21,12 @@ from renderer.scene.arrays import Floats, Indices
 from renderer.visibility.boxes.volumes import RotatedBoxes
 from rhi.math import is_parallel
 
-_IMAGE_FRACTION: Final = (
-    2.0**-11
-)  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
+_PIXEL_FRACTION: Final = 2.0**-8
+"""Vertices move by at most this part of a pixel."""
+_MOST_PIXELS: Final = 16
+"""A longer side of an image counts as one of so many pixels, so that margins don't depend on the size."""
+UNKNOWN_SIZE: Final = (_MOST_PIXELS, _MOST_PIXELS)
+"""Stands for the size of an image that isn't smaller."""
 ROUNDING: Final = 2.0**-20  # of the distance: 16 times the rounding of a float32 position
 _DEPTH_STEPS: Final = 2.0**-21  # of standard depth, whose floats are dense near the eye and sparse far away
 MAX_SQUARABLE: Final = 1e100
@@ -52,19 +55,24 @@ class QueryBoxes:
 
 
 def compute_query_boxes(
-    camera: Camera, lower: Floats, upper: Floats, rotated: RotatedBoxes, indices: Indices
+    camera: Camera,
+    lower: Floats,
+    upper: Floats,
+    rotated: RotatedBoxes,
+    indices: Indices,
+    size: tuple[int, int] = UNKNOWN_SIZE,
 ) -> QueryBoxes:
-    """Return the boxes (n, 3) as `camera` sees them, with the boxes `indices` (k,) replaced by the `rotated`
-    ones (k,).
+    """Return the boxes (n, 3) as `camera` sees them in an image of `size`, with the boxes `indices` (k,) replaced
+    by the `rotated` ones (k,).
 
     A rotated box that the near plane may cut is not used; the aligned one is, unless that may be cut too. So
     no box of a group inside a box that isn't near is itself near.
     """
-    low, high, far = pad_boxes(camera, lower, upper)
+    low, high, far = pad_boxes(camera, lower, upper, size)
     x, y = np.zeros((2, len(low), 3), np.float32)
     x[:, 0] = y[:, 1] = 1.0
     boxes = QueryBoxes(0.5 * (low + high), 0.5 * (high - low), x, y, near_mask(camera, low, high, far))
-    half, near = pad_rotated(camera, rotated)
+    half, near = pad_rotated(camera, rotated, size)
     used = np.flatnonzero(~near)
     indices = indices[used]
     boxes.centre[indices], boxes.half[indices], boxes.near[indices] = rotated.centre[used], half[used], False
@@ -72,9 +80,11 @@ def compute_query_boxes(
     return boxes
 
 
-def pad_boxes(camera: Camera, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return boxes (n, 3) enlarged by what rasterising may round away, and the distances (n,) of their far
-    corners.
+def pad_boxes(
+    camera: Camera, lower: Floats, upper: Floats, size: tuple[int, int] = UNKNOWN_SIZE
+) -> tuple[Floats, Floats, Floats]:
+    """Return boxes (n, 3) enlarged by what rasterising may round away in an image of `size`, and the distances
+    (n,) of their far corners.
 
     The margin grows with the distance of the box's farthest corner, so that a padded box lies inside every
     padded box that it lies in without padding.
@@ -82,17 +92,19 @@ def pad_boxes(camera: Camera, lower: Floats, upper: Floats) -> tuple[Floats, Flo
     eye = camera.position
     reach = np.minimum(np.maximum(np.abs(lower - eye), np.abs(upper - eye)), MAX_SQUARABLE)
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
-    margin = _margins(camera, far)
+    margin = _margins(camera, far, size)
     return lower - margin[:, None], upper + margin[:, None], far
 
 
-def pad_rotated(camera: Camera, rotated: RotatedBoxes) -> tuple[Floats, NDArray[np.bool_]]:
+def pad_rotated(
+    camera: Camera, rotated: RotatedBoxes, size: tuple[int, int] = UNKNOWN_SIZE
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Return half sizes (k, 3) enlarged as by `pad_boxes`, and whether each box is near (k,), as by
     `near_mask`."""
     local = np.abs(np.einsum("kij,kj->ki", rotated.axes, camera.position - rotated.centre))
     reach = np.minimum(local + rotated.half, MAX_SQUARABLE)
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
-    half = rotated.half + _margins(camera, far)[:, None]
+    half = rotated.half + _margins(camera, far, size)[:, None]
     if is_parallel(camera.projection):
         plane = camera.frustum.planes[FrustumPlane.NEAR]
         before = rotated.centre @ plane[:3] + plane[3]
@@ -103,16 +115,23 @@ def pad_rotated(camera: Camera, rotated: RotatedBoxes) -> tuple[Floats, NDArray[
     return half, near | (far > TOO_FAR)
 
 
-def _margins(camera: Camera, far: Floats) -> Floats:
-    constant, linear, square = margin_terms(camera)
+def _margins(camera: Camera, far: Floats, size: tuple[int, int]) -> Floats:
+    constant, linear, square = margin_terms(camera, size)
     return constant + far * (linear + far * square)
 
 
-def margin_terms(camera: Camera) -> tuple[float, float, float]:
-    """Return (a, b, c): a box whose farthest point is f metres from the eye has a margin of a + b f + c f²
-    metres."""
+def margin_terms(camera: Camera, size: tuple[int, int] = UNKNOWN_SIZE) -> tuple[float, float, float]:
+    """Return (a, b, c): in an image of `size`, a box whose farthest point is f metres from the eye has a margin
+    of a + b f + c f² metres.
+
+    The distance to which a vertex is moved is a fraction of a pixel, so in an image of few pixels it is a large
+    part of the view.
+    """
     matrix = camera.projection.matrix
-    fraction = float(max(1.0 / matrix[0, 0], 1.0 / matrix[1, 1])) * _IMAGE_FRACTION
+    fraction = max(
+        2.0 * _PIXEL_FRACTION / min(pixels, _MOST_PIXELS) / float(matrix[axis, axis])  # of half the image
+        for axis, pixels in enumerate(size)
+    )
     steps = _DEPTH_STEPS if camera.projection.depth is Depth.STANDARD else 0.0
     if is_parallel(camera.projection):
         return fraction + steps / abs(matrix[2, 2]), ROUNDING, 0.0

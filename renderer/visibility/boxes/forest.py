@@ -19,7 +19,12 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Indices
-from renderer.visibility.boxes.bounds import QueryBoxes, compute_query_boxes, squared_distances
+from renderer.visibility.boxes.bounds import (
+    UNKNOWN_SIZE,
+    QueryBoxes,
+    compute_query_boxes,
+    squared_distances,
+)
 from renderer.visibility.boxes.culling import select_visible
 from renderer.visibility.boxes.hierarchy import build_by_area, build_by_middle
 from renderer.visibility.boxes.volumes import TightestBoxes
@@ -109,12 +114,13 @@ class Forest:
         self._built_cost = self._compute_cost()
         self._compute_tight_bounds()
 
-    def update(self, camera: Camera) -> QueryBoxes:
-        """Update status and order of all nodes for `camera`, and return the boxes to query each node by: for
-        a node of one object, the tightest box of that object."""
+    def update(self, camera: Camera, size: tuple[int, int] = UNKNOWN_SIZE) -> QueryBoxes:
+        """Update status and order of all nodes for `camera`, and return the boxes to query each node by in an
+        image of `size`: for a node of one object, the tightest box of that object."""
         lower, upper, eye = self.lower, self.upper, camera.position
         rotated = self._tightest.collect()
-        boxes = compute_query_boxes(camera, lower, upper, rotated, self._leaf_of[rotated.object_indices])
+        leaves = self._leaf_of[rotated.object_indices]
+        boxes = compute_query_boxes(camera, lower, upper, rotated, leaves, size)
         status = select_visible(camera.frustum.planes, lower, upper).astype(np.uint8)
         status[boxes.near & (status == INSIDE)] = NEAR
         if not self._objects.is_shown.all():  # what has nothing below it that is shown counts as outside

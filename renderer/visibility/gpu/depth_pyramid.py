@@ -20,7 +20,14 @@ from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import ViewConstants
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.device_culling import DeviceCulling
-from renderer.visibility.gpu.draw_lists import CountKeys, WriteDraws, count_parts, with_parts
+from renderer.visibility.gpu.draw_lists import (
+    CountKeys,
+    CountMarks,
+    WriteDraws,
+    WriteObjects,
+    count_parts,
+    with_parts,
+)
 from renderer.visibility.gpu.farthest_depth import SCALE, STEPS, DepthPyramid, depth_variant
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, ComputeOccludees, Occludee
 from renderer.visibility.scene_drawer import SceneDrawer
@@ -191,8 +198,10 @@ def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Prepara
     parts = count_parts(scene)
     shaders: list[type[Any]] = [
         ComputeOccludeesWithHistory,
-        with_parts(CountKeys, parts),
+        CountMarks,
         PrefixSum,
+        WriteObjects,
+        with_parts(CountKeys, parts),
         with_parts(WriteDraws, parts),
     ]
     shaders += [depth_variant(shader, depth) for shader in (*STEPS, CompareBoxes)]

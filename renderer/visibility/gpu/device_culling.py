@@ -31,7 +31,7 @@ class DeviceCulling(ABC):
 
     Attributes:
         first, second: the lists of the latest frame.
-        has_instances: whether alike objects that follow each other are instances of one draw.
+        has_instances: whether the visible objects of a mesh are instances of one draw.
     """
 
     opens_pass: Final = True
@@ -59,8 +59,9 @@ class DeviceCulling(ABC):
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw the objects that were likely to be visible, then those that the depth shows to be visible."""
         scene_drawer.close()
-        self._occludees.aim(camera)
-        aim = self._aim(camera, scene_drawer.depth.size)
+        size = scene_drawer.depth.size
+        self._occludees.aim(camera, size)
+        aim = self._aim(camera, size)
         direction = camera.projection.depth
         key = (*scene_drawer.key, scene_drawer.arrays, scene_drawer.depth, direction, *aim)
         for draws in (self.first, self.second):

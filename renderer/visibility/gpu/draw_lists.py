@@ -1,18 +1,20 @@
-"""Lists of draws that the device makes itself (Deferred+, 1.3.1, Listing 1.3).
+"""Lists of draws that the device makes itself (Deferred+, 1.3.1, Listings 1.3 and 1.4).
 
-Each object has a mark. `IndirectDrawList.list_draws` gathers the draws of the objects marked VISIBLE and the
-rows of those marked HIDDEN. The CPU sees neither: it draws both indirectly.
+Each object has a mark. `IndirectDrawList.list_draws` gathers the objects marked VISIBLE and the indices of those
+marked HIDDEN. The CPU sees neither: it draws both indirectly.
 
-- The list is made by one pass of a counting sort: by part, then by the depth of the farthest corner in half
-  octaves, near first. Within a half octave rows keep their order. So the same marks give the same list, and
-  objects near the eye are drawn first, for the benefit of early depth tests.
-- There are no atomics: each group counts and ranks the keys of its 64 rows in shared memory, one group
-  computes the prefix sums, and each row is written to its position.
-- Consecutive rows of one mesh, part and distance class are instances of one draw, up to the 64 rows of a group.
-  Their indices follow the draw's base instance, so shaders notice nothing, and objects are drawn in the same
-  order as one by one.
-- Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part
-  of their own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
+- The objects of one mesh that are drawn by one program with the same states are an instance set, and all visible
+  ones are one draw with that many instances. The sets are ranges of `SceneArrays.list_entries`.
+- A prefix sum over the marks, in the order of the entries, is where each visible object goes. Its element of
+  `objects` and of `object_positions` is copied to there, so a draw's instances are neighbours, and the shaders that
+  draw them are those of any other pass. What needs an object's index reads `ObjectPosition.object_index`.
+- The draws are made by one pass of a counting sort: by part, then by the depth of the farthest corner of the first
+  object in half octaves, near first. Within a half octave sets keep their order. So the same marks give the same
+  list, and what is near the eye is mostly drawn first, for the benefit of early depth tests.
+- There are no atomics: each group counts and ranks the keys of its 64 sets in shared memory, one group computes the
+  prefix sums, and each draw is written to its position.
+- Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part of
+  their own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
 """
 
 from __future__ import annotations
@@ -26,19 +28,18 @@ from numpy.typing import NDArray
 import rhi.shading as sl
 from renderer.scene import Scene
 from renderer.scene.arrays import list_ranges
-from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
+from renderer.shaders import DRAW_LISTS, ListEntry, MeshPart, Object, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.command_cache import clear
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.scene_drawer import SceneArrays
-from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback
+from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback, StorageBuffer
 from rhi.errors.shared_caches import cache_once
 
 _BUCKETS: Final = 31
 """The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km,
 then all beyond. More parts have fewer and wider ones."""
 _NO_KEY: Final = 2 * GROUP - 1
-_INSTANCE: Final = 2 * GROUP  # instead of a key: the row is an instance of the draw of a row before
 KEYS: Final = 2 * GROUP
 """Number of keys. Each of a group's lanes counts two of them."""
 MAX_PARTS: Final = (KEYS - 2) // 2
@@ -46,15 +47,12 @@ MAX_PARTS: Final = (KEYS - 2) // 2
 
 
 @cache_once
-def with_parts(shader: type[sl.Shader], parts: int, *, has_instances: bool = True) -> type[sl.Shader]:
-    """Return a shader of lists that have so many parts, and draws with several instances or with one each."""
-    constants: dict[str, object] = {} if has_instances else {"has_instances": 0}
-    if parts > DRAW_LISTS:
-        constants |= {"parts": parts, "buckets": (KEYS - 2) // parts}
-    if not constants:
+def with_parts(shader: type[sl.Shader], parts: int) -> type[sl.Shader]:
+    """Return a shader of lists that have so many parts."""
+    if parts <= DRAW_LISTS:
         return shader
-    name = f"{shader.__name__}{parts}{'' if has_instances else 'Single'}"
-    return type(name, (shader,), {"__module__": __name__, **constants})
+    constants = {"parts": parts, "buckets": (KEYS - 2) // parts}
+    return type(f"{shader.__name__}{parts}", (shader,), {"__module__": __name__, **constants})
 
 
 class DrawArguments(sl.Struct):
@@ -67,121 +65,151 @@ class DrawArguments(sl.Struct):
     base_instance: sl.uint
 
 
+class CountMarks(sl.Shader):
+    """Counts 1 for each entry whose object is marked VISIBLE, and behind those 1 for each object marked HIDDEN."""
+
+    work_group = (GROUP,)
+    entries: sl.Storage[ListEntry]
+    marks: sl.Storage[sl.uint]
+    counts: sl.StorageRW[sl.uint]
+
+    def compute(self) -> None:
+        index = sl.global_id().x
+        if index < len(self.entries):
+            is_visible = self.marks[self.entries[index].object] == sl.uint(VISIBLE)
+            self.counts[index] = sl.uint(1) if is_visible else sl.uint(0)
+            if index == 0:
+                self.counts[len(self.entries) + len(self.marks)] = sl.uint(0)
+        if index < len(self.marks):
+            is_hidden = self.marks[index] == sl.uint(HIDDEN)
+            self.counts[len(self.entries) + index] = sl.uint(1) if is_hidden else sl.uint(0)
+
+
+class WriteObjects(sl.Shader):
+    """Writes each visible object and the index of each hidden one to the position that the prefix sums give, and
+    marks the visible ones DRAWN."""
+
+    work_group = (GROUP,)
+    entries: sl.Storage[ListEntry]
+    objects: sl.Storage[Object]
+    object_positions: sl.Storage[ObjectPosition]
+    sums: sl.Storage[sl.uint]
+    marks: sl.StorageRW[sl.uint]
+    listed_objects: sl.StorageRW[Object]
+    listed_positions: sl.StorageRW[ObjectPosition]
+    hidden: sl.StorageRW[sl.uint]
+
+    def compute(self) -> None:
+        index = sl.global_id().x
+        if index < len(self.entries):
+            at = self.sums[index]
+            if self.sums[index + 1] > at:
+                object_index = self.entries[index].object
+                self.listed_objects[at] = self.objects[object_index]
+                self.listed_positions[at] = self.object_positions[object_index]
+                self.marks[object_index] = sl.uint(DRAWN)
+        if index < len(self.marks):
+            behind = len(self.entries) + index
+            begin = self.sums[len(self.entries)]
+            if self.sums[behind + 1] > self.sums[behind]:
+                self.hidden[self.sums[behind] - begin] = sl.uint(index)
+
+
 class CountKeys(sl.Shader):
-    """Computes each draw's key, its number of instances and its rank among the equal keys of its group, and counts
-    each group's keys. A row that is an instance of the draw of a row before has no key."""
+    """Computes the key of each instance set that has a visible object, and its rank among the equal keys of its
+    group, and counts each group's keys; and writes the number of hidden objects as that of the boxes that are
+    drawn."""
 
     work_group = (GROUP,)
     parts = DRAW_LISTS
     buckets = _BUCKETS
-    has_instances = 1
-    object_positions: sl.Storage[ObjectPosition]
+    set_begins: sl.Storage[sl.uint]
+    sums: sl.Storage[sl.uint]
+    listed_positions: sl.Storage[ObjectPosition]
     occludees: sl.Storage[Occludee]
-    marks: sl.StorageRW[sl.uint]
     keys: sl.StorageRW[sl.uint]
     counts: sl.StorageRW[sl.uint]
+    boxes: sl.StorageRW[DrawArguments]
     in_group = sl.shared(sl.uint, GROUP)
-    meshes = sl.shared(sl.uint, GROUP)
-    heads = sl.shared(sl.uint, GROUP)
 
     def compute(self) -> None:
-        object_index = sl.global_id().x
+        index = sl.global_id().x
         lane = sl.local_index()
         key = _NO_KEY
-        mesh = 0
-        if object_index < len(self.marks):
-            mark = self.marks[object_index]
-            if mark == sl.uint(VISIBLE):
-                octaves = sl.log2(sl.max(self.occludees[object_index].depth, 0.125))
+        if index < len(self.set_begins) - 1:
+            first = self.sums[self.set_begins[index]]
+            if self.sums[self.set_begins[index + 1]] > first:
+                position = self.listed_positions[first]
+                depth = self.occludees[position.object_index].depth
+                octaves = sl.log2(sl.max(depth, 0.125))
                 key = sl.clamp(
                     int(sl.floor((octaves + 3.0) * (2.0 * self.buckets / _BUCKETS))), 0, self.buckets - 1
                 )
-                key += self.buckets * self.object_positions[object_index].draw_list
-                mesh = self.object_positions[object_index].mesh
-                self.marks[object_index] = sl.uint(DRAWN)
-            elif mark == sl.uint(HIDDEN):
-                key = self.parts * self.buckets
+                key += self.buckets * position.draw_list
+        if index == 0:
+            last = len(self.sums) - 1
+            self.boxes[0].instances = self.sums[last] - self.sums[last - len(self.occludees)]
         self.in_group[lane] = sl.uint(key)
-        self.meshes[lane] = sl.uint(mesh)
-        sl.barrier()
-        before = sl.max(lane - 1, 0)
-        is_instance = (
-            lane > 0
-            and self.has_instances == 1
-            and key < self.parts * self.buckets
-            and self.in_group[before] == sl.uint(key)
-            and self.meshes[before] == sl.uint(mesh)
-        )
-        self.heads[lane] = sl.uint(_INSTANCE if is_instance else key)
         sl.barrier()
         rank = 0
-        instances = 1
-        is_open = True
         count = sl.uint(0)
         count_beyond = sl.uint(0)
         for other in range(GROUP):
-            other_key = self.heads[other]
-            if other > lane:
-                is_open = is_open and other_key == sl.uint(_INSTANCE)
-                if is_open:
-                    instances += 1
+            other_key = self.in_group[other]
             if other_key == sl.uint(lane):
                 count += 1
             if other_key == sl.uint(lane + GROUP):
                 count_beyond += 1
             if other < lane and other_key == sl.uint(key):
                 rank += 1
-        if object_index < len(self.marks):
-            packed = key + KEYS * (rank + GROUP * (instances - 1))
-            self.keys[object_index] = sl.uint(_NO_KEY if is_instance else packed)
+        if index < len(self.set_begins) - 1:
+            self.keys[index] = sl.uint(key + KEYS * rank)
         self.counts[lane * sl.group_count().x + sl.group_id().x] = count
         self.counts[(lane + GROUP) * sl.group_count().x + sl.group_id().x] = count_beyond
 
 
 class WriteDraws(sl.Shader):
-    """Writes each draw and each hidden row to the position that the prefix sums give."""
+    """Writes the draw of each instance set to the position that the prefix sums of keys give, and what there is of
+    each part."""
 
     work_group = (GROUP,)
     parts = DRAW_LISTS
     buckets = _BUCKETS
-    object_positions: sl.Storage[ObjectPosition]
     mesh_parts: sl.Storage[MeshPart]
-    keys: sl.Storage[sl.uint]
+    entries: sl.Storage[ListEntry]
+    set_begins: sl.Storage[sl.uint]
     sums: sl.Storage[sl.uint]
+    keys: sl.Storage[sl.uint]
+    key_sums: sl.Storage[sl.uint]
     listed: sl.StorageRW[DrawArguments]
-    hidden: sl.StorageRW[sl.uint]
     totals: sl.StorageRW[sl.uint]
-    boxes: sl.StorageRW[DrawArguments]
 
     def compute(self) -> None:
-        object_index = sl.global_id().x
+        index = sl.global_id().x
         groups = sl.group_count().x
-        hidden_key = self.parts * self.buckets
-        hidden = self.sums[hidden_key * groups]
-        if object_index == 0:
+        if index == 0:
             for number in range(self.parts):
-                begin = self.sums[number * self.buckets * groups]
-                self.totals[number] = self.sums[(number + 1) * self.buckets * groups] - begin
-            count = self.sums[_NO_KEY * groups] - hidden
-            self.totals[self.parts] = count
-            self.boxes[0].instances = count
-        if object_index < len(self.keys):
-            packed = int(self.keys[object_index])
+                begin = self.key_sums[number * self.buckets * groups]
+                self.totals[number] = self.key_sums[(number + 1) * self.buckets * groups] - begin
+            self.totals[self.parts] = self.sums[len(self.sums) - 1] - self.sums[len(self.entries)]
+        if index < len(self.set_begins) - 1:
+            packed = int(self.keys[index])
             key = packed % KEYS
-            sorted_index = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS % GROUP)
-            if key < hidden_key:
+            if key < self.parts * self.buckets:
                 number = key // self.buckets
-                at = int(sorted_index - self.sums[number * self.buckets * groups]) + number * len(self.keys)
-                part = self.mesh_parts[self.object_positions[object_index].mesh]
+                sorted_index = self.key_sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS)
+                room = len(self.listed) // self.parts
+                at = int(sorted_index - self.key_sums[number * self.buckets * groups]) + number * room
+                begin = self.set_begins[index]
+                first = self.sums[begin]
+                part = self.mesh_parts[self.entries[begin].mesh]
                 self.listed[at] = DrawArguments(
                     count=part.count,
-                    instances=sl.uint(1 + packed // (KEYS * GROUP)),
+                    instances=self.sums[self.set_begins[index + 1]] - first,
                     first=part.first,
                     base_vertex=part.base_vertex,
-                    base_instance=sl.uint(object_index),
+                    base_instance=first,
                 )
-            elif key == hidden_key:
-                self.hidden[int(sorted_index - hidden)] = sl.uint(object_index)
 
 
 def count_parts(scene: Scene) -> int:
@@ -198,7 +226,9 @@ class IndirectDrawList:
         draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i
             on.
         totals: (parts + 1,) the numbers of draws of each part, and of hidden objects.
-        hidden: (n,) rows of the hidden objects.
+        objects, object_positions: (n,) copies of the elements of the visible objects, in the order of the
+            instances.
+        hidden: (n,) indices of the hidden objects.
         box_draw: a draw of as many boxes.
         generation: how often the list was renewed.
     """
@@ -217,15 +247,24 @@ class IndirectDrawList:
         self.generation = 0
         self.draws = device.storage(DrawArguments, parts * count, label="listed draws")
         self.totals = device.storage(sl.uint, parts + 1, label="list counts")
-        self.hidden = device.storage(sl.uint, count, label="hidden rows")
+        self.objects = device.storage(Object, count, label="listed objects")
+        self.object_positions = device.storage(ObjectPosition, count, label="listed positions")
+        self.hidden = device.storage(sl.uint, count, label="hidden objects")
         self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
+        self._set_count = count  # of the last list
+        self._singles: StorageBuffer[sl.uint] | None = None  # the beginnings of sets of one object
+        if not has_instances:
+            begins = np.arange(count + 1, dtype=np.uint32)
+            self._singles = device.storage(sl.uint, begins, label="single objects")
+        self._counts = device.storage(sl.uint, 2 * count + 1, label="mark counts")
         self._keys = device.storage(sl.uint, count, label="keys")
-        self._counts = device.storage(sl.uint, KEYS * occludees.groups, label="key counts")
-        count_keys = with_parts(CountKeys, parts, has_instances=has_instances)
-        self._count_keys: Program[...] = device.program(count_keys)
+        self._key_counts = device.storage(sl.uint, KEYS * occludees.groups, label="key counts")
+        self._count_marks = device.program(CountMarks)
         self._add_counts = device.program(PrefixSum)
+        self._write_objects = device.program(WriteObjects)
+        self._count_keys: Program[...] = device.program(with_parts(CountKeys, parts))
         self._write_draws: Program[...] = device.program(with_parts(WriteDraws, parts))
 
     def renew(self) -> None:
@@ -233,80 +272,125 @@ class IndirectDrawList:
         self.generation += 1
 
     def list_draws(self, encoder: Encoder, arrays: SceneArrays) -> None:
-        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the rows marked
+        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the indices of those marked
         HIDDEN."""
         occludees = self._occludees
+        set_begins = arrays.set_begins if self._singles is None else self._singles
+        self._set_count = set_begins.count - 1
+        set_groups = -(-self._set_count // GROUP)
         if not self._device.capabilities.indirect_count:
             clear(encoder, self.draws)  # all are drawn then; those that aren't listed have no instance
         encoder.dispatch(
-            self._count_keys,
+            self._count_marks,
             occludees.groups,
-            object_positions=arrays.object_positions,
-            occludees=occludees.boxes,
+            entries=arrays.list_entries,
             marks=occludees.marks,
-            keys=self._keys,
             counts=self._counts,
         )
         encoder.dispatch(self._add_counts, 1, counts=self._counts)
         encoder.dispatch(
-            self._write_draws,
+            self._write_objects,
             occludees.groups,
+            entries=arrays.list_entries,
+            objects=arrays.objects,
             object_positions=arrays.object_positions,
-            mesh_parts=arrays.mesh_parts,
-            keys=self._keys,
             sums=self._counts,
-            listed=self.draws,
+            marks=occludees.marks,
+            listed_objects=self.objects,
+            listed_positions=self.object_positions,
             hidden=self.hidden,
-            totals=self.totals,
+        )
+        encoder.dispatch(
+            self._count_keys,
+            set_groups,
+            set_begins=set_begins,
+            sums=self._counts,
+            listed_positions=self.object_positions,
+            occludees=occludees.boxes,
+            keys=self._keys,
+            counts=self._key_counts,
             boxes=self.box_draw,
+        )
+        encoder.dispatch(self._add_counts, 1, counts=self._key_counts)
+        encoder.dispatch(
+            self._write_draws,
+            set_groups,
+            mesh_parts=arrays.mesh_parts,
+            entries=arrays.list_entries,
+            set_begins=set_begins,
+            sums=self._counts,
+            keys=self._keys,
+            key_sums=self._key_counts,
+            listed=self.draws,
+            totals=self.totals,
         )
 
     def arguments(self, part: int) -> IndirectDraws:
         """Return the draws of one part, for `device.draw_indirect`."""
-        count = self._occludees.count
         counted = self._device.capabilities.indirect_count
         return IndirectDraws(
             self.draws,
-            count,
-            offset=part * count * DRAW.itemsize,
+            self._set_count,
+            offset=part * self._occludees.count * DRAW.itemsize,
             count=self.totals if counted else None,
             count_offset=4 * part if counted else 0,
         )
 
     def read_object_indices(self) -> NDArray[np.int64]:
         """Return the indices of the listed objects, in the order of their draws. Waits for the device."""
-        count = self._occludees.count
-        sizes = self.totals.read().tolist()[:-1]
-        return _object_indices(
-            [self.draws.read(count * part, size) for part, size in enumerate(sizes) if size]
-        )
+        return self.read_object_indices_async()()
 
     def read_object_indices_async(self) -> Callable[[], NDArray[np.int64]]:
         """Begin to read what `read_object_indices` returns, and return a function that waits for the device
         and returns it."""
-        totals = self.totals.read_async()
-        draws = self.draws.read_async()
+        totals, draws = self.totals.read_async(), self.draws.read_async()
+        positions = self.object_positions.read_async()
         count = self._occludees.count
 
         def wait() -> NDArray[np.int64]:
             rows, sizes = draws.result(), totals.result().tolist()[:-1]
-            return _object_indices(
-                [rows[count * part : count * part + size] for part, size in enumerate(sizes)]
-            )
+            parts = [rows[count * part : count * part + size] for part, size in enumerate(sizes)]
+            listed = np.concatenate([np.zeros(0, DrawArguments.dtype), *parts])
+            instances = list_ranges(listed["base_instance"], listed["instances"])
+            object_indices: NDArray[np.int64] = positions.result()["object_index"][instances].astype(np.int64)
+            return object_indices
 
         return wait
 
     def read_marks(self, first_object: int, count: int) -> Readback:
-        """Begin to read the marks (`count`,) of the objects from row `first_object` on."""
+        """Begin to read the marks (`count`,) of the objects from `first_object` on."""
         return self._occludees.marks.read_async(first_object, count)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.draws, self.totals, self.hidden, self.box_draw, self._keys, self._counts):
+        for resource in (
+            self.draws,
+            self.totals,
+            self.objects,
+            self.object_positions,
+            self.hidden,
+            self.box_draw,
+            self._counts,
+            self._keys,
+            self._key_counts,
+        ):
             resource.destroy()
+        if self._singles is not None:
+            self._singles.destroy()
 
 
-def _object_indices(parts: list[NDArray[Any]]) -> NDArray[np.int64]:
-    """Return the indices of the objects that parts of a list draw."""
-    draws = np.concatenate([np.zeros(0, DrawArguments.dtype), *parts])
-    return list_ranges(draws["base_instance"], draws["instances"])
+def make_instance_sets(
+    meshes: NDArray[np.int32], groups: NDArray[np.int32]
+) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    """Return the entries (n,) of a scene's lists, as `ListEntry`, and where in them each instance set begins and
+    the last one ends, (sets + 1,).
+
+    Args:
+        meshes: the mesh (n,) of each object.
+        groups: the number (n,) of the program and states that draw each object.
+    """
+    order = np.lexsort((meshes, groups))
+    entries = np.zeros(len(order), ListEntry.dtype)
+    entries["object"], entries["mesh"] = order, meshes[order]
+    is_first = np.diff(meshes[order], prepend=-1) | np.diff(groups[order], prepend=-1)
+    return entries, np.append(np.flatnonzero(is_first), len(order)).astype(np.uint32)

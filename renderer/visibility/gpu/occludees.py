@@ -18,7 +18,7 @@ from typing import Any, Final
 import rhi.shading as sl
 from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
-from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, margin_terms, near_radius
+from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, UNKNOWN_SIZE, margin_terms, near_radius
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from renderer.visibility.scene_drawer import SceneArrays
 from rhi import (
@@ -97,6 +97,7 @@ class ComputeOccludees(sl.Shader):
     culling_camera: sl.Uniform[CullingCamera]
     objects: sl.Storage[Object]
     object_positions: sl.Storage[ObjectPosition]
+    object_meshes: sl.Storage[int]
     mesh_parts: sl.Storage[MeshPart]
     boxes: sl.StorageRW[Occludee]
     marks: sl.StorageRW[sl.uint]
@@ -106,7 +107,7 @@ class ComputeOccludees(sl.Shader):
         if object_index >= len(self.marks):
             return
         object_position = self.object_positions[object_index]
-        part = self.mesh_parts[object_position.mesh]
+        part = self.mesh_parts[self.object_meshes[object_index]]
         linear = self.objects[object_index].linear
         middle = linear @ (0.5 * (part.lower + part.upper))
         half = 0.5 * (part.upper - part.lower)
@@ -249,9 +250,9 @@ class Occludees:
         """Number of work-groups of `GROUP` that have an invocation for each row."""
         return -(-self.count // GROUP)
 
-    def aim(self, camera: Camera) -> None:
-        """Write the camera that boxes are found for."""
-        self._culling_camera.write(_culling_camera(camera))
+    def aim(self, camera: Camera, size: tuple[int, int]) -> None:
+        """Write the camera that boxes are found for, in an image of `size`."""
+        self._culling_camera.write(_culling_camera(camera, size))
 
     def compute_boxes(self, encoder: Encoder, arrays: SceneArrays, **more: sl.StorageRange[Any]) -> None:
         """Find the boxes as the camera sees them, and set all first marks; `more` are further bindings."""
@@ -262,6 +263,7 @@ class Occludees:
             culling_camera=self._culling_camera,
             objects=arrays.objects,
             object_positions=arrays.object_positions,
+            object_meshes=arrays.object_meshes,
             mesh_parts=arrays.mesh_parts,
             boxes=self.boxes,
             marks=self.marks,
@@ -305,12 +307,12 @@ class Occludees:
             resource.destroy()
 
 
-def _culling_camera(camera: Camera) -> CullingCamera:
+def _culling_camera(camera: Camera, size: tuple[int, int] = UNKNOWN_SIZE) -> CullingCamera:
     if is_parallel(camera.projection):
         *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         radius, near = -1.0, -(float(camera.position @ normal) + d)
     else:
         radius, near = _RADIUS_MARGIN * near_radius(camera), -1e30
     return CullingCamera(
-        forward=camera.forward, near_radius=radius, margin=margin_terms(camera), near_depth=near
+        forward=camera.forward, near_radius=radius, margin=margin_terms(camera, size), near_depth=near
     )

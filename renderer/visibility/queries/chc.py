@@ -37,7 +37,7 @@ class Chc(TreeCulling):
         forest, frontier = self._forest, self._frontier
         queries, query_queue = self._queries, self._query_queue
         self._history.refit(self._frame)
-        queries.begin_frame(camera, forest.update(camera))
+        queries.begin_frame(camera, forest.update(camera, scene_drawer.size))
         self._frame += 1
         self._drawn = self._batches = 0
         self._visible_nodes.clear()

@@ -91,7 +91,7 @@ class ChcPlusPlus(TreeCulling):
         frontier = self._frontier
         pending = self._i_queries
         visit = self._visit
-        self._begin(camera)
+        self._begin(camera, scene_drawer.size)
         while True:
             if frontier:
                 visit(frontier.pop())
@@ -114,7 +114,7 @@ class ChcPlusPlus(TreeCulling):
         pull_up(self._visible_nodes, self._visible, forest.parent)
         return self._count()
 
-    def _begin(self, camera: Camera) -> None:
+    def _begin(self, camera: Camera, size: tuple[int, int]) -> None:
         """Read the results of the last frame's v-queue, and begin at the roots."""
         forest, queries = self._forest, self._queries
         self._frame += 1
@@ -122,7 +122,7 @@ class ChcPlusPlus(TreeCulling):
         if self._history.refit(self._frame - 1):
             self._release_leaves()  # the others' queries are about other objects
             queries.set_nodes(forest.tight_sizes, forest.tight)
-        queries.begin_frame(camera, forest.update(camera))
+        queries.begin_frame(camera, forest.update(camera, size))
         self._frontier.begin()
         self._drawn = self._batches = self._visits = 0
         for left in (

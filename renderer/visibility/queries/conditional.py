@@ -72,7 +72,7 @@ class ConditionalCulling(ChcPlusPlus):
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw what `camera` saw in recent frames, and the rest on condition."""
         frontier = self._frontier
-        self._begin(camera)
+        self._begin(camera, scene_drawer.size)
         while frontier:
             self._visit(frontier.pop())
         self._draw_render_queue(scene_drawer)

@@ -36,7 +36,7 @@ class StopAndWait(QueryCulling):
             np.argsort((lower[object_indices] + upper[object_indices]) @ camera.forward, kind="stable")
         ]
         rotated = self._tightest.collect()
-        boxes = compute_query_boxes(camera, lower, upper, rotated, rotated.object_indices)
+        boxes = compute_query_boxes(camera, lower, upper, rotated, rotated.object_indices, scene_drawer.size)
         near = boxes.near
         queries = self._queries
         queries.begin_frame(camera, boxes)

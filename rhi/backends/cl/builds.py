@@ -234,6 +234,14 @@ class Builds:
         """Return whether optimised machine code of the kernels is in the cache."""
         return self._cache.contains(request.key, launch.names)
 
+    def is_stored(self, request: Request) -> bool:
+        """Return whether machine code of the kernels that isn't optimised is in the cache."""
+        return self._cache.contains(self._quick(request).key, request.kernels)
+
+    def _quick(self, request: Request) -> Request:
+        """Return the request for kernels that aren't optimised."""
+        return self._cache.request(request.source, (*request.options, *QUICK), request.kernels)
+
     def compile(self, request: Request, quick: bool = False) -> EvictableProgram:
         """Compile source code, or take it from the cache.
 
@@ -241,7 +249,7 @@ class Builds:
             pyopencl.Error: the driver rejects it.
         """
         if quick:
-            request = self._cache.request(request.source, (*request.options, *QUICK), request.kernels)
+            request = self._quick(request)
         stored = self._cache.find(request.key)
         if stored is not None:
             return self._build(request, stored)

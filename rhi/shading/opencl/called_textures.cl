@@ -2,7 +2,8 @@
 // kernel that samples contains a call instead of all that sampling takes.
 //
 // `call_function` (common.cl of the rasteriser) precedes this text, in which RHI_CALLS_TEXTURES is defined; and
-// so is RHI_TEXTURE_FUNCTION in the text of the function itself, which textures.cl precedes.
+// so is RHI_TEXTURE_FUNCTION in the text of the function itself, which textures.cl precedes. A function that only
+// samples plain textures (RHI_COMPARES is 0) is a smaller one, at an address of its own.
 
 enum { RHI_DO_SAMPLE, RHI_DO_COVER, RHI_DO_SQUARE, RHI_DO_LOAD, RHI_DO_LOAD_EACH, RHI_DO_SIZE, RHI_DO_STORE };
 
@@ -35,6 +36,7 @@ static __attribute__((noinline)) void RHI_TEXTURE_FUNCTION(RhiTextureCall *call)
             FLOAT_AT(10), r
         );
         break;
+#if RHI_COMPARES
     case RHI_DO_SQUARE: rhi_square(t, w, number, compared, a, b, c, d, r); break;
     case RHI_DO_LOAD: rhi_load_any(t, w, i, j, k, number, r); break;
     case RHI_DO_LOAD_EACH: rhi_load_each(t, w, i, j, k, l, r); break;
@@ -44,12 +46,13 @@ static __attribute__((noinline)) void RHI_TEXTURE_FUNCTION(RhiTextureCall *call)
             (rhi_image)t, i, w, j, k, l, call->operands[4], call->operands[5], call->operands[6],
             call->operands[7]
         );
+#endif
     }
 }
 #else
 static RHI_CALLED void rhi_call_texture(RhiTextureCall *call) {
     global const ulong *functions = *(global const ulong *const global *)(call->words + RHI_FUNCTIONS);
-    call_function(functions[RHI_FAST], call);
+    call_function(functions[RHI_FAST + 2 * RHI_PLAIN_SAMPLES], call);
 }
 
 static RHI_CALLED void rhi_call_sample(

@@ -15,9 +15,10 @@
 from __future__ import annotations
 
 import importlib.resources
+import re
 from collections.abc import Iterable
 from functools import cache, reduce
-from typing import Final
+from typing import Final, NamedTuple
 
 from rhi.contract.descriptors import TextureKind
 from rhi.shading.ir.texture_words import enumerations
@@ -63,13 +64,45 @@ _LOG2: Final = (-0.43872565031051636, 0.23905783891677856, -0.08213036507368088)
 CALLED_WIDTH: Final = 16
 """The width of kernels that call the functions that sample."""
 _FAST: Final = "RHI_FAST = "
+_PLAIN: Final = "RHI_PLAIN_SAMPLES"
+_COMPARES: Final = "#define RHI_COMPARES "
+_OTHER_CALLS: Final = re.compile(
+    r"\brhi_(?:sample_compare(?:_grad)?|gather(?:_compare)?|load(?:_each)?|size_each|store)\("
+)
+"""Calls of what a function for plain samples lacks."""
 _CALLS: Final = "#ifndef RHI_CALLS_TEXTURES", "#else  // calls of textures", "#endif  // calls of textures"
 
 
-def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precision) -> str:
+class TextureFunction(NamedTuple):
+    """A function that stages call to sample.
+
+    Attributes:
+        precision: with FAST precision, sRGB and levels of detail use shorter polynomials.
+        is_plain: whether it only samples 2D textures and arrays of them, without comparison: half of the code.
+    """
+
+    precision: Precision
+    is_plain: bool
+
+    @property
+    def slot(self) -> int:
+        """Its number among `FUNCTION_COUNT` addresses, as in called_textures.cl."""
+        return int(self.precision is Precision.FAST) + 2 * self.is_plain
+
+
+FUNCTION_COUNT: Final = 2 * len(Precision)
+
+
+def textures_text(
+    width: int, shapes: Iterable[TextureKind], precision: Precision, compares: bool = True
+) -> str:
     """Return the functions for textures of these kinds, `width` lanes wide.
 
-    With FAST precision, sRGB and levels of detail use shorter polynomials.
+    Args:
+        width: number of lanes.
+        shapes: the kinds of textures.
+        precision: with FAST precision, sRGB and levels of detail use shorter polynomials.
+        compares: whether samples may be compared with a depth.
     """
     used = set(shapes)
     options = {
@@ -81,31 +114,37 @@ def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precisio
     body = _text(width)
     if width == CALLED_WIDTH:
         body = "\n".join([_CALLS[0], body, _CALLS[1], _called_text(), _CALLS[2]])
-    return "\n".join([enumerations(), constants, _HEAD, body])
+    return "\n".join([enumerations(), constants, f"{_COMPARES}{int(compares)}", _HEAD, body])
 
 
 def call_textures(text: str) -> str:
     """Return the text of a stage, `CALLED_WIDTH` lanes wide, that calls the functions that sample instead of
     containing them. Its lines keep their numbers."""
+    function = texture_function(text)
     before, _, rest = text.partition(_CALLS[0])
     body, _, rest = rest.partition(_CALLS[1])
+    is_plain = int(function is not None and function.is_plain)
+    before = before.replace(_COMPARES, f"#define {_PLAIN} {is_plain}  // ", 1)  # which nothing reads here
     return "".join([before, "\n" * body.count("\n"), rest.replace(_CALLS[2], "", 1)])
 
 
-def sampling_precision(text: str) -> Precision | None:
-    """Return the precision of the functions that sample in a stage's text; None if there are none, or if it isn't
-    `CALLED_WIDTH` lanes wide."""
+def texture_function(text: str) -> TextureFunction | None:
+    """Return the function that a stage's text needs to sample; None if it needs none, or if it isn't `CALLED_WIDTH`
+    lanes wide."""
     if _CALLS[0] not in text:
         return None
-    return Precision.FAST if f"{_FAST}1" in text else Precision.EXACT
+    precision = Precision.FAST if f"{_FAST}1" in text else Precision.EXACT
+    is_flat = "RHI_SOLIDS = 0" in text and "RHI_CUBES = 0" in text
+    return TextureFunction(precision, is_flat and not _OTHER_CALLS.search(text.partition(_CALLS[2])[2]))
 
 
-def texture_function_text(name: str, precision: Precision) -> str:
-    """Return the functions for textures of all kinds, and behind them the function of this name that stages call
-    (`call_textures`)."""
-    body = textures_text(CALLED_WIDTH, tuple(TextureKind), precision)
+def texture_function_text(name: str, function: TextureFunction) -> str:
+    """Return the functions for textures of all kinds, or for plain samples, and behind them the function of this
+    name that stages call (`call_textures`)."""
+    shapes = (TextureKind.D2,) if function.is_plain else tuple(TextureKind)
+    body = textures_text(CALLED_WIDTH, shapes, function.precision, compares=not function.is_plain)
     texts = [prelude.SCALAR_SELECT, prelude.any_text(CALLED_WIDTH), prelude.lanes_text(CALLED_WIDTH)]
-    texts += [prelude.function_text(function, CALLED_WIDTH) for function in prelude.functions_in(body)]
+    texts += [prelude.function_text(inner, CALLED_WIDTH) for inner in prelude.functions_in(body)]
     return "\n".join([*texts, body, f"#define RHI_TEXTURE_FUNCTION {name}", _called_text()])
 
 

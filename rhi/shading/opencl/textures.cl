@@ -316,7 +316,7 @@ static RHI_CALLED void rhi_taps(
             else rhi_fetch(p, w, first + j * row + i, taps + 4 * tap);
         }
     }
-    if (compared) {
+    if (RHI_COMPARES && compared) {
         for (int tap = 0; tap < 4; ++tap) {
             taps[4 * tap] = as_UINT(rhi_passes(w, reference, as_FLOAT(taps[4 * tap])));
         }
@@ -501,7 +501,7 @@ static RHI_CALLED void rhi_filter(
         INT k = solid ? rhi_nearest(w[RHI_WRAP_W], level[RHI_DEPTH], z) : rhi_layer(w, level, z);
         if (w[RHI_HAS_BORDER]) rhi_tap(t, w, level, i, j, k, r);
         else rhi_texel(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
-        if (compared) r[0] = as_UINT(rhi_passes(w, reference, as_FLOAT(r[0])));
+        if (RHI_COMPARES && compared) r[0] = as_UINT(rhi_passes(w, reference, as_FLOAT(r[0])));
         return;
     }
     if (w[RHI_PLAIN8]) {
@@ -585,7 +585,7 @@ static RHI_FUSED void rhi_sampled(
     rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod,
     UINT *r
 ) {
-    if (compared && w[RHI_PLAIN_DEPTH]) {
+    if (RHI_COMPARES && compared && w[RHI_PLAIN_DEPTH]) {
         r[0] = as_UINT(rhi_compare_depth(t, w, u, v, z, reference));
         r[1] = r[2] = (UINT)0u;
         r[3] = (UINT)0x3f800000u;

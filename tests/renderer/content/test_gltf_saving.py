@@ -179,6 +179,9 @@ def make_rich_scene():
         rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5
     )
     builder.lights.point["source_radius"][::2] = builder.lights.spot["source_radius"][1::2] = 0.3
+    builder.lights.add_rectangle((1, 2, 3), (0.3, -0.2, 0.9), 5.0, 1.3, 0.7, source_radius=0.2)
+    builder.lights.add_tube((1, 2, 3), (0.3, -0.2, 0.9), 5.0, 1.3)
+    builder.attach_lights("point", builder.lights.add_tube((1, 0, 2), (0.3, 0.4, 0.9), 5.0, 1.1, 0.1), below)
     builder.views["first"] = Camera.look_at(rng.normal(size=3), rng.normal(size=3))
     builder.views["flat"] = Camera.look_at(
         (1, 2, 3), (0, 0, 0), projection=scenes.Orthographic(4.0, 1.5, 0.5, 9.0)

@@ -54,6 +54,8 @@ LIGHT_FIELDS: dict[str, tuple[Any, ...]] = {
     "intensity": (1.0, 1e6),
     "casts_shadow": (True, False),
     "source_radius": (0.0, 1e-3),
+    "source_right": ((0.0, 0.0, 0.0), (0.4, 0.0, 0.0)),
+    "source_up": ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0)),
     "angular_diameter": (0.0, 1e-3, np.pi / 2),
     "direction": ((-0.3, -1.0, -0.5), (0.0, 1.0, 0.0)),
     "inner": (0.2, 0.0),
@@ -250,6 +252,10 @@ def spread_lights() -> Iterator[Neutral]:
                 if set_to.get("intensity") == 1e-12 and ("position" in set_to or max(set_to["color"]) > 1.0):
                     continue  # bright next to the light
                 if set_to.get("source_radius", 0.0) > set_to.get("range", np.inf):
+                    continue
+                if np.any(set_to.get("source_up", 0.0)) and not np.any(set_to["source_right"]):
+                    set_to["source_right"] = (0.4, 0.0, 0.0)
+                if np.linalg.norm(set_to.get("source_right", 0.0)) > set_to.get("range", np.inf):
                     continue
                 if set_to.get("inner", 0.0) > set_to.get("outer", np.inf):
                     continue
@@ -498,6 +504,7 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "animation_step": (0.1, 1e3),
     "animation_lag": (0.0, 100.0),
     "light_cutoff": (1e-3, 1e3),
+    "detail_error": (0.0, 100.0),
     "simulates_hidden": (True,),
     "reprojects": (True,),
 }

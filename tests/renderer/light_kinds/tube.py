@@ -97,7 +97,7 @@ class TubeLights(LightArrays):
     kind: ClassVar[LightKind] = KIND
     tube: NDArray[Any] = field(default_factory=lambda: np.zeros(0, TUBE))
 
-    def add_tube(
+    def add_segment(
         self,
         position: ArrayLike,
         direction: Sequence[float],
@@ -110,5 +110,5 @@ class TubeLights(LightArrays):
         """Add a tube light; returns its index."""
         values = {"position": position, "direction": direction, "half_length": half_length, "range": range}
         return int(
-            self._add("tube", "add_tube", 1, casts_shadow, **values, color=color, intensity=intensity)[0]
+            self._add("tube", "add_segment", 1, casts_shadow, **values, color=color, intensity=intensity)[0]
         )

@@ -35,4 +35,4 @@ def make_floor() -> SceneBuilder:
 def add_lights(builder: Any) -> None:
     """Add the tube lights."""
     for tube in TUBES:
-        builder.lights.add_tube(**tube)
+        builder.lights.add_segment(**tube)

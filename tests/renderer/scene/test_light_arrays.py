@@ -24,6 +24,8 @@ WRITTEN: dict[str, tuple[str, str, Any]] = {
     "a negative range of a spot": ("spot", "range", -1e-3),
     "a negative radius": ("point", "source_radius", -0.1),
     "a radius above the range": ("point", "source_radius", 3.001),
+    "a height without a width": ("point", "source_up", (0.0, 0.1, 0.0)),
+    "a tube that ends beyond the range": ("point", "source_right", (3.001, 0.0, 0.0)),
     "a sun that fills more than a right angle": ("directional", "angular_diameter", 1.58),
     "a sun of a negative size": ("directional", "angular_diameter", -0.1),
     "a negative color": ("point", "color", (1.0, -0.1, 1.0)),
@@ -36,6 +38,7 @@ FINE: dict[str, tuple[str, str, Any]] = {
     "a direction that is rounded": ("spot", "direction", (0.0, -0.9995, 0.0)),
     "a range of 0": ("point", "range", 0.0),
     "a sphere of the whole range": ("point", "source_radius", 3.0),
+    "a tube of the whole range": ("point", "source_right", (3.0, 0.0, 0.0)),
     "a sun that fills a right angle": ("directional", "angular_diameter", np.pi / 2),
     "no light": ("point", "intensity", 0.0),
     "a ball": ("spot", "outer", np.pi),
@@ -154,3 +157,53 @@ def test_a_technique_draws_lights_with_a_cutoff_as_if_their_ranges_were_shorter(
     assert max_difference(images[0], images[2]) == 0
     assert max_difference(images[0], images[4]) > 20
     assert [max_difference(images[0], images[number]) for number in (1, 3, 5)] == [0, 0, 0]
+
+
+def test_rectangles_and_tubes_are_point_lights_with_sides() -> None:
+    lights = Lights()
+    assert (
+        lights.add_rectangle((0, 1, 0), (0, 0, -2), 5.0, 2.0, 1.0, (1, 0.5, 0), 3.0, source_radius=0.4) == 0
+    )
+    assert lights.add_tube((1, 0, 0), (0, 3, 0), 4.0, 1.5, 0.1) == 1
+    rectangle, tube = lights.point
+    assert rectangle["source_right"].tolist() == [-1.0, 0.0, 0.0]
+    assert rectangle["source_up"].tolist() == [0.0, 0.5, 0.0]
+    assert np.cross(rectangle["source_right"], rectangle["source_up"]).tolist() == [0.0, 0.0, -0.5]
+    assert (rectangle["range"], rectangle["intensity"]) == (5.0, 3.0)
+    assert tube["source_right"].tolist() == [0.0, 0.75, 0.0]
+    assert not tube["source_up"].any()
+    assert [round(float(radius), 6) for radius in lights.point["source_radius"]] == [0.4, 0.1]
+
+
+@pytest.mark.parametrize("direction", [(0, 1, 0), (0, -1e-20, 0), (1e20, 1e20, 0), (0.3, 0.2, -0.9)])
+def test_a_rectangle_shines_along_its_direction_even_along_up(direction: tuple[float, ...]) -> None:
+    lights = Lights()
+    lights.add_rectangle((0, 0, 0), direction, 5.0, 1.0, 1.0)
+    normal = np.cross(*(lights.point[name][0].astype(float) for name in ("source_right", "source_up")))
+    expected = np.array(direction) / np.linalg.norm(np.array(direction) / 1e10) / 1e10
+    assert 4.0 * normal == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_rectangle_without_a_height_isn_t_a_tube() -> None:
+    lights = Lights()
+    lights.add_rectangle((0, 0, 0), (0, 0, 1), 5.0, 1.0, 0.0)
+    assert lights.point["source_up"].any()
+
+
+REFUSED: dict[str, dict[str, Any]] = {
+    "a negative width": {"width": -1.0},
+    "an infinite height": {"height": np.inf},
+    "no direction": {"direction": (0, 0, 0)},
+    "no up": {"up": (0, 0, 0)},
+    "a diagonal beyond the range": {"width": 8.0, "height": 6.1},
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_rectangle_that_can_t_be_is_refused_and_not_added(name: str) -> None:
+    lights, values = Lights(), {"direction": (0, 0, 1), "range": 5.0, "width": 8.0, "height": 6.0}
+    with pytest.raises(ValidationError, match="scene-bad-light"):
+        lights.add_rectangle((0, 0, 0), **{**values, **REFUSED[name]})
+    assert len(lights) == 0
+    lights.add_rectangle((0, 0, 0), **values)
+    assert len(lights) == 1

@@ -165,11 +165,12 @@ def test_a_tower_of_any_height_casts_all_of_its_shadow(drawing_device: rhi.Devic
     assert wrong == 0
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("size", [64, 4096])
-def test_maps_of_any_size_show_far_casters(gl: rhi.Device, size: int) -> None:
+def test_maps_of_any_size_show_far_casters(drawing_device: rhi.Device, size: int) -> None:
     settings = replace(SETTINGS, cascade_size=size, cascades=1)
     boxes = [NEAR, cast_at(7e4, 35.0), cast_at(1e7, 35.0, (2.0, 3.0))]
-    wrong, lit, _ = count_wrong(gl, 1e5, boxes, 35.0, settings)
+    wrong, lit, _ = count_wrong(drawing_device, 1e5, boxes, 35.0, settings)
     assert lit > 2000
     assert wrong == 0
 
@@ -205,14 +206,15 @@ def test_the_cut_part_of_triangles_is_that_inside_the_map(seed: int) -> None:
     assert areas.sum() / (normal @ normal) == pytest.approx(inside, abs=0.04)
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("degrees", [0.0, 65.0])
 def test_shadows_on_a_ground_of_any_width_are_right_or_its_object_is_named(
-    gl: rhi.Device, caplog: pytest.LogCaptureFixture, degrees: float
+    drawing_device: rhi.Device, caplog: pytest.LogCaptureFixture, degrees: float
 ) -> None:
     is_named = {}
     for width in (200.0, 1e5, 1e6, 4e6, 2e7, 1e9):
         caplog.clear()
-        wrong, lit, dark = count_wrong(gl, width, [NEAR], degrees)
+        wrong, lit, dark = count_wrong(drawing_device, width, [NEAR], degrees)
         assert lit + dark > 5000
         warnings = [record.getMessage() for record in caplog.records if record.name == "rhi.shadows"]
         is_named[width] = bool(warnings)

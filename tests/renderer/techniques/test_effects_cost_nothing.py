@@ -295,6 +295,20 @@ def test_local_lights_that_are_points_leave_no_trace_of_spheres_and_spheres_add_
     assert measure(spheres, name) == measure(points, name)
 
 
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_local_lights_that_are_points_leave_no_trace_of_areas_and_areas_add_no_draw(name: str) -> None:
+    trace = Trace("source shapes|lobe fits", r"\bgather_rectangle\b", "source_shapes|lobe_fits")
+    points, areas = (make({Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}) for _ in range(2))
+    areas.lights.point["source_right"] = (0.1, 0.0, 0.0)
+    assert not list_traces(points, name, trace)
+    assert {found_trace.partition(" ")[0] for found_trace in list_traces(areas, name, trace)} == {
+        "text",
+        "label",
+        "binding",
+    }
+    assert measure(areas, name) == measure(points, name)
+
+
 @dataclass(frozen=True)
 class Measured:
     """The passes of a frame, its draws and the bytes of its textures."""

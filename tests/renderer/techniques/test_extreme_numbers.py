@@ -101,13 +101,14 @@ def test_normals_of_usual_lengths_stay_as_they_are() -> None:
         assert (scene.meshes.vertices["normal"] == np.array((0, 0, length), np.float32)).all()
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("technique", EXACT)
-def test_missing_normals_are_those_of_triangles(gl: rhi.Device, technique: str) -> None:
+def test_missing_normals_are_those_of_triangles(any_device: rhi.Device, technique: str) -> None:
     """With each technique: a vector of length 0 was black with some, and towards z with others."""
     bent = make_square()
     bent.vertices["normal"][1:3] = 0.0
     for mesh in (make_square(normal=0.0), bent):
-        assert largest_error(draw(gl, make_scene(mesh, 1.0), technique, look())) <= 1.0
+        assert largest_error(draw(any_device, make_scene(mesh, 1.0), technique, look())) <= 1.0
 
 
 def test_missing_normals_of_a_cube_face_outwards() -> None:
@@ -143,8 +144,9 @@ def make_far_light(reach: float, angle: float) -> Scene:
     return builder.build()
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("technique", ["deferred", "light_pre_pass", "clustered", "tiled_deferred"])
-def test_lights_of_any_range_light_alike(gl: rhi.Device, technique: str) -> None:
+def test_lights_of_any_range_light_alike(any_device: rhi.Device, technique: str) -> None:
     """Volumes of lights are no larger than the view, or than float32 projects: parallel ones had lost pixels of
     cones of 10⁹ m, and perspective ones all of lights of 10³⁷ m."""
     perspective = Camera.look_at((0.3, 0.2, 3.0), (0, 0, 0), (0, 1, 0), Perspective(0.8, 1.0, 0.1))
@@ -153,15 +155,16 @@ def test_lights_of_any_range_light_alike(gl: rhi.Device, technique: str) -> None
         for angle in ANGLES:
             for reach in RANGES[1::2]:
                 scene = make_far_light(reach, angle)
-                forward, image = draw(gl, scene, "forward", camera), draw(gl, scene, technique, camera)
+                forward, image = (draw(any_device, scene, name, camera) for name in ("forward", technique))
                 assert np.abs(forward - image).max() <= 2.0, (angle, reach)
             assert np.ptp(forward) > 20.0 or angle == ANGLES[1], "control: the light shows"
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("technique", EXACT)
-def test_worlds_of_any_size_are_lit_alike(gl: rhi.Device, technique: str) -> None:
+def test_worlds_of_any_size_are_lit_alike(any_device: rhi.Device, technique: str) -> None:
     wrong = {
-        size: largest_error(draw(gl, make_scene(make_square(), size, size), technique, look(size)))
+        size: largest_error(draw(any_device, make_scene(make_square(), size, size), technique, look(size)))
         for size in WORLDS
     }
     assert max(wrong.values()) <= 1.0, wrong
@@ -172,10 +175,13 @@ def test_clusters_of_other_backends_hold_large_worlds(any_device: rhi.Device) ->
     assert largest_error(image) <= 1.0
 
 
-def test_a_view_without_end_holds_large_worlds(gl: rhi.Device) -> None:
+@pytest.mark.nightly_cases("cl", "wgpu", reason=FEWER_CASES)
+def test_a_view_without_end_holds_large_worlds(any_device: rhi.Device) -> None:
     scene = make_scene(make_square(), 1e12, 1e12)
     camera = Camera.look_at((0, 0, 5e12), (0, 0, 0), (0, 1, 0), Perspective(0.6, 1.0, near=0.1))
-    images = [draw(gl, scene, technique, camera) for technique in ("forward", "clustered", "forward_plus")]
+    images = [
+        draw(any_device, scene, technique, camera) for technique in ("forward", "clustered", "forward_plus")
+    ]
     assert images[0].max() > 100
     assert np.abs(images[0] - images[1]).max() <= 1.0
     assert np.abs(images[0] - images[2]).max() <= 1.0

@@ -127,19 +127,21 @@ def test_layers_of_one_mesh_are_within_two_levels_of_compositing(
     assert max(wrong.values()) <= 2.0, wrong
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("blending", Blending)
 def test_layers_of_many_objects_are_within_two_levels_of_compositing(
-    gl: rhi.Device, blending: Blending
+    any_device: rhi.Device, blending: Blending
 ) -> None:
     color = mapped_color()
     for count, alpha in ((64, 0.1), (200, 0.01)):
-        image = draw(gl, make_scene(count, alpha, as_objects=True), blending)
+        image = draw(any_device, make_scene(count, alpha, as_objects=True), blending)
         assert np.abs(image - composite(count, alpha, color)).max() <= 2.0
 
 
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("technique", [name for name in TECHNIQUES if name not in ("auto", "inferred")])
-def test_each_technique_shows_faint_layers(gl: rhi.Device, technique: str) -> None:
-    image = draw(gl, make_scene(64, 0.1), Blending.SORTED, technique)
+def test_each_technique_shows_faint_layers(any_device: rhi.Device, technique: str) -> None:
+    image = draw(any_device, make_scene(64, 0.1), Blending.SORTED, technique)
     assert np.abs(image - composite(64, 0.1, mapped_color())).max() <= 2.0
 
 

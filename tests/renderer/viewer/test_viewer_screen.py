@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,15 @@ from screens_kit import open_display
 
 import renderer
 from renderer.cli import main
-from renderer.scene import Depth
+from renderer.content import background, load_scene
+from renderer.scene import Camera, Depth, Scene
 from renderer.settings import RenderSettings
 from renderer.techniques import TechniqueSettings
 from renderer.viewer import viewer_screen as viewer_screen_module
+from renderer.viewer.viewer import Viewer
 from renderer.viewer.viewer_screen import ViewerScreen, open_viewer
-from rhi_screen import Screen
+from rhi import RhiError
+from rhi_screen import Screen, open_screen
 
 SCENE = "grid:count=9"
 SIZE = (96, 54)
@@ -165,6 +169,130 @@ def test_a_screen_that_exists_can_show_a_viewer(viewer_screen: ViewerScreen) -> 
     assert again.frames == 1
 
 
+# -- a scene that is loaded while frames go on -----------------------------------------------------------------
+
+
+class Opening:
+    """A viewer's screen whose scene is loaded once `gate` is set, and what `begin` has seen."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, backend: str, text: str, **options: Any) -> None:
+        self.gate = threading.Event()
+        self.began: list[tuple[str, float, int]] = []
+
+        def load(text: str) -> Scene:
+            assert self.gate.wait(60.0)
+            return load_scene(text)
+
+        monkeypatch.setattr(background, "load_scene", load)
+        options = {"canvas": "offscreen", "size": SIZE, "reload": False, **options}
+        self.screen = open_viewer(text, backend, begin=self.begin, **options)
+
+    def begin(self, viewer_screen: ViewerScreen) -> None:
+        session = viewer_screen.viewer.session
+        self.began.append((session.scene.name, session.seconds, session.counter.frames))
+
+    def finish(self) -> None:
+        """Load the scene; the next frame shows it."""
+        self.gate.set()
+        self.screen.viewer.file_reloader.loading._load.join(60.0)
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize("camera", [None, Camera.look_at((2.0, 3.0, 6.0), (0.0, 0.5, 0.0))])
+def test_a_scene_that_loads_while_frames_go_on_then_looks_as_if_it_had_been_waited_for(
+    monkeypatch: pytest.MonkeyPatch, camera: Camera | None
+) -> None:
+    expected = open_viewer(SCENE, "gl", canvas="offscreen", size=SIZE, reload=False, camera=camera)
+    opening = Opening(monkeypatch, "gl", SCENE, camera=camera)
+    for viewer_screen in (expected, opening.screen):
+        viewer_screen.viewer._interface.is_hidden = True
+    tick(opening.screen)
+    tick(opening.screen)
+    empty = opening.screen.screen.canvas._last_image
+    assert (empty == empty[0, 0]).all()
+    assert opening.began == []
+    opening.finish()
+    tick(opening.screen)
+    tick(expected)
+    assert opening.began == [(expected.viewer.session.scene.name, 0.0, 0)]
+    images = [opened.screen.canvas._last_image for opened in (expected, opening.screen)]
+    assert (images[0] != images[0][0, 0]).any()
+    assert (images[0] == images[1]).all()
+    for viewer_screen in (expected, opening.screen):
+        viewer_screen.close()
+
+
+def test_ten_frames_a_second_are_drawn_while_a_scene_loads(monkeypatch: pytest.MonkeyPatch) -> None:
+    opening = Opening(monkeypatch, "null", SCENE)
+    canvas, rates = opening.screen.screen.canvas, []
+    monkeypatch.setattr(canvas, "set_update_mode", lambda mode, *, min_fps: rates.append((mode, min_fps)))
+    tick(opening.screen)
+    assert rates == []  # it was set before
+    opening.finish()
+    tick(opening.screen)
+    tick(opening.screen)
+    assert rates == [("ondemand", 0.0)]
+    opening.screen.close()
+
+
+def test_a_scene_that_loads_at_once_needs_no_frames_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer_screen_module, "_PATIENCE", 60.0)
+    begin = Mock()
+    viewer_screen = open_viewer(SCENE, "null", canvas="offscreen", size=SIZE, begin=begin)
+    begin.assert_called_once_with(viewer_screen)
+    assert len(viewer_screen.viewer.session.scene.objects) == 9
+    assert not viewer_screen.viewer.is_loading
+    viewer_screen.close()
+
+
+def test_a_name_that_no_scene_has_is_refused_before_a_screen_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer_screen_module, "_PATIENCE", 60.0)
+    monkeypatch.setattr(viewer_screen_module, "open_screen", Mock(side_effect=AssertionError))
+    with pytest.raises(RhiError, match="scene-unknown"):
+        open_viewer("citty", "null", canvas="offscreen", size=SIZE, begin=Mock())
+
+
+def test_a_first_scene_that_cannot_be_loaded_ends_the_loop_with_its_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opening = Opening(monkeypatch, "null", "nowhere.glb")
+    tick(opening.screen)
+    opening.finish()
+    with pytest.raises(RhiError, match="scene-missing-file"):
+        opening.screen.run()
+    assert opening.began == []
+    opening.screen.close()
+
+
+def test_a_refused_argument_of_the_first_scene_ends_the_loop_with_its_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opening = Opening(monkeypatch, "null", SCENE)
+    monkeypatch.setattr(opening, "begin", Mock())
+    opening.screen.viewer.file_reloader.loading._show = Mock(side_effect=KeyError("stereo"))
+    opening.finish()
+    with pytest.raises(KeyError, match="stereo"):
+        opening.screen.run()
+    opening.screen.close()
+
+
+def test_an_unknown_camera_ends_the_command_with_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(viewer_screen_module, "open_screen", open_offscreen)
+        main(["view", SCENE, "--backend", "null", "--camera", "nowhere", "--size", "96x54"])
+    stderr = capsys.readouterr().err
+    assert "nowhere" in stderr
+    assert stderr.count("\n") == 1
+
+
+def open_offscreen(backend: str, *, size: tuple[int, int], canvas: str, **options: Any) -> Screen:
+    """Open an offscreen canvas whose loop draws ten frames, in place of a window."""
+    screen = open_screen(backend, size=size, canvas="offscreen")
+    run = screen.run
+    screen.run = lambda draw: run(draw, frames=10)
+    return screen
+
+
 # -- notebooks -----------------------------------------------------------------------------------------------
 
 
@@ -172,7 +300,6 @@ def test_a_screen_that_exists_can_show_a_viewer(viewer_screen: ViewerScreen) -> 
 def test_a_widget_is_turned_by_the_events_of_its_page() -> None:
     """Frames go out as jupyter_rfb's messages, and events come in as its page sends them."""
     pytest.importorskip("jupyter_rfb", reason="no jupyter_rfb: pip install jupyter_rfb")
-    from renderer.viewer.viewer import Viewer
 
     viewers: list[Viewer] = []
     plain = Viewer.__init__

@@ -121,7 +121,8 @@ class Oracle:
     helpers: set[int] = field(default_factory=set)
     """Programs that draw no objects."""
     executed: list[int] = field(default_factory=list)
-    """Rows of the objects whose draws were executed, and not dropped by a condition."""
+    """Indices of the objects whose draws were executed, and not dropped by a condition; of draws that the device
+    lists, those of the instances."""
 
     def __post_init__(self) -> None:
         forest = Forest(self.scene)
@@ -173,8 +174,9 @@ class Oracle:
             run = range(draw.base_instance, draw.base_instance + draw.instances)
             rows = set().union(*(self.members[box] for box in run))
         else:
-            rows = {draw.base_instance}
-            self.executed.append(draw.base_instance)
+            run = range(draw.base_instance, draw.base_instance + draw.instances)
+            rows = set(run)
+            self.executed += run
         return self.samples if rows & self.visible_objects else 0
 
 

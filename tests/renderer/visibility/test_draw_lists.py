@@ -2,100 +2,115 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rhi
-from renderer.content import load_scene
+from renderer.content import BUILT_IN, load_scene
 from renderer.frame import SceneResources, View
-from renderer.scene import Camera, Scene
-from renderer.scene.arrays import list_ranges
-from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
+from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.shaders import DRAW_LISTS, ListEntry, MeshPart, Object, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
-from renderer.visibility import NoCulling
+from renderer.visibility import NoCulling, SceneArrays
 from renderer.visibility.gpu.draw_lists import (
     KEYS,
     MAX_PARTS,
     CountKeys,
+    CountMarks,
     DrawArguments,
     IndirectDrawList,
     WriteDraws,
+    WriteObjects,
+    make_instance_sets,
 )
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, OUTSIDE, VISIBLE, Occludee, Occludees
-from rhi.shading import run_compute
+from rhi.shading import run_compute, uint
 
 BUCKETS = 31
 
 
-def buckets(depth: np.ndarray) -> np.ndarray:
-    """Return the half octaves, counted from 1/8 m."""
-    return np.clip(np.floor(2.0 * np.log2(np.maximum(depth, 0.125))).astype(int) + 6, 0, BUCKETS - 1)
+@dataclass
+class Case:
+    """The inputs of a list: marks, objects, their boxes and meshes, and the mesh parts."""
+
+    marks: np.ndarray
+    objects: np.ndarray
+    positions: np.ndarray
+    boxes: np.ndarray
+    meshes: np.ndarray
+    parts: np.ndarray
+
+    def arrays(self, device: rhi.Device, view: View) -> SceneArrays:
+        """Upload the case."""
+        entries, begins = make_instance_sets(self.meshes, self.positions["draw_list"])
+        return SceneArrays(
+            view.buffer,
+            device.storage(Object, self.objects),
+            device.storage(ObjectPosition, self.positions),
+            device.storage(MeshPart, self.parts),
+            device.storage(int, self.meshes),
+            device.storage(ListEntry, entries),
+            device.storage(uint, begins),
+        )
 
 
-def make_objects(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def make_case(count: int, seed: int, parts: int = 4) -> Case:
     rng = np.random.default_rng(seed)
-    marks = rng.choice([HIDDEN, VISIBLE, OUTSIDE, DRAWN], count).astype(np.uint32)
-    object_positions, boxes, parts = (
-        np.zeros(n, s.dtype) for n, s in ((count, ObjectPosition), (count, Occludee), (5, MeshPart))
+    objects, positions, boxes, mesh_parts = (
+        np.zeros(n, s.dtype)
+        for n, s in ((count, Object), (count, ObjectPosition), (count, Occludee), (5, MeshPart))
     )
-    object_positions["mesh"], object_positions["draw_list"] = (
-        rng.integers(0, 5, count),
-        rng.choice(4, count, p=[0.6, 0.2, 0.15, 0.05]),
+    objects["linear"][..., :3] = rng.normal(size=(count, 3, 3))
+    objects["material"], positions["object_index"] = rng.integers(0, 99, count), np.arange(count)
+    positions["draw_list"] = (
+        rng.choice(4, count, p=[0.6, 0.2, 0.15, 0.05]) if parts == 4 else rng.integers(0, parts, count)
     )
     # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
     boxes["depth"] = rng.choice([-3.0, 0.0, 0.1, 1.1, 1.3, 5.0, 77.0, 5000.0, 1e20], count)
-    parts["first"], parts["count"], parts["base_vertex"] = rng.integers(0, 999, (3, 5))
-    if seed % 2:  # runs of equal rows, which become instances
-        runs = np.arange(count) // rng.integers(1, 150)
-        marks, object_positions, boxes = marks[runs], object_positions[runs], boxes[runs]
-    return marks, object_positions, boxes, parts
+    mesh_parts["first"], mesh_parts["count"], mesh_parts["base_vertex"] = rng.integers(0, 999, (3, 5))
+    meshes = rng.integers(0, 5, count).astype(np.int32)
+    marks = rng.choice([HIDDEN, VISIBLE, OUTSIDE, DRAWN], count).astype(np.uint32)
+    if seed % 2:  # meshes of which most objects are not visible
+        marks[meshes != 3] = OUTSIDE
+    return Case(marks, objects, positions, boxes, meshes, mesh_parts)
 
 
-def expect(marks: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray, part: int) -> np.ndarray:
-    """Return the expected rows of one part in the order of their draws."""
-    rows = np.flatnonzero((marks == VISIBLE) & (object_positions["draw_list"] == part))
-    return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
+def expect(case: Case, part: int, classes: int = BUCKETS) -> list[np.ndarray]:
+    """Return the expected objects of the draws of one part in their order: set by set, as the module says."""
+    sets = []
+    for mesh in range(5):
+        is_in_set = (case.positions["draw_list"] == part) & (case.meshes == mesh)
+        rows = np.flatnonzero(is_in_set & (case.marks == VISIBLE))
+        if len(rows):
+            sets.append(rows)
+    octaves = np.log2(np.maximum(case.boxes["depth"], 0.125)) + 3.0
+    keys = np.floor(octaves * (2.0 * classes / BUCKETS)).clip(0, classes - 1)
+    return sorted(sets, key=lambda rows: keys[rows[0]])
 
 
-def count_instances(rows: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-    """Return the numbers of instances of the draws of rows in order: row by row, as the module says."""
-    counts: list[int] = []
-    before = -2
-    for row in rows.tolist():
-        alike = [
-            (index // 64, int(object_positions["mesh"][index]), int(buckets(boxes["depth"][index])))
-            for index in (before, row)
-        ]
-        if row == before + 1 and alike[0] == alike[1]:
-            counts[-1] += 1
-        else:
-            counts.append(1)
-        before = row
-    return np.array(counts, np.int64)
-
-
-def check(
-    marks: np.ndarray,
-    object_positions: np.ndarray,
-    boxes: np.ndarray,
-    parts: np.ndarray,
-    after: dict[str, np.ndarray],
-) -> None:
-    count, totals, draws = len(marks), after["totals"], after["listed"]
-    for part in range(4):
-        rows, begin = expect(marks, object_positions, boxes, part), part * count
-        instances = count_instances(rows, object_positions, boxes)
-        assert totals[part] == len(instances)
-        heads = rows[np.cumsum(instances) - instances]
-        listed, mesh = draws[begin : begin + len(heads)], parts[object_positions["mesh"][heads]]
-        assert listed["base_instance"].tolist() == heads.tolist()
-        assert listed["instances"].tolist() == instances.tolist()
-        for field in ("count", "first", "base_vertex"):
-            assert listed[field].tolist() == mesh[field].tolist()
+def check(case: Case, after: dict[str, np.ndarray], parts: int = 4) -> None:
+    marks, count = case.marks, len(case.marks)
+    totals, draws = after["totals"], after["listed"]
+    for part in range(parts):
+        sets = expect(case, part, (KEYS - 2) // max(parts, 4))
+        assert totals[part] == len(sets)
+        listed = draws[count * part : count * part + len(sets)]
+        assert listed["instances"].tolist() == [len(rows) for rows in sets]
+        for rows, draw in zip(sets, listed, strict=True):
+            mesh = case.parts[case.meshes[rows[0]]]
+            assert all(draw[field] == mesh[field] for field in ("count", "first", "base_vertex"))
+            instances = slice(draw["base_instance"], draw["base_instance"] + draw["instances"])
+            for field in ("object_index", "draw_list"):
+                assert after["positions"][field][instances].tolist() == case.positions[field][rows].tolist()
+            assert after["objects"]["material"][instances].tolist() == case.objects["material"][rows].tolist()
+            linear = after["objects"]["linear"][instances], case.objects["linear"][rows]
+            assert np.array_equal(linear[0][..., :3], linear[1][..., :3])
     hidden = np.flatnonzero(marks == HIDDEN)
-    assert totals[4] == after["boxes"][0]["instances"] == len(hidden)
+    assert totals[parts] == after["boxes"][0]["instances"] == len(hidden)
     assert after["hidden"][: len(hidden)].tolist() == hidden.tolist()
     assert after["marks"].tolist() == np.where(marks == VISIBLE, DRAWN, marks).tolist()
 
@@ -104,64 +119,56 @@ def check(
 @given(st.integers(1, 300), st.integers(0, 999))
 @example(64, 0)
 @example(65, 1)
-def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
-    marks, object_positions, boxes, parts = make_objects(count, seed)
-    groups = -(-count // 64)
+def test_lists_are_of_marked_objects_by_mesh(count: int, seed: int) -> None:
+    case = make_case(count, seed)
+    entries, begins = make_instance_sets(case.meshes, case.positions["draw_list"])
+    groups, set_groups = -(-count // 64), -(-(len(begins) - 1) // 64)
+    marked = run_compute(CountMarks, groups, entries=entries, marks=case.marks, counts=2 * count + 1)
+    sums = run_compute(PrefixSum, 1, counts=marked["counts"])["counts"]
+    assert sums.tolist() == np.append(0, np.cumsum(marked["counts"]))[:-1].tolist()
+    objects = run_compute(
+        WriteObjects,
+        groups,
+        entries=entries,
+        objects=case.objects,
+        object_positions=case.positions,
+        sums=sums,
+        marks=case.marks,
+        listed_objects=count,
+        listed_positions=count,
+        hidden=count,
+    )
     counted = run_compute(
         CountKeys,
-        groups,
-        object_positions=object_positions,
-        occludees=boxes,
-        marks=marks,
-        keys=count,
-        counts=KEYS * groups,
-    )
-    sums = run_compute(PrefixSum, 1, counts=counted["counts"])["counts"]
-    assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
-    written = run_compute(
-        WriteDraws,
-        groups,
-        object_positions=object_positions,
-        mesh_parts=parts,
-        keys=counted["keys"],
+        set_groups,
+        set_begins=begins,
         sums=sums,
-        listed=4 * count,
-        hidden=count,
-        totals=5,
+        listed_positions=objects["listed_positions"],
+        occludees=case.boxes,
+        keys=count,
+        counts=KEYS * set_groups,
         boxes=np.zeros(1, DrawArguments.dtype),
     )
-    check(marks, object_positions, boxes, parts, counted | written)
+    written = run_compute(
+        WriteDraws,
+        set_groups,
+        mesh_parts=case.parts,
+        entries=entries,
+        set_begins=begins,
+        sums=sums,
+        keys=counted["keys"],
+        key_sums=run_compute(PrefixSum, 1, counts=counted["counts"])["counts"],
+        listed=4 * count,
+        totals=5,
+    )
+    copies = {"objects": objects["listed_objects"], "positions": objects["listed_positions"]}
+    check(case, objects | counted | written | copies)
 
 
 @pytest.mark.parametrize("listed", [5, 8, 20, MAX_PARTS])
 def test_lists_may_have_more_parts(device: rhi.Device, listed: int) -> None:
     """With fewer and wider classes of distances."""
-    count, rng = 900, np.random.default_rng(listed)
-    marks, object_positions, boxes, parts = make_objects(count, listed)
-    object_positions["draw_list"] = rng.integers(0, listed, count)
-    occludees = Occludees(device, count)
-    occludees.marks.write(marks)
-    occludees.boxes.write(boxes)
-    lists = IndirectDrawList(device, occludees, listed)
-    scene = load_scene("grid:mesh=box,count=1")
-    resources = SceneResources(device, scene)
-    view = aim(device, scene, resources)
-    arrays = resources.scene_arrays(view.buffer)
-    given_places, given_parts = (
-        device.storage(ObjectPosition, object_positions),
-        device.storage(MeshPart, parts),
-    )
-    lists.list_draws(device, type(arrays)(arrays.view, arrays.objects, given_places, given_parts))
-    totals, draws, classes = lists.totals.read(), lists.draws.read(), (KEYS - 2) // listed
-    octaves = np.log2(np.maximum(boxes["depth"], 0.125)) + 3.0
-    order = np.argsort(np.floor(octaves * (2.0 * classes / BUCKETS)).clip(0, classes - 1), kind="stable")
-    for part in range(listed):
-        expected = order[((marks == VISIBLE) & (object_positions["draw_list"] == part))[order]]
-        drawn = draws[part * count : part * count + totals[part]]
-        assert list_ranges(drawn["base_instance"], drawn["instances"]).tolist() == expected.tolist()
-    assert totals[listed] == (marks == HIDDEN).sum()
-    for resource in (occludees, lists, resources, view, given_places, given_parts):
-        resource.destroy()
+    check_on_device(device, make_case(900, listed, listed), listed)
 
 
 def aim(device: rhi.Device, scene: Scene, resources: SceneResources) -> View:
@@ -173,73 +180,81 @@ def aim(device: rhi.Device, scene: Scene, resources: SceneResources) -> View:
     return view
 
 
-@settings(max_examples=5)
-@given(st.integers(1, 3000), st.integers(0, 999))
-@example(20_000, 2)
-def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int) -> None:
-    marks, object_positions, boxes, parts = make_objects(count, seed)
-    occludees = Occludees(device, count)
-    occludees.marks.write(marks)
-    occludees.boxes.write(boxes)
-    lists = IndirectDrawList(device, occludees)
+def check_on_device(device: rhi.Device, case: Case, parts: int = DRAW_LISTS) -> None:
+    """Make the list of a case twice."""
+    occludees = Occludees(device, len(case.marks))
+    occludees.marks.write(case.marks)
+    occludees.boxes.write(case.boxes)
+    lists = IndirectDrawList(device, occludees, parts)
     scene = load_scene("grid:mesh=box,count=1")
     resources = SceneResources(device, scene)
     view = aim(device, scene, resources)
-    arrays = resources.scene_arrays(view.buffer)
-    given_arrays = type(arrays)(
-        arrays.view,
-        arrays.objects,
-        device.storage(ObjectPosition, object_positions),
-        device.storage(MeshPart, parts),
-    )
+    arrays = case.arrays(device, view)
     readings = []
     for _ in range(2):  # the second time nothing is VISIBLE any more
-        lists.list_draws(device, given_arrays)
+        lists.list_draws(device, arrays)
         after = {
             "marks": occludees.marks.read(),
             "listed": lists.draws.read(),
+            "objects": lists.objects.read(),
+            "positions": lists.object_positions.read(),
             "totals": lists.totals.read(),
             "hidden": lists.hidden.read(),
             "boxes": lists.box_draw.read(),
         }
-        check(marks, object_positions, boxes, parts, after)
-        rows = [expect(marks, object_positions, boxes, part) for part in range(4)]
-        listed = np.concatenate(rows).tolist()
+        check(case, after, parts)
+        sets = [rows for part in range(parts) for rows in expect(case, part, (KEYS - 2) // max(parts, 4))]
+        listed = np.concatenate([np.zeros(0, np.int64), *sets]).tolist()
         assert lists.read_object_indices().tolist() == listed
         readings.append((lists.read_object_indices_async(), listed))
-        marks = after["marks"]
+        case.marks = after["marks"]
     assert all(wait().tolist() == listed for wait, listed in readings)
-    for resource in (
-        occludees,
-        lists,
-        resources,
-        view,
-        given_arrays.object_positions.owner,
-        given_arrays.mesh_parts.owner,
-    ):
+    buffers = [getattr(arrays, field.name).owner for field in fields(arrays) if field.name != "view"]
+    for resource in (occludees, lists, resources, view, *buffers):
         resource.destroy()
 
 
-@pytest.mark.parametrize(
-    ("count", "draws"), [(1, [1]), (63, [63]), (64, [64]), (65, [64, 1]), (200, [64, 64, 64, 8])]
-)
-def test_alike_rows_are_instances_of_a_draw_for_each_group(
-    gl: rhi.Device, count: int, draws: list[int]
-) -> None:
+@settings(max_examples=5)
+@given(st.integers(1, 3000), st.integers(0, 999))
+@example(20_000, 2)
+def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int) -> None:
+    check_on_device(device, make_case(count, seed))
+
+
+@pytest.mark.parametrize("count", [1, 64, 65, 200])
+def test_alike_objects_are_instances_of_one_draw(gl: rhi.Device, count: int) -> None:
     scene = load_scene(f"grid:mesh=box,count={count}")
     resources = SceneResources(gl, scene)
     view = aim(gl, scene, resources)
-    for has_instances in (True, False):  # without them, each row is a draw: the control
+    for has_instances in (True, False):  # without them, each object is a draw: the control
         occludees = Occludees(gl, count)
         occludees.marks.write(np.full(count, VISIBLE, np.uint32))
         occludees.boxes.write(np.zeros(count, Occludee.dtype))
         lists = IndirectDrawList(gl, occludees, has_instances=has_instances)
         lists.list_draws(gl, resources.scene_arrays(view.buffer))
         total = int(lists.totals.read()[0])
-        assert lists.draws.read(0, total)["instances"].tolist() == (draws if has_instances else [1] * count)
+        assert lists.draws.read(0, total)["instances"].tolist() == ([count] if has_instances else [1] * count)
         assert lists.read_object_indices().tolist() == list(range(count))
         lists.destroy()
         occludees.destroy()
+    resources.destroy()
+    view.destroy()
+
+
+def test_instance_sets_follow_meshes_and_states(null: rhi.Device) -> None:
+    builder = SceneBuilder("boxes")
+    nodes = builder.add_nodes(np.stack([np.eye(4)] * 9), dynamic=True)
+    builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    scene = builder.build()
+    resources = SceneResources(null, scene)
+    view = aim(null, scene, resources)
+    before = resources.scene_arrays(view.buffer)
+    assert resources.scene_arrays(view.buffer) == before  # nothing is written again: the control
+    assert before.set_begins.count == 2
+    scene.nodes.set_local(scene.objects.node[4:5], np.diag([-1.0, 1.0, 1.0, 1.0])[None])
+    scene.refresh()
+    resources.update(view.camera)
+    assert resources.scene_arrays(view.buffer).set_begins.count == 3
     resources.destroy()
     view.destroy()
 

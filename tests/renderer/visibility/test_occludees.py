@@ -13,7 +13,7 @@ from renderer.frame import SceneResources, View
 from renderer.lab.exam.scenes import make_views
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
 from renderer.visibility import NoCulling
-from renderer.visibility.boxes.bounds import margin_terms, near_radius
+from renderer.visibility.boxes.bounds import UNKNOWN_SIZE, margin_terms, near_radius
 from renderer.visibility.gpu.occludees import HIDDEN, OUTSIDE, VISIBLE, Occludees
 from rhi.math import is_parallel
 
@@ -26,7 +26,7 @@ def compute_occludees(device: rhi.Device, scene: Scene, camera: Camera) -> tuple
     view = View(device, "eye", NoCulling(scene))
     view.aim(camera)
     resources.update(camera)
-    occludees.aim(camera)
+    occludees.aim(camera, UNKNOWN_SIZE)
     occludees.compute_boxes(device, resources.scene_arrays(view.buffer))
     results = occludees.boxes.read(), occludees.marks.read()
     for resource in (resources, view, occludees):

@@ -86,6 +86,21 @@ def test_a_padded_box_lies_inside_every_padded_box_around_it(
     assert (high[1] >= high[0]).all()
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 1000), (3, 2), (15, 15), (16, 9), (960, 540)], ids=str)
+@pytest.mark.parametrize("parallel", [False, True])
+def test_padding_is_a_subpixel_in_images_of_any_size(parallel: bool, size: tuple[int, int]) -> None:
+    projection = Orthographic(20.0, near=0.0) if parallel else Perspective()
+    camera = look(projection)
+    point = np.array([[0.0, 0.0, -10.0]])
+    _, upper, _ = pad_boxes(camera, point, point, size)
+    clip = camera.view_projection @ [*(upper[0] * (1.0, 1.0, 0.0) + point[0] * (0.0, 0.0, 1.0)), 1.0]
+    assert (0.5 * np.array(size) * clip[:2] / clip[3] > 0.999 / 256).all()
+    usual = pad_boxes(camera, point, point)[1]
+    assert (upper >= usual).all()
+    assert (upper > usual).all() or min(size) > 8
+    assert (upper == usual).all() or min(size) < 16
+
+
 @pytest.mark.parametrize("parallel", [False, True])
 def test_padding_is_at_least_a_subpixel_and_at_most_a_pixel(parallel: bool) -> None:
     projection = Orthographic(20.0, near=0.0) if parallel else Perspective()

@@ -22,6 +22,8 @@ _SMOOTHEST: Final = 0.1
 """The roughness below which the metallic-roughness model uses this value."""
 _RINGS: Final = 24
 """Rings of directions to a sphere light, each with twice as many directions."""
+_PARTS: Final = 32
+"""Parts of a rectangle or a tube along each of its sides."""
 _SHADOW_RINGS: Final = 12
 """Rings of rays to a source with a size, each with twice as many rays."""
 _RAYS: Final = 1 << 13
@@ -65,6 +67,8 @@ class LitSurfaces:
         reach = float(local_light["range"])
         to_light = normalize(away)
         window = np.clip(1.0 - (distance / max(reach, 1e-10)) ** 4, 0.0, 1.0)
+        if "source_right" in local_light.dtype.names and local_light["source_right"].any():
+            return self._reflect_area(seen, local_light, np.where(distance < reach, window**2, 0.0))
         strength = (
             float(local_light["intensity"])
             * window**2
@@ -76,6 +80,29 @@ class LitSurfaces:
             share = (outer - 0.5 * (chord * chord).sum(1)) / max(outer - inner, 1e-14)
             strength *= np.clip(share, 0.0, 1.0) ** 2
         return self._reflect(seen, to_light, np.where(distance < reach, strength, 0.0), distance, local_light)
+
+    def _reflect_area(self, seen: Surfaces, light: Any, strength: Floats) -> Floats:
+        """The light of a rectangle or a tube that surfaces reflect: that of all its parts, dimmed by `strength` (k,).
+        Its shadow is that of its middle, or of a sphere there."""
+        color, lit = np.zeros(seen.normal.shape), np.flatnonzero(strength > 0.0)
+        if len(lit) and light["casts_shadow"] and self._has_shadows:
+            away = light["position"] - seen.position[lit]
+            distance = np.linalg.norm(away, axis=1)
+            sine = np.minimum(float(light["source_radius"]) / np.maximum(distance, 1e-9), 1.0)
+            shares = self._measure_visibility(_take(seen, lit), normalize(away), distance, sine)
+            lit, strength = lit[shares > 0.0], strength.copy()
+            strength[lit] *= shares[shares > 0.0]
+        repeated = _take(seen, np.repeat(lit, _PARTS))
+        for position, normal, share in _list_parts(light):
+            away = np.tile(light["position"] + position, (len(lit), 1)) - repeated.position
+            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
+            direction = away / distance[:, None]
+            emitted = np.maximum(-_dot(direction, np.tile(normal, (len(lit), 1))), 0.0) / distance**2
+            facing = np.maximum(_dot(repeated.normal, direction), 0.0)
+            reflected = reflect(repeated, direction) * (share * emitted * facing)[:, None]
+            color[lit] += reflected.reshape(len(lit), _PARTS, 3).sum(axis=1)
+        arriving = light["color"].astype(np.float64) * float(light["intensity"])
+        return np.asarray(color * arriving * strength[:, None])
 
     def _reflect(
         self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, light: Any
@@ -249,6 +276,25 @@ def _list_directions(to_light: Floats, sine: Floats, rings: int = _RINGS) -> Ite
         angle = np.pi * (turn + 0.5) / rings
         around = aside * np.cos(angle) + up * np.sin(angle)
         yield to_light * along + around * np.sqrt(1.0 - along**2), 1.0 / (1.0 + cosine) / rings**2
+
+
+def _list_parts(light: Any) -> Iterator[tuple[Floats, Floats, float]]:
+    """Yield rows of parts of a rectangle or a tube, of equal area: positions (n, 3) from its middle, unit normals (n,
+    3), and the share of the light of each part that a surface in front of the source would get, seen from afar."""
+    right, up = (light[name].astype(np.float64) for name in ("source_right", "source_up"))
+    steps = (2.0 * np.arange(_PARTS) + 1.0) / _PARTS - 1.0
+    if up.any():
+        normal = np.cross(right / np.linalg.norm(right), up / np.linalg.norm(up))
+        for y in steps:
+            yield steps[:, None] * right + y * up, np.tile(normal, (_PARTS, 1)), 1.0 / _PARTS**2
+        return
+    axis = right / np.linalg.norm(right)
+    first = normalize(np.cross(axis, np.eye(3)[np.abs(axis).argmin()])[None])[0]
+    second = np.cross(axis, first)
+    angles = np.pi * steps[:, None]
+    normals = np.cos(angles) * first + np.sin(angles) * second
+    for x in steps:
+        yield x * right + float(light["source_radius"]) * normals, normals, np.pi / _PARTS**2
 
 
 def reflect(surfaces: Surfaces, to_light: Floats, *, is_mirror: bool = False) -> Floats:

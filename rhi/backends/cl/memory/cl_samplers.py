@@ -15,6 +15,7 @@ from rhi.backends.cl.memory.cl_textures import ClTexture, TextureWords
 from rhi.backends.cl.memory.planes import TexelPlane, allocate, buffer_address
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.ir.texture_words import LevelLayout, TextureWord, describe_texture
+from rhi.shading.opencl.opencl_textures import FUNCTION_COUNT
 
 
 class Samplers:
@@ -27,7 +28,7 @@ class Samplers:
 
     def __init__(self, context: cl.Context) -> None:
         self._context = context
-        self.texture_functions = np.zeros(2, np.uint64)
+        self.texture_functions = np.zeros(FUNCTION_COUNT, np.uint64)
         self._samplers: dict[Id, SamplerDescriptor] = {}
 
     def create(self, sampler: Id, descriptor: SamplerDescriptor) -> None:

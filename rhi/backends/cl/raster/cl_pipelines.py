@@ -39,7 +39,7 @@ from rhi.backends.cl.raster.general_raster import (
 )
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
-from rhi.shading.opencl.opencl_textures import call_textures, sampling_precision
+from rhi.shading.opencl.opencl_textures import call_textures, texture_function
 
 LANGUAGE: Final = "opencl16"
 _BOXED: Final = "#define RHI_BOXED"
@@ -196,8 +196,8 @@ class Pipeline:
         """Return the request for the fragment stage alone, and its text, which calls the functions that sample."""
         macros = kernel_structs.stage_macros(self.descriptor, self._fault_addresses[Stage.FRAGMENT])
         text = self._fragment_text
-        precision = sampling_precision(text.text) if text.generated else None
-        if precision is not None and self._shared.load_texture_function(precision):
+        function = texture_function(text.text) if text.generated else None
+        if function is not None and self._shared.load_texture_function(function):
             text = replace(text, text=call_textures(text.text))
         return self._assemble(read_kernels("common"), text, macros, STAGE_FILES, (STAGE,)), text
 

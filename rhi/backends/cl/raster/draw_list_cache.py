@@ -5,6 +5,8 @@
   repeated as a whole, with the same counters, finds its tables by its bytes.
 - Prepared draws hold for one version of the indices. With other indices draws are prepared anew, and the old
   ones are dropped, as all are that belong to a vertex array when it is destroyed.
+- Where there are too many, arrays are dropped first: they change with each frame in which the visible objects do,
+  and are made again in a thousandth of the time that their prepared draws take.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ from rhi.backends.cl.raster.draw_tables import DrawList, DrawSlot, PreparedDraws
 from rhi.contract.descriptors import DRAW, Id, Primitive
 
 _MAX_CACHED: Final = 1 << 17
-"""Limit of the number of cached draws and of draws in cached arrays, together. A longer array is alone in the
-cache."""
+"""Limit of the number of cached draws and of draws in cached arrays, together, beyond which arrays are dropped; and
+of cached draws alone, beyond which all are, unless an array has more than half as many."""
 _NAMES: Final = DRAW.names or ()
 _WORDS: Final = [word for word, name in enumerate(_NAMES) if name != "instances"]
 """The words of a draw that its prepared draw depends on: all but the number of instances."""
@@ -114,6 +116,12 @@ class DrawListCache:
     ) -> _CacheEntry:
         """Return the entry, or a new one if everything had to be dropped to make room."""
         if not self._size or self._size + 2 * draws <= _MAX_CACHED:
+            return part
+        for entry in (entry for entries in self._parts.values() for entry in entries.values()):
+            self._size -= entry.listed
+            entry.arrays.clear()
+            entry.listed = 0
+        if self._size <= max(_MAX_CACHED - draws, 2 * draws):
             return part
         self._parts.clear()
         self._size = 0

@@ -3,7 +3,8 @@
 - The raster kernel reads formats and states as data (`merger.general_defines`), and calls the program's fragment
   stage by its address. So a new program builds its stage alone (kernels/stage.cl), in a tenth of the time.
 - The stage in turn calls a function that samples textures of any kind, by an address in their words
-  (`rhi.shading.opencl.opencl_textures`).
+  (`rhi.shading.opencl.opencl_textures`). Until a stage needs that, those that only sample 2D textures share a
+  function with half of the code.
 - Programs that flush denormals have one of their own, since that is an option of a kernel.
 - The addresses of functions are known on x86-64 under Linux only. Elsewhere, and if the compiler has removed the
   function, each program builds a general kernel with its stage in it (`cl_pipelines.Pipeline`).
@@ -30,7 +31,7 @@ from rhi.backends.cl.raster import kernel_structs, merger
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.contract.states import MAX_TARGETS
 from rhi.shading.language.builtins import Precision
-from rhi.shading.opencl.opencl_textures import texture_function_text
+from rhi.shading.opencl.opencl_textures import TextureFunction, texture_function_text
 
 RASTER: Final = "raster"
 STAGE: Final = "stage"
@@ -54,7 +55,8 @@ class GeneralRaster:
 
     Attributes:
         calls_stages: whether kernels can call stages by their addresses.
-        texture_functions: the addresses of the functions that sample, exact and fast ones; 0 before their first use.
+        texture_functions: the addresses of the functions that sample, by `TextureFunction.slot`; 0 before their
+            first use.
     """
 
     def __init__(self, context: ClContext, builds: Builds, texture_functions: NDArray[np.uint64]) -> None:
@@ -72,7 +74,8 @@ class GeneralRaster:
     def list_requests(self) -> list[tuple[Request, Launch]]:
         """Return the requests for all kernels that don't depend on programs, each with a launch."""
         draws = [(self.request(flushes), Launch((RASTER,), _DRAW)) for flushes in (False, True)]
-        calls = [(self.request_textures(precision), Launch((_TEXTURES,), _CALL)) for precision in Precision]
+        functions = [TextureFunction(precision, is_plain=False) for precision in Precision]
+        calls = [(self.request_textures(function), Launch((_TEXTURES,), _CALL)) for function in functions]
         return draws + calls
 
     def _compile(self, request: Request, arguments: Arguments) -> EvictableProgram:
@@ -111,16 +114,27 @@ class GeneralRaster:
             Kernel(program, name).launch(self._queue, words.ctypes.data, 1).wait()
         return int(words[0])
 
-    def load_texture_function(self, precision: Precision) -> bool:
-        """Make the function that samples callable by stages of this precision; return whether it is."""
-        index = int(precision is Precision.FAST)
-        if not self.texture_functions[index]:
-            self.texture_functions[index] = self.load_function(self.request_textures(precision))
-        return bool(self.texture_functions[index])
+    def load_texture_function(self, function: TextureFunction) -> bool:
+        """Make a function that samples callable by stages; return whether it is.
 
-    def request_textures(self, precision: Precision) -> Request:
-        """Return the request for the kernel of the function that samples."""
-        text = texture_function_text("rhi_run_texture", precision)
+        One for plain samples is the whole function, if that is loaded or compiled already."""
+        addresses, index, whole = self.texture_functions, function.slot, function._replace(is_plain=False)
+        if not addresses[index]:
+            request = self.request_textures(whole)
+            if function.is_plain and not addresses[whole.slot] and not self._is_compiled(request):
+                addresses[index] = self.load_function(self.request_textures(function))
+            else:
+                addresses[whole.slot] = addresses[whole.slot] or self.load_function(request)
+                addresses[index] = addresses[whole.slot]
+        return bool(addresses[index])
+
+    def _is_compiled(self, request: Request) -> bool:
+        """Return whether a kernel is in the cache, optimised or not."""
+        return self._builds.is_cached(request, Launch(request.kernels, ())) or self._builds.is_stored(request)
+
+    def request_textures(self, function: TextureFunction) -> Request:
+        """Return the request for the kernel of a function that samples."""
+        text = texture_function_text("rhi_run_texture", function)
         kernel = "ADDRESS_KERNEL(textures, rhi_run_texture, RhiTextureCall)"
         source = "\n".join((kernel_structs.common_structs(), read_kernels("common"), text, kernel, ""))
         return self._builds.request(source, (_TEXTURES,))

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise, product
 from time import process_time
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from renderer.lab.accuracy import (
 )
 from renderer.lab.accuracy.choice import CombinationBench, combine, make_plain, order_by_speed
 from renderer.lab.accuracy.sweep import list_views
+from renderer.lab.measure.disturbance import Instant
 from renderer.settings import RenderSettings
 from tests.renderer.conftest import open_device
 
@@ -79,15 +80,16 @@ FEW: Final = {
 
 @contextmanager
 def count_frames(counts: list[int]) -> Iterator[None]:
-    """Append the number of frames that each bench of combinations draws."""
+    """Append the number of frames that each search draws, before what it has found is timed: how long times are
+    measured depends on their noise."""
     with pytest.MonkeyPatch.context() as patch:
-        close = CombinationBench.__exit__
+        time_all = CombinationBench.time
 
-        def count_and_close(bench: CombinationBench, *error: object) -> None:
+        def count_and_time(bench: CombinationBench, *arguments: Any) -> list[list[Instant]]:
             counts.append(bench.frames_drawn)
-            close(bench, *error)
+            return time_all(bench, *arguments)
 
-        patch.setattr(CombinationBench, "__exit__", count_and_close)
+        patch.setattr(CombinationBench, "time", count_and_time)
         yield
 
 
@@ -107,7 +109,7 @@ def test_a_race_chooses_as_complete_comparisons_do_with_fewer_frames(name: str, 
     with count_frames(counts):
         raced = compute_pareto_front(setup, reports)
         complete = compute_pareto_front(setup, reports, races=False)
-    assert counts[0] < counts[1]
+    assert counts[0] < counts[1], counts
     for bound in list_bounds(complete):
         selected, expected = (
             order_by_speed([point for point in points if point.error <= bound])[0]
@@ -117,9 +119,9 @@ def test_a_race_chooses_as_complete_comparisons_do_with_fewer_frames(name: str, 
 
 
 def is_as_good(point: ParetoPoint, expected: ParetoPoint) -> bool:
-    """True for the same settings, and for others that are as fast and as accurate up to what a race ignores."""
-    same = point.values == expected.values
-    return same or (point.ratio <= 1.05 * expected.ratio and point.error <= 1.02 * expected.error)
+    """True for the same settings, and for others within the bound that are as fast up to what a race ignores and
+    times are uncertain by: 95 % intervals are narrow on a quiet machine only."""
+    return point.values == expected.values or point.low <= 1.05 * expected.high
 
 
 @pytest.mark.nightly

@@ -116,6 +116,29 @@ def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
     assert RayTracer(scene, has_shadows=False).trace(camera, (64, 64), pixels)[:, 0].min() > 0.0
 
 
+@pytest.mark.parametrize("changes", ["nothing", "moves", "appears"])
+def test_a_ray_tracer_that_follows_an_earlier_one_renders_the_same(changes: str) -> None:
+    builder = make_floor()
+    mesh, material = builder.add_mesh(BUILT_IN["sphere"]()), builder.add_material()
+    nodes = [builder.add_node(translation((x, 1.0, 0.0)), dynamic=True) for x in (-1.5, 0.0, 1.5)]
+    for node in nodes:
+        builder.add_objects(node, mesh, material)
+    builder.hide(nodes[2])
+    builder.lights.add_directional((1, -1, 0.5), intensity=1.0, casts_shadow=True)
+    scene = builder.build()
+    camera = Camera.look_at((0, 5, 9), (0, 0, 0), projection=PROJECTION)
+    earlier = RayTracer(scene)
+    before = earlier.draw(camera, (24, 24))
+    if changes == "moves":
+        scene.nodes.set_local([nodes[0]], translation((-1.0, 2.5, 1.0)))
+    elif changes == "appears":
+        scene.nodes.show([nodes[2]])
+    scene.update(0.0)
+    images = [RayTracer(scene, earlier=tracer).draw(camera, (24, 24)) for tracer in (None, earlier)]
+    assert np.array_equal(*images)
+    assert np.array_equal(images[0], before) == (changes == "nothing")
+
+
 @pytest.mark.parametrize("near", [0, -3, np.int64(2)])
 def test_distances_of_planes_may_be_whole_numbers(near: int) -> None:
     builder = make_floor(emissive=(4.0, 4.0, 4.0))

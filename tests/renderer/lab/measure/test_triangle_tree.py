@@ -56,6 +56,27 @@ def test_neighbouring_rays_meet_the_triangles_that_each_of_them_meets_alone() ->
     assert pairs == alone
 
 
+@pytest.mark.parametrize("moved", [0.0, 0.2, 3.0])
+def test_hits_are_the_same_in_the_order_of_another_tree(moved: float) -> None:
+    rng = np.random.default_rng(7)
+    corners = rng.uniform(-1, 1, (300, 1, 3)) + rng.normal(size=(300, 3, 3)) * 0.3
+    order = TriangleTree(corners).order
+    corners += moved * rng.normal(size=(300, 1, 3))
+    origins = rng.uniform(-2, 2, (80, 3))
+    rays = (
+        origins,
+        corners[rng.integers(0, 300, 80)].mean(axis=1) - origins,
+        np.zeros(80),
+        np.full(80, np.inf),
+    )
+    hits = [tree.intersect(*rays) for tree in (TriangleTree(corners), TriangleTree(corners, order))]
+    sets = [
+        set(zip(*(getattr(each, name).tolist() for name in each.__slots__), strict=True)) for each in hits
+    ]
+    assert len(sets[0]) > 100
+    assert sets[0] == sets[1]
+
+
 def test_a_ray_begins_and_ends_at_its_distances() -> None:
     triangles = np.array([[(-1.0, -1.0, z), (3.0, -1.0, z), (-1.0, 3.0, z)] for z in (-1.0, -2.0, -3.0)])
     tree, ahead = TriangleTree(triangles), np.array([(0.0, 0.0, -1.0)])

@@ -15,7 +15,14 @@
 #define INLINE static inline __attribute__((always_inline))
 #define FUSED \
     static inline __attribute__((__always_inline__))  // in quick kernels too: chains of calls are dear
-#define NOINLINE static __attribute__((noinline))     // for what is rare: smaller kernels are built sooner
+// Quick kernels (`QUICK` in cl_context.py) optimise functions that are INLINE, and none with these attributes: what
+// is rare, which optimised kernels don't inline either, and what runs once for a draw or a cut triangle.
+#define NOINLINE static __attribute__((__noinline__))
+#ifdef noinline
+#define SELDOM NOINLINE
+#else
+#define SELDOM INLINE
+#endif
 #define UNLIKELY(condition) \
     __builtin_expect((condition) != 0, 0)  // keeps what is rare out of the way of registers
 #define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
@@ -33,7 +40,7 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 1
 #ifdef __x86_64__
 // Call a function at an address, `void function(T *argument)`, by the calling convention of x86-64 under Linux. The
 // stack has a red zone, which the call must not touch, and any alignment.
-NOINLINE void call_function(ulong code, private void *argument) {
+static __attribute__((noinline)) void call_function(ulong code, private void *argument) {
     __asm__ volatile("movq %%rsp, %%r12\n\tleaq -128(%%rsp), %%rsp\n\tandq $-64, %%rsp\n\t"
                      "callq *%1\n\tmovq %%r12, %%rsp"
                      : "+D"(argument), "+a"(code)

@@ -11,7 +11,7 @@
 
 // Return the signed distance of a clip position from a plane: near, far, then the four sides of the guard
 // band.
-INLINE float inside_of(global const View *view, float4 p, int plane) {
+SELDOM float inside_of(global const View *view, float4 p, int plane) {
     switch (plane) {
     case 0: return p.z;
     case 1: return p.w - p.z;
@@ -22,11 +22,11 @@ INLINE float inside_of(global const View *view, float4 p, int plane) {
     }
 }
 
-INLINE float4 cut(float4 inner, float4 outer, float inner_distance, float outer_distance) {
+SELDOM float4 cut(float4 inner, float4 outer, float inner_distance, float outer_distance) {
     return inner + (outer - inner) * (inner_distance / (inner_distance - outer_distance));
 }
 
-INLINE int2 to_window(global const View *view, float4 p) {
+SELDOM int2 to_window(global const View *view, float4 p) {
     float inverse_w = 1.0f / p.w;
     float x = fma(p.x * inverse_w, view->scale[0], view->shift[0]);
     float y = fma(p.y * inverse_w, view->scale[1], view->shift[1]);
@@ -34,7 +34,7 @@ INLINE int2 to_window(global const View *view, float4 p) {
 }
 
 // Return the size of a point in texels; NaN becomes 1.
-INLINE float load_point_size(global const Batch *batch, uint slot) {
+SELDOM float load_point_size(global const Batch *batch, uint slot) {
     if (batch->point_size < 0) return 1.0f;
     float size = AT(const float, batch->varyings)[(long)slot * batch->varying_words + batch->point_size];
     return size >= 1.0f ? fmin(size, MAX_POINT_SIZE) : 1.0f;
@@ -42,7 +42,7 @@ INLINE float load_point_size(global const Batch *batch, uint slot) {
 
 // Compute the corners of a line or a point in the window, in an order that makes its area positive. Return
 // their number, or 0 if nothing is left of it. `size`: that of a point, or the width of a line.
-INLINE int make_polygon(
+SELDOM int make_polygon(
     global const View *view, const float4 *clips, int primitive, float size, int2 *points
 ) {
     float4 corners[2];

@@ -107,7 +107,7 @@ INLINE void transpose16(const uint16 *fields, uint16 *records) {
 }
 
 // Return the depth bias of a polygon. For float depths the unit is the smallest step at its largest depth.
-INLINE float offset_depth(global const View *view, float slope_x, float slope_y, float largest) {
+SELDOM float offset_depth(global const View *view, float slope_x, float slope_y, float largest) {
     float step = view->bias_step != 0.0f ? view->bias_step
                                          : as_float(max((as_int(largest) & 0x7F800000) - (23 << 23), 0));
     float offset = view->bias_units * step + view->bias_slope * fmax(fabs(slope_x), fabs(slope_y));
@@ -121,7 +121,7 @@ typedef struct {
 } CornerPlanes;
 
 // Compute planes of a triangle, clipped or not: they are linear in the window over the whole one.
-INLINE void compute_triangle_planes(const Barycentrics *weights, int left, int top, CornerPlanes *planes) {
+SELDOM void compute_triangle_planes(const Barycentrics *weights, int left, int top, CornerPlanes *planes) {
     for (int i = 0; i < 3; ++i) {
         planes->x[i] = weights->rows[i].x * weights->scales[i] * SUBTEXELS;
         planes->y[i] = weights->rows[i].y * weights->scales[i] * SUBTEXELS;
@@ -132,7 +132,7 @@ INLINE void compute_triangle_planes(const Barycentrics *weights, int left, int t
 
 // The same for a line between two corners, along its longer side, or a point. An end's weight / w is (s - s0)
 // w0 / (s1 w0 - s0 w1), s being x or y times w.
-INLINE void compute_line_planes(
+SELDOM void compute_line_planes(
     const Outline *outline, bool is_line, int from, int to, int left, int top, CornerPlanes *planes
 ) {
     double3 a = outline->exact[from], b = outline->exact[to];
@@ -151,7 +151,7 @@ INLINE void compute_line_planes(
 }
 
 // Find the range of the corners' depths: the whole range of the view if one of them is cut.
-INLINE void compute_depth_range(
+SELDOM void compute_depth_range(
     global const Batch *batch, global const View *view, const Outline *outline, const uint *slots,
     int primitive, int *record
 ) {
@@ -172,7 +172,7 @@ INLINE void compute_depth_range(
 }
 
 // Return the depth bias of a triangle that is drawn as lines. One without an area has no slope.
-INLINE float offset_edges(
+SELDOM float offset_edges(
     global const View *view, const Outline *outline, const Barycentrics *weights, float largest
 ) {
     CornerPlanes corner;
@@ -247,7 +247,7 @@ void set_planes(
 
 // Set the weights of corners 1 and 2 to the position inside a point, 0 to 1 from its top left. Varyings don't
 // depend on them, since a point's corners are one vertex.
-INLINE void set_point_weights(
+SELDOM void set_point_weights(
     global const View *view, float4 clip, float size, int left, int top, float *planes
 ) {
     float inverse_w = 1.0f / clip.w, slope = inverse_w / size;
@@ -263,7 +263,7 @@ INLINE void set_point_weights(
 
 // Return the signed distance of a point {x w, y w, w, clip z} from a plane: near, far, then the left, top,
 // right and bottom side of a box in subtexels.
-INLINE double plane_distance(double4 p, int plane, int4 box) {
+SELDOM double plane_distance(double4 p, int plane, int4 box) {
     switch (plane) {
     case 0: return p.w;
     case 1: return p.z - p.w;
@@ -341,7 +341,7 @@ bool bound_polygon(
     return true;
 }
 
-INLINE bool is_finite(const Outline *outline) {
+SELDOM bool is_finite(const Outline *outline) {
     double sum = 0.0;
     for (int i = 0; i < 3; ++i)
         sum += fabs(outline->exact[i].x) + fabs(outline->exact[i].y) + fabs(outline->exact[i].z) +
@@ -408,7 +408,7 @@ INLINE int load_layer(global const Batch *batch, uint slot) {
 }
 
 // Return which of 16 primitives the batch's layer has: those whose first corner chooses it.
-INLINE int16 select_layer(global const Batch *batch, global const uint *corners, int to_slot) {
+SELDOM int16 select_layer(global const Batch *batch, global const uint *corners, int to_slot) {
     int layers[GROUP];
     UNROLL_FOR (int i = 0; i < GROUP; ++i) layers[i] = load_layer(batch, corners[3 * i] + (uint)to_slot);
     return vload16(0, layers) == batch->layer;
@@ -424,7 +424,7 @@ INLINE void count_tiles(global uint *counts, int tiles_x, uint box) {
 // Set up 16 points on a target of one sample, from the draw's point `first` on. Such a point covers the
 // texels of its box, so its record is that of a triangle without edges whose box cuts it. Return the index
 // behind the last record.
-NOINLINE int set_up_points(
+static __attribute__((noinline)) int set_up_points(
     global const Batch *batch, global const Draw *draw, int draw_number, int first, int to_slot,
     global uint *counts, int record_index
 ) {
@@ -542,7 +542,7 @@ NOINLINE int set_up_points(
 }
 
 // Find the extent of an instance's vertices, which begin at `group`.
-INLINE void merge_extents(global const Batch *batch, global const Draw *draw, int group, Extent *whole) {
+SELDOM void merge_extents(global const Batch *batch, global const Draw *draw, int group, Extent *whole) {
     global const Extent *extents = AT(const Extent, batch->extents);
     int end = group + draw->vertex_groups;
     *whole = extents[group];

@@ -30,7 +30,7 @@ typedef struct {
     bool blurred;  // whether rounding has changed the triangle's shape
 } Barycentrics;
 
-INLINE float4 load_clip(global const Batch *batch, uint slot) {
+SELDOM float4 load_clip(global const Batch *batch, uint slot) {
     global const float *group = AT(const float, batch->clips) + (long)(slot / GROUP) * (4 * GROUP) +
         slot % GROUP;
     return (float4)(group[0], group[GROUP], group[2 * GROUP], group[3 * GROUP]);
@@ -66,7 +66,7 @@ NOINLINE void load_outline(
     }
 }
 
-INLINE double signed_area(const double3 *corners) { return dot(corners[0], join(corners[1], corners[2])); }
+SELDOM double signed_area(const double3 *corners) { return dot(corners[0], join(corners[1], corners[2])); }
 
 NOINLINE void compute_barycentrics(const Outline *outline, Barycentrics *weights) {
     const double area = signed_area(outline->exact), rounded = signed_area(outline->corners);
@@ -134,7 +134,7 @@ NOINLINE long contour_edge(const Contour *contour, int i, int x, int y, int *a, 
     return start + (long)*a * (x * SUBTEXELS - anchor.x) + (long)*b * (y * SUBTEXELS - anchor.y);
 }
 
-INLINE bool is_cut(const Contour *contour) { return contour->fixed >> 6; }
+SELDOM bool is_cut(const Contour *contour) { return contour->fixed >> 6; }
 
 // Compute weights divided by w at 16 positions in subtexels. `inside`: the covered ones.
 NOINLINE void compute_corner_parts(

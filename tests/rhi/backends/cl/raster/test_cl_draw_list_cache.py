@@ -115,6 +115,29 @@ def test_an_array_keeps_its_slots_when_others_are_forgotten(
     assert not np.intersect1d(first.prepared_indices, other.prepared_indices).size
 
 
+@pytest.mark.parametrize("limit", [10, 310, 599, 600, 10_000])
+def test_long_arrays_that_change_each_time_prepare_each_draw_once(
+    draws: NDArray[Any], monkeypatch: pytest.MonkeyPatch, limit: int
+) -> None:
+    monkeypatch.setattr(draw_list_cache, "_MAX_CACHED", limit)
+    lists = Lists()
+    for hidden in range(6):
+        lists.lookup(np.delete(draws, hidden))
+    assert len(lists.filled) == 300
+
+
+@pytest.mark.parametrize(("vertex_arrays", "count"), [(3, 900), (4, 300)])
+def test_draws_of_many_vertex_arrays_are_dropped_beyond_the_limit(
+    draws: NDArray[Any], monkeypatch: pytest.MonkeyPatch, vertex_arrays: int, count: int
+) -> None:
+    monkeypatch.setattr(draw_list_cache, "_MAX_CACHED", 310)
+    prepared = PreparedDraws()
+    lists = DrawListCache(prepared)
+    for vertex_array in range(vertex_arrays):
+        lists.lookup(vertex_array, Primitive.TRIANGLES, 0, draws, None, True, lambda *_: None)
+    assert in_use(prepared) == count
+
+
 def in_use(prepared: PreparedDraws) -> int:
     prepared.recycle()
     return len(prepared.draws) - len(prepared._free)

@@ -18,7 +18,14 @@ from rhi.backends.cl.pocl.kernel_cache import Request
 from rhi.backends.cl.raster import general_raster
 from rhi.contract.descriptors import TextureKind
 from rhi.shading import FullScreen, Texture2D, fragment_coordinate, ivec2, vec2, vec4
-from rhi.shading.opencl.opencl_textures import call_textures, sampling_precision, textures_text
+from rhi.shading.opencl.opencl_textures import (
+    TextureFunction,
+    call_textures,
+    texture_function,
+    texture_function_text,
+    textures_text,
+)
+from tests.kits.nightly_reasons import FEWER_CASES
 
 SIZE = (24, 20)
 
@@ -31,6 +38,14 @@ class Red(FullScreen):
 class Green(FullScreen):
     def fragment(self) -> vec4:
         return vec4(0.0, fragment_coordinate().y / 20.0, 0.0, 1.0)
+
+
+class Plain(FullScreen):
+    texture: Texture2D
+
+    def fragment(self) -> vec4:
+        at = fragment_coordinate().xy / vec2(9.0, 11.0)
+        return self.texture.sample(at) + self.texture.sample_lod(at, at.x) * 0.5
 
 
 class Sampled(FullScreen):
@@ -56,10 +71,12 @@ def draw(device: Device, program: Program[...], **bindings: Any) -> NDArray[Any]
         return image.read()
 
 
-def draw_sampled(device: Device, texels: NDArray[np.uint8]) -> NDArray[Any]:
+def draw_sampled(
+    device: Device, texels: NDArray[np.uint8], shader: type[FullScreen] = Sampled
+) -> NDArray[Any]:
     texture = device.texture(texels, Format.RGBA8_SRGB, levels=None)
     texture.generate_mipmaps()
-    return draw(device, device.program(Sampled), texture=texture)
+    return draw(device, device.program(shader), texture=texture)
 
 
 @pytest.fixture
@@ -129,5 +146,68 @@ def test_the_text_that_calls_keeps_the_numbers_of_its_lines() -> None:
     assert called.endswith("\nint last;")
     assert "rhi_bilinear8" in text
     assert "rhi_bilinear8" not in called
-    assert sampling_precision(text) is Precision.FAST
-    assert sampling_precision("int last;") is None
+    assert texture_function(text) == TextureFunction(Precision.FAST, is_plain=True)
+    assert texture_function("int last;") is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "call", "is_plain"),
+    [
+        (TextureKind.D2, "rhi_sample(", True),
+        (TextureKind.D2_ARRAY, "rhi_sample_grad(", True),
+        (TextureKind.D2, "rhi_sample_compare(", False),
+        (TextureKind.D2, "rhi_sample_compare_grad(", False),
+        (TextureKind.D2, "rhi_gather(", False),
+        (TextureKind.D2, "rhi_load(", False),
+        (TextureKind.D2, "rhi_load_each(", False),
+        (TextureKind.D2, "rhi_size_each(", False),
+        (TextureKind.D2, "rhi_store(", False),
+        (TextureKind.D3, "rhi_sample(", False),
+        (TextureKind.CUBE, "rhi_sample(", False),
+    ],
+)
+def test_stages_that_only_sample_2d_textures_need_the_plain_function(
+    kind: TextureKind, call: str, is_plain: bool
+) -> None:
+    text = textures_text(16, [kind], Precision.EXACT) + f"\n{call}t, w);"
+    assert texture_function(text) == TextureFunction(Precision.EXACT, is_plain)
+    assert f"RHI_PLAIN_SAMPLES {int(is_plain)}" in call_textures(text)
+
+
+def test_the_plain_function_has_less_than_the_whole_one() -> None:
+    plain, whole = (
+        texture_function_text("run", TextureFunction(Precision.EXACT, is_plain)) for is_plain in (True, False)
+    )
+    assert "RHI_CUBES = 0" in plain
+    assert "RHI_CUBES = 1" in whole
+    assert "#define RHI_COMPARES 0" in plain
+    assert "#define RHI_COMPARES 1" in whole
+
+
+@pytest.mark.nightly_cases("Precision.FAST", reason=FEWER_CASES)
+@pytest.mark.parametrize("precision", Precision)
+def test_plain_samples_have_the_bits_of_the_whole_function(
+    sources: list[Request], monkeypatch: pytest.MonkeyPatch, texels: NDArray[np.uint8], precision: Precision
+) -> None:
+    monkeypatch.setattr(Builds, "is_stored", lambda *_: False)
+    with rhi.create_device("cl", precision=precision) as device:
+        plain = draw_sampled(device, texels, Plain)
+    monkeypatch.setattr(Builds, "is_stored", lambda *_: True)
+    with rhi.create_device("cl", precision=precision) as device:
+        whole = draw_sampled(device, texels, Plain)
+    plain_text, whole_text = (request.source for request in sources if "textures" in request.kernels)
+    assert "#define RHI_COMPARES 0" in plain_text
+    assert "#define RHI_COMPARES 1" in whole_text
+    np.testing.assert_array_equal(plain, whole)
+    assert np.ptp(plain[..., 0]) > 0.1
+
+
+def test_a_plain_stage_takes_the_whole_function_once_that_is_loaded(
+    sources: list[Request], monkeypatch: pytest.MonkeyPatch, texels: NDArray[np.uint8]
+) -> None:
+    monkeypatch.setattr(Builds, "is_stored", lambda *_: False)
+    with rhi.create_device("cl") as device:
+        draw_sampled(device, texels, Sampled)
+        draw_sampled(device, texels, Plain)
+    assert list_kernels(sources).count("textures") == 1
+    assert list_kernels(sources).count("stage") == 2, "the control: both have a stage of their own"
