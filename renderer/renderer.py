@@ -52,6 +52,7 @@ from renderer.frame import (
 )
 from renderer.frame.attributes import CheckedAttribute, TypedAttribute
 from renderer.frame.detail import DetailLimit
+from renderer.frame.lobe_fits import LobeTable
 from renderer.frame.motion import SceneMotion
 from renderer.frame.scene_images import SceneImages
 from renderer.frame.temporal import STILL_AFTER, TemporalHistory, compute_offset, shift_samples
@@ -636,6 +637,8 @@ class Renderer:
                 resources.release(SceneMotion)
             if self.scene.environment is None:
                 resources.release(EnvironmentMaps)
+            if resources.source_shapes is None:
+                resources.release(LobeTable)
         is_steady = (
             self._snapshot is not None
             and pair is None

@@ -23,7 +23,8 @@ from renderer.cli.arguments import load_settings, note_omissions
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, note
 from renderer.cli.subcommand import Subcommand
-from renderer.content import parse_camera
+from renderer.content import load_scene, parse_camera
+from renderer.scene import Camera, Scene
 from renderer.viewer.display_settings import PLAIN, SHADOWS, DisplaySettings
 from renderer.viewer.frame_budget import FrameBudget, load_steps
 
@@ -102,12 +103,18 @@ def _run(arguments: argparse.Namespace) -> None:
         settings, shadows=arguments.shadows, overlay=arguments.overlay, particles=arguments.particles
     )
     display = display.change(**{name: value for name, value in overrides.items() if value is not None})
+    scene: Scene | str = arguments.scene
+    camera: Camera | None = None
+    if arguments.camera is not None:  # a name that only the scene knows: no window opens if it is wrong
+        scene = load_scene(arguments.scene)
+        camera = parse_camera(arguments.camera, scene, arguments.frame)
     viewer_screen = open_viewer(
-        arguments.scene,
+        scene,
         arguments.backend,
         canvas=arguments.canvas,
         size=arguments.size,
         display=display,
+        camera=camera,
         begin=lambda viewer_screen: _begin(viewer_screen, arguments, budget, script),
         vsync=not arguments.immediate,
         max_fps=10_000.0 if arguments.immediate else 60.0,
@@ -135,8 +142,6 @@ def _begin(
     """Apply the arguments that need the scene, before its first frame."""
     session = viewer_screen.viewer.session
     note_omissions(session.scene)
-    if arguments.camera is not None:
-        session.begin_at(parse_camera(arguments.camera, session.scene, arguments.frame))
     session.change(
         **{name: value for name, value in vars(arguments).items() if name in ("show", "stereo") and value}
     )

@@ -28,18 +28,27 @@ def read_fits() -> NDArray[np.float16]:
 
 
 class LobeTable:
-    """The table as a texture, created when a frame first lights by it.
-
-    Attributes:
-        binding: the texture as it is sampled.
-    """
-
-    binding: TextureBinding
+    """The table as a texture, created when a frame lights by it."""
 
     def __init__(self, device: Device) -> None:
-        self._texture: Texture = device.texture(read_fits(), Format.RGBA16F, label="lobe fits")
-        self.binding = self._texture.sampled(SamplerDescriptor())
+        self._device = device
+        self._texture: Texture | None = None
+        self._binding: TextureBinding | None = None
+
+    @property
+    def binding(self) -> TextureBinding:
+        """The texture as it is sampled."""
+        if self._texture is None or self._binding is None:
+            self._texture = self._device.texture(read_fits(), Format.RGBA16F, label="lobe fits")
+            self._binding = self._texture.sampled(SamplerDescriptor())
+        return self._binding
+
+    def release(self) -> None:
+        """Destroy the texture; the next use of `binding` creates it again."""
+        if self._texture is not None:
+            self._texture.destroy()
+        self._texture = self._binding = None
 
     def destroy(self) -> None:
         """Destroy the texture."""
-        self._texture.destroy()
+        self.release()

@@ -17,6 +17,7 @@ import numpy as np
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, FountainSimulation, make_drops
 from renderer.content.material_shaders import Marble
+from renderer.content.skies import paint_sky
 from renderer.frame import TemporalSettings
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
@@ -27,6 +28,7 @@ from renderer.scene import (
     Bloom,
     Camera,
     DepthOfField,
+    Environment,
     Fog,
     Scene,
     SceneBuilder,
@@ -111,6 +113,12 @@ def _switch_penumbras(renderer: Renderer, _: int, is_on: bool) -> None:
     shadow_filter = ShadowFilter.PCSS if is_on else ShadowFilter.SMOOTH
     renderer.shadows.settings = replace(renderer.shadows.settings, filter=shadow_filter)
     renderer.scene.lights.directional["angular_diameter"] = 0.05 if is_on else 0.0
+
+
+def _switch_rectangle(renderer: Renderer, _: int, is_on: bool) -> None:
+    points = renderer.scene.lights.point
+    points["source_right"] = (0.3, 0.0, 0.0) if is_on else 0.0
+    points["source_up"] = (0.0, 0.0, 0.2) if is_on else 0.0
 
 
 def _add_textured(builder: SceneBuilder) -> int:
@@ -215,6 +223,7 @@ def _switch_stereo(renderer: Renderer, _: int, is_on: bool) -> None:
     renderer.stereo = Stereo(StereoRig(0.063, 7.0), "dubois") if is_on else None
 
 
+_ENVIRONMENT: Final = Environment(paint_sky(height=32), intensity=0.4)
 _SPOT: Final = ((2.6, 3.2, 1.0), (-0.1, -1.0, -0.1), 6.0, 0.15, 0.35, (0.35, 0.55, 1.0), 20.0)
 EFFECT_STEPS: Final = (
     EffectStep("empty", "an object behind the eye, no light but the sky's", add_to_scene=_add_hidden_box),
@@ -282,6 +291,18 @@ EFFECT_STEPS: Final = (
             "penumbras", words=("weigh_blocker",), bindings=("shadow_sources",), resources=("shadow sources",)
         ),
         switch=_switch_penumbras,
+    ),
+    EffectStep(
+        "rectangle",
+        "the point light is a rectangle",
+        EffectPattern(
+            "rectangle light",
+            words=("gather_rectangle",),
+            bindings=("source_shapes", "lobe_fits"),
+            resources=("source shapes", "lobe fits"),
+        ),
+        switch=_switch_rectangle,
+        modules=("renderer.frame.lobe_fits",),
     ),
     EffectStep(
         "texture",
@@ -372,6 +393,19 @@ EFFECT_STEPS: Final = (
             "fog", words=("apply_fog_to_background", "FogConstants"), bindings=("fog",), events=("sky",)
         ),
         switch=partial(_switch_air, "fog", Fog(0.25, falloff=1.2), None),
+    ),
+    EffectStep(
+        "environment",
+        "light and reflections from an image of all directions, which is the background",
+        EffectPattern(
+            "environment",
+            words=("EnvironmentConstants",),
+            bindings=("environment*",),
+            resources=("environment*",),
+            events=("environment",),
+        ),
+        switch=partial(_switch_air, "environment", _ENVIRONMENT, None),
+        modules=("renderer.frame.environment", "renderer.techniques.parts.environment"),
     ),
     EffectStep(
         "terrain",

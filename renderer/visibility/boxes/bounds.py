@@ -128,10 +128,9 @@ def margin_terms(camera: Camera, size: tuple[int, int] = UNKNOWN_SIZE) -> tuple[
     part of the view.
     """
     matrix = camera.projection.matrix
-    fraction = max(
-        2.0 * _PIXEL_FRACTION / min(pixels, _MOST_PIXELS) / float(matrix[axis, axis])  # of half the image
-        for axis, pixels in enumerate(size)
-    )
+    width, height = min(size[0], _MOST_PIXELS), min(size[1], _MOST_PIXELS)
+    focal_pixels = 0.5 * min(width * float(matrix[0, 0]), height * float(matrix[1, 1]))
+    fraction = _PIXEL_FRACTION / focal_pixels
     steps = _DEPTH_STEPS if camera.projection.depth is Depth.STANDARD else 0.0
     if is_parallel(camera.projection):
         return fraction + steps / abs(matrix[2, 2]), ROUNDING, 0.0

@@ -112,10 +112,10 @@ def test_a_second_pass_draws_objects_in_the_order_of_the_first_one_whatever_thei
     real = SceneResources.draw_objects
 
     def draw_objects(
-        self: SceneResources, device: rhi.Device, program: Any, bindings: Any, rows: Any
+        self: SceneResources, device: rhi.Device, program: Any, bindings: Any, rows: Any, *others: Any
     ) -> None:
         drawn.setdefault(id(program), []).append(rows.tolist())
-        real(self, device, program, bindings, rows)
+        real(self, device, program, bindings, rows, *others)
 
     monkeypatch.setattr(SceneResources, "draw_objects", draw_objects)
     with open_renderer(null, city, ForwardPlus(), visibility="chc") as renderer:
