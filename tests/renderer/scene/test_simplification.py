@@ -12,6 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN
+from renderer.content.shapes import torus
 from renderer.scene import MeshGeometry, MeshLevel, SceneBuilder, simplify
 from renderer.scene.meshes import join, make_geometry
 from rhi import ValidationError
@@ -62,7 +63,7 @@ def measure_hausdorff(geometry: MeshGeometry, level: MeshLevel, count: int = 150
 
 
 @settings(max_examples=6)
-@given(st.integers(12, 24), st.floats(0.0, 0.4), st.integers(0, 99))
+@given(st.integers(12, 18), st.floats(0.0, 0.4), st.integers(0, 99))
 @example(20, 0.0, 0)
 def test_no_point_is_farther_than_the_bound(side: int, height: float, seed: int) -> None:
     geometry = make_bumpy_sphere(side, height, seed)
@@ -75,11 +76,9 @@ def test_no_point_is_farther_than_the_bound(side: int, height: float, seed: int)
 
 
 def test_a_torus_and_parts_far_from_each_other_keep_their_bounds() -> None:
-    torus = BUILT_IN["torus"]()
-    far = torus.transformed(
-        np.diag([0.01, 0.01, 0.01, 1.0]) + np.eye(4, 4, 3) * [[50.0], [0.0], [0.0], [0.0]]
-    )
-    for geometry in (torus, join([torus, far])):
+    ring = torus(14)
+    far = ring.transformed(np.diag([0.01, 0.01, 0.01, 1.0]) + np.eye(4, 4, 3) * [[50.0], [0.0], [0.0], [0.0]])
+    for geometry in (ring, join([ring, far])):
         levels = simplify(geometry, 2)
         assert len(levels) == 2
         assert all(measure_hausdorff(geometry, level) <= level.error for level in levels)
