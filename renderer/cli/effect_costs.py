@@ -9,7 +9,7 @@ no GPU is needed, and are the same everywhere. With --backend, times of the proc
 alternation, too, with 95 % intervals: what an effect adds, and the time of a frame from which it was removed
 as a multiple of that of one that never had it. The exit code is 1 if an effect costs something in scenes
 without it, or leaves something behind. With --output DIR, the page effect-costs.md and the image
-images/effect-costs.png are written to DIR.
+images/effect-costs.webp are written to DIR.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def _write_page(folder: Path, rows: Sequence[EffectRow], backends: Sequence[str]
     )
     if rounds != 40:
         arguments_text += f" --rounds {rounds}"
-    image_path = folder / "images" / "effect-costs.png"
+    image_path = folder / "images" / "effect-costs.webp"
     draw_steps(image_path, rows)
     page = _PAGE.read_text(encoding="utf-8").format(
         size="{} × {}".format(*SIZE),

@@ -286,7 +286,7 @@ EFFECT_STEPS: Final = (
     ),
     EffectStep(
         "penumbras",
-        "shadows of the sun and of the sphere are as soft as these are large",
+        "shadows as soft as lights are large",
         EffectPattern(
             "penumbras", words=("weigh_blocker",), bindings=("shadow_sources",), resources=("shadow sources",)
         ),
@@ -350,7 +350,7 @@ EFFECT_STEPS: Final = (
     ),
     EffectStep(
         "occlusion",
-        "surfaces nearby take ambient light away from each other",
+        "surfaces nearby shade each other",
         EffectPattern(
             "occlusion",
             words=("measure_occluder",),
@@ -396,7 +396,7 @@ EFFECT_STEPS: Final = (
     ),
     EffectStep(
         "environment",
-        "light and reflections from an image of all directions, which is the background",
+        "light from an image of all directions",
         EffectPattern(
             "environment",
             words=("EnvironmentConstants",),

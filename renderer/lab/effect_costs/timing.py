@@ -13,7 +13,7 @@ from functools import partial
 from typing import Final
 
 import rhi
-from renderer.frame import VisibleFeatures, collect_frame_effects
+from renderer.frame import VisibleFeatures, are_effects_same, collect_frame_effects
 from renderer.lab.comparison import forget_commands
 from renderer.lab.effect_costs.counting import StepRenderer, open_without_effect, remove_effect
 from renderer.lab.effect_costs.effect_steps import move_eye
@@ -101,27 +101,30 @@ class EffectCollectionTime:
 
 
 def time_effect_collection(device: rhi.Device, rounds: int) -> EffectCollectionTime:
-    """Time how long a frame of a scene with nothing but a box takes to collect its effects, of which there
-    are none."""
+    """Time how long a frame of a scene with nothing but a box takes to find that its effects, of which there are
+    none, are those of the frame before."""
     step_renderer = StepRenderer(device, 2)
     renderer, camera = (
         step_renderer.renderer,
         move_eye(0).with_aspect(step_renderer.renderer.size[0] / step_renderer.renderer.size[1]),
     )
-    features, last = VisibleFeatures(step_renderer.scene), None
+    scene, features, reaches = (
+        step_renderer.scene,
+        VisibleFeatures(step_renderer.scene),
+        renderer.resources.reaching,
+    )
+    effects = collect_frame_effects(
+        scene,
+        camera,
+        reaches=reaches,
+        visible_features=features.choose_shader_features(camera),
+        shows_objects=features.shows_objects,
+    )
 
     def ask(_: int) -> None:
-        nonlocal last
         for _turn in range(_COLLECTIONS):
             visible_features = features.choose_shader_features(camera)
-            last = collect_frame_effects(
-                step_renderer.scene,
-                camera,
-                reaches=renderer.resources.reaching,
-                visible_features=visible_features,
-                shows_objects=features.shows_objects,
-                last=last,
-            )
+            assert are_effects_same(effects, scene, camera, visible_features, features.shows_objects, reaches)
 
     def draw(_: int) -> None:
         step_renderer.render()

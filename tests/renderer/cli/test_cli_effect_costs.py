@@ -36,7 +36,7 @@ def test_the_page_has_the_tables_and_the_image(tmp_path: Path, capsys: pytest.Ca
     assert "a box on a ground" in table
     assert "python -m renderer effect-costs --effect box --rounds 2 --output docs" in page
     assert "% of a frame of the box on null" in page
-    assert (tmp_path / "images" / "effect-costs.png").stat().st_size > 1000
+    assert (tmp_path / "images" / "effect-costs.webp").stat().st_size > 1000
 
 
 def test_every_effect_can_be_named() -> None:
