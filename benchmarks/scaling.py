@@ -179,15 +179,20 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
                 rows.append(row)
                 yield row
     for name in arguments.only:
-        mine_by_variant = {
+        rows_by_variant = {
             variant: [row for row in rows if (row["series"], row["variant"]) == (name, variant)]
             for variant in SERIES[name].variants
         }
-        mine_by_variant = {variant: mine for variant, mine in mine_by_variant.items() if mine}
-        for variant, mine in mine_by_variant.items():
-            slope, one_more = fit(mine)
+        rows_by_variant = {
+            variant: of_variant for variant, of_variant in rows_by_variant.items() if of_variant
+        }
+        for variant, of_variant in rows_by_variant.items():
+            slope, one_more = fit(of_variant)
             yield {"fit of": name, "variant": variant, "exponent": round(slope, 2), "one more (µs)": one_more}
-        times = {variant: {row["n"]: row["ms"] for row in mine} for variant, mine in mine_by_variant.items()}
+        times = {
+            variant: {row["n"]: row["ms"] for row in of_variant}
+            for variant, of_variant in rows_by_variant.items()
+        }
         for at, before, after in list_crossings(times):
             yield {"crossing of": name, "at": round(at), "fastest before": before, "from there on": after}
 
@@ -198,9 +203,11 @@ def plot(figure: Any, rows: Sequence[Record]) -> None:
     names = list(dict.fromkeys(name for name, _ in exponents))
     for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
         for variant in (variant for series, variant in exponents if series == name):
-            mine = [row for row in rows if (row.get("series"), row.get("variant")) == (name, variant)]
+            of_variant = [row for row in rows if (row.get("series"), row.get("variant")) == (name, variant)]
             label = f"{variant}: n^{exponents[name, variant]:.2f}"
-            axes.loglog([row["n"] for row in mine], [row["ms"] for row in mine], "o-", label=label)
+            axes.loglog(
+                [row["n"] for row in of_variant], [row["ms"] for row in of_variant], "o-", label=label
+            )
         axes.set(xlabel=name, ylabel="milliseconds of processor time")
         axes.grid(alpha=0.3)
         axes.legend()

@@ -374,8 +374,7 @@ class TechniqueDrawer:
         object_indices, query_indices = object_indices[order], query_indices[order]
         for group in resources.groups:
             selected = resources.select_group(object_indices, group)
-            rows = resources.select_draws(object_indices[selected], resources.detail_limit)
-            draws = resources.draws[rows]
+            draws = resources.get_draws(object_indices[selected], resources.detail_limit)
             if draws.size:
                 program, bindings = choose_program(self._programs, group)
                 with self._device.states(*draw_group_states(group)):
@@ -400,7 +399,7 @@ class TechniqueDrawer:
             if far_sides_first and CullMode.NONE in states:
                 parts = self._split_sides(run, states)
             for part, part_states in parts:
-                draws = resources.draws[resources.select_draws(part, resources.detail_limit)]
+                draws = resources.get_draws(part, resources.detail_limit)
                 with self._device.states(*part_states):
                     self._device.draw_many(program, resources.mesh, draws, **bindings)
 

@@ -247,6 +247,10 @@ class SceneResources:
             return object_indices
         return self.levels.select(object_indices, limit)
 
+    def get_draws(self, object_indices: NDArray[np.int64], limit: DetailLimit | None) -> NDArray[Any]:
+        """The draws (k,) of objects (k,) within a limit of the error, a copy."""
+        return self.draws[self.select_draws(object_indices, limit)]
+
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
         """Create the mesh of all meshes. The device writes indices of height fields, and vertices of some
         simulations."""
@@ -282,7 +286,7 @@ class SceneResources:
         """Number of triangles of the objects `object_indices` (k,), drawn within a limit of the error. For height
         fields it is the last view's, which is read back from the device."""
         if limit is not None and self.levels is not None:  # there are no height fields
-            draws = self.draws[self.select_draws(object_indices, limit)]
+            draws = self.get_draws(object_indices, limit)
             return int(draws["count"].sum(dtype=np.int64)) // 3
         is_tessellated = np.isin(object_indices, self.tessellated_indices)
         if not is_tessellated.any():
@@ -307,8 +311,7 @@ class SceneResources:
                 self.draw_tessellated(device, program, bindings, object_index)
             object_indices = object_indices[~is_tessellated]
         if len(object_indices):
-            draws = self.draws[self.select_draws(object_indices, limit)]
-            device.draw_many(program, self.mesh, draws, **bindings)
+            device.draw_many(program, self.mesh, self.get_draws(object_indices, limit), **bindings)
 
     def draw_tessellated(
         self, encoder: Encoder, program: Program[...], bindings: dict[str, Any], object_index: int

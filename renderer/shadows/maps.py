@@ -219,10 +219,7 @@ class ShadowMaps:
         self._scene: Scene | None = None
         self._needed: MapPlanner | None = None
         self._material_version = -1  # of the materials that the maps show
-        self._used_settings: tuple[ShadowSettings, float] = (
-            self.settings,
-            0.0,
-        )  # and the error of levels of detail
+        self._used_settings = self.settings, 0.0  # and the error of levels of detail
         self._maps: dict[MapKey, ShadowMap] = {}
         self._tree = TileAllocator(1)
         self._atlas: Texture | None = None

@@ -242,7 +242,7 @@ def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) 
         return
     pairs: Any = np.zeros(len(objects), LightPair.dtype)
     pairs["object"], pairs["entry"] = objects, entries
-    draws = resources.draws[resources.select_draws(objects, resources.detail_limit)]
+    draws = resources.get_draws(objects, resources.detail_limit)
     draws["base_instance"] = np.arange(len(objects))
     kinds = {**NO_LOCAL_LIGHTS, f"has_{kind.name}_lights": True}
     programs = bind_programs(

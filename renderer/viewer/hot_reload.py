@@ -102,6 +102,14 @@ class FileReloader:
         self.loading.follow(BackgroundLoad(change_options(self._session.scene.name, text)), self.show_scene)
         return self.loading.wait(self.patience)
 
+    def change_scene(self, text: str) -> str:
+        """Do what `open_scene` does, before this returns.
+
+        Raises:
+            RhiError: what is wrong with it. Then the present one stays.
+        """
+        return self.show_scene(load_scene(change_options(self._session.scene.name, text)))
+
     def show_scene(self, scene: Scene) -> str:
         """Show a scene, from its first view, or from here if it is the present one with other options; return its
         whole text.
@@ -192,7 +200,7 @@ class FileReloader:
         if path in (
             scene_file.resolve() for scene_file in self._session.scene.files
         ):  # which may be those of another scene by now
-            self.show_scene(load_scene(self._session.scene.name))
+            self.change_scene(self._session.scene.name)
             self._say(f"read {path.name} again", False)
 
     def _read_saved_settings(self, path: Path) -> None:
@@ -232,7 +240,7 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
 
     def lights(number: int | None = None) -> str:
         if number is not None:
-            file_reloader.show_scene(load_scene(change_options(session.scene.name, f"lights={number}")))
+            file_reloader.change_scene(f"lights={number}")
         session.draw_hidden_frame()  # which finds what reaches objects
         lights, (effects, _) = session.scene.lights, session.renderer.plan(session.camera)
         kinds = ", ".join(f"{len(lights.of_kind(kind))} {kind.name}" for kind in LIGHT_KINDS)
@@ -245,7 +253,7 @@ def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterat
     def show_objects(number: int | None = None) -> str:
         if number is not None:
             option = _COUNTS.get(session.scene.name.partition(":")[0], "count")
-            file_reloader.show_scene(load_scene(change_options(session.scene.name, f"{option}={number}")))
+            file_reloader.change_scene(f"{option}={number}")
         objects = session.scene.objects
         return f"{len(objects.node)} objects, {int(objects.is_shown.sum())} of them not hidden"
 

@@ -113,8 +113,7 @@ class Viewer:
 
     @property
     def is_loading(self) -> bool:
-        """True while a scene is being loaded. Scripts and lines from the socket wait until all of it is on the
-        device."""
+        """True while a scene is being loaded."""
         return self.file_reloader.loading.is_loading
 
     def handle(self, event: Event) -> None:
@@ -317,6 +316,7 @@ class Viewer:
 
     @property
     def _waits(self) -> bool:
+        """True if lines of scripts and from the socket must wait: not all of the scene is on the device yet."""
         return self.is_loading or self.session.is_uploading
 
     # -- frames ----------------------------------------------------------------------------------------------
@@ -370,7 +370,8 @@ class Viewer:
         session = self.session
         words = [session.counter.describe(), session.display.describe()]
         self._progress = self._describe_loading()
-        words += filter(None, [self._progress])
+        if self._progress:
+            words.append(self._progress)
         if session.budget is not None:
             words.append(session.budget.describe())
         if session.is_recording:

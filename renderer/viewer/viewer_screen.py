@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from renderer import rules
-from renderer.content import BackgroundLoad
+from renderer.content import BackgroundLoad, load_scene
 from renderer.frame import UploadSettings
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
@@ -261,16 +261,22 @@ def open_viewer(
         RhiError: what is wrong with the scene, if that is known before the first frame.
     """
     load: BackgroundLoad | None = None
-    if isinstance(scene, str):
+    if isinstance(scene, str) and begin is None:
+        scene = load_scene(scene)
+    elif isinstance(scene, str):
         load = BackgroundLoad(scene)
-        loaded = load.wait(None if begin is None else _PATIENCE)
+        loaded = load.wait(_PATIENCE)
         scene, load = (make_placeholder(scene), load) if loaded is None else (loaded, None)
-    display = display or DisplaySettings()
-    if settings is not None:
-        display = display.change(settings=RenderSettings.load(Path(settings)))
-    backend = backend or os.environ.get("RHI_BACKEND") or "gl"
-    screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
-    try:
+    with ExitStack() as undo:
+        if load is not None:
+            undo.callback(load.cancel)
+        display = display or DisplaySettings()
+        if settings is not None:
+            display = display.change(settings=RenderSettings.load(Path(settings)))
+        backend = backend or os.environ.get("RHI_BACKEND") or "gl"
+        title = f"{scene.name} - $fps frames/s"
+        screen = open_screen(backend, canvas=canvas, title=title, size=size, **options)
+        undo.callback(screen.close)
         make_viewer = partial(Viewer, screen.device, scene, size=screen.size, display=display, camera=camera)
         try:
             viewer = make_viewer()
@@ -290,9 +296,7 @@ def open_viewer(
             viewer_screen.follow_load(load, begin, camera)
         elif begin is not None:
             begin(viewer_screen)
-    except BaseException:
-        screen.close()
-        raise
+        undo.pop_all()
     return viewer_screen
 
 

@@ -224,7 +224,7 @@ def _read_corners(renderer: Renderer, triangles: NDArray[np.int64]) -> NDArray[A
     assert mesh.indices is not None
     vertices, indices = mesh.vertices.read(), mesh.indices.read()
     resources = renderer.resources
-    draws = resources.draws[resources.select_draws(triangles[:, 0], resources.detail_limit)]
+    draws = resources.get_draws(triangles[:, 0], resources.detail_limit)
     first = draws["first"].astype(np.int64) + 3 * triangles[:, 1]
     corners: NDArray[Any] = vertices[
         indices[first[:, None] + np.arange(3)] + draws["base_vertex"].astype(np.int64)[:, None]

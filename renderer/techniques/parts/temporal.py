@@ -429,7 +429,7 @@ def _draw_motion(frame: Frame) -> None:
     if vertices is not None:
         bindings["last_vertices"] = vertices
     object_indices = moved["object_index"].astype(np.int64)
-    draws = resources.draws[resources.select_draws(object_indices, resources.detail_limit)]
+    draws = resources.get_draws(object_indices, resources.detail_limit)
     draws["base_instance"] = np.arange(len(draws))
     groups = resources.group[object_indices] % len(DRAW_GROUPS)
     not_behind = NOT_BEHIND[frame.camera.projection.depth]

@@ -117,14 +117,13 @@ def textures_text(
     return "\n".join([enumerations(), constants, f"{_COMPARES}{int(compares)}", _HEAD, body])
 
 
-def call_textures(text: str) -> str:
-    """Return the text of a stage, `CALLED_WIDTH` lanes wide, that calls the functions that sample instead of
-    containing them. Its lines keep their numbers."""
-    function = texture_function(text)
+def call_textures(text: str, function: TextureFunction) -> str:
+    """Return the text of a stage, `CALLED_WIDTH` lanes wide, that calls the function that it needs to sample
+    (`texture_function`) instead of containing it. Its lines keep their numbers."""
     before, _, rest = text.partition(_CALLS[0])
     body, _, rest = rest.partition(_CALLS[1])
-    is_plain = int(function is not None and function.is_plain)
-    before = before.replace(_COMPARES, f"#define {_PLAIN} {is_plain}  // ", 1)  # which nothing reads here
+    slot_define = f"#define {_PLAIN} {int(function.is_plain)}  // "
+    before = before.replace(_COMPARES, slot_define, 1)  # which nothing reads here
     return "".join([before, "\n" * body.count("\n"), rest.replace(_CALLS[2], "", 1)])
 
 

@@ -20,7 +20,7 @@ from screens_kit import open_display
 
 import renderer
 from renderer.cli import main
-from renderer.content import background, load_scene
+from renderer.content import BackgroundLoad, background, load_scene
 from renderer.scene import Camera, Depth, Scene
 from renderer.settings import RenderSettings
 from renderer.techniques import TechniqueSettings
@@ -250,6 +250,26 @@ def test_a_name_that_no_scene_has_is_refused_before_a_screen_opens(monkeypatch: 
     monkeypatch.setattr(viewer_screen_module, "open_screen", Mock(side_effect=AssertionError))
     with pytest.raises(RhiError, match="scene-unknown"):
         open_viewer("citty", "null", canvas="offscreen", size=SIZE, begin=Mock())
+
+
+def test_a_screen_that_cannot_be_opened_cancels_the_load(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads: list[BackgroundLoad] = []
+
+    def begin_load(text: str) -> BackgroundLoad:
+        loads.append(BackgroundLoad(text))
+        return loads[-1]
+
+    monkeypatch.setattr(viewer_screen_module, "BackgroundLoad", begin_load)
+    monkeypatch.setattr(viewer_screen_module, "open_screen", Mock(side_effect=OSError("no screen")))
+    with pytest.raises(OSError, match="no screen"):
+        Opening(monkeypatch, "null", SCENE)
+    (load,) = loads
+    assert load._is_cancelled.is_set()
+
+
+def test_the_error_of_a_scene_that_is_waited_for_names_the_line_of_the_call() -> None:
+    with pytest.raises(RhiError, match=r"at: .*test_viewer_screen\.py"):
+        open_viewer("citty", "null", canvas="offscreen", size=SIZE)
 
 
 def test_a_first_scene_that_cannot_be_loaded_ends_the_loop_with_its_error(

@@ -89,9 +89,7 @@ class LitSurfaces:
             away = light["position"] - seen.position[lit]
             distance = np.linalg.norm(away, axis=1)
             sine = np.minimum(float(light["source_radius"]) / np.maximum(distance, 1e-9), 1.0)
-            shares = self._measure_visibility(_take(seen, lit), normalize(away), distance, sine)
-            lit, strength = lit[shares > 0.0], strength.copy()
-            strength[lit] *= shares[shares > 0.0]
+            lit, strength = self._darken(seen, lit, strength, normalize(away), distance, sine)
         repeated = _take(seen, np.repeat(lit, _PARTS))
         for position, normal, share in _list_parts(light):
             away = np.tile(light["position"] + position, (len(lit), 1)) - repeated.position
@@ -118,9 +116,7 @@ class LitSurfaces:
             source = sine[lit]
             if "angular_diameter" in light.dtype.names:
                 source = np.full(len(lit), np.sin(0.5 * float(light["angular_diameter"])))
-            shares = self._measure_visibility(_take(seen, lit), to_light[lit], far, source)
-            lit, strength = lit[shares > 0.0], strength.copy()
-            strength[lit] *= shares[shares > 0.0]
+            lit, strength = self._darken(seen, lit, strength, to_light[lit], far, source)
         if len(lit):
             lit_surfaces = _take(seen, lit)
             arriving = light["color"].astype(np.float64) * strength[lit, None]
@@ -128,6 +124,23 @@ class LitSurfaces:
                 facing = np.maximum(_dot(lit_surfaces.normal, direction), 0.0)
                 color[lit] += reflect(lit_surfaces, direction) * arriving * (share * facing)[:, None]
         return color
+
+    def _darken(
+        self,
+        seen: Surfaces,
+        lit: NDArray[np.int64],
+        strength: Floats,
+        to_light: Floats,
+        distance: Floats,
+        sine: Floats,
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Those of the surfaces at the indices `lit` that light of a source arrives at, and the strengths of all
+        surfaces, dimmed by what blocks it. Other arguments are those of `_measure_visibility`."""
+        shares = self._measure_visibility(_take(seen, lit), to_light, distance, sine)
+        arrives = shares > 0.0
+        lit, strength = lit[arrives], strength.copy()
+        strength[lit] *= shares[arrives]
+        return lit, strength
 
     def _measure_visibility(self, seen: Surfaces, to_light: Floats, distance: Floats, sine: Floats) -> Floats:
         """The share (k,) of the light of sources that nothing blocks, by the cosine to the surface.

@@ -198,7 +198,7 @@ class Pipeline:
         text = self._fragment_text
         function = texture_function(text.text) if text.generated else None
         if function is not None and self._shared.load_texture_function(function):
-            text = replace(text, text=call_textures(text.text))
+            text = replace(text, text=call_textures(text.text, function))
         return self._assemble(read_kernels("common"), text, macros, STAGE_FILES, (STAGE,)), text
 
     def _assemble_raster(self, key: merger.MergerKey | None, defines: str) -> tuple[Request, StageText]:

@@ -18,6 +18,7 @@
 // Quick kernels (`QUICK` in cl_context.py) optimise functions that are INLINE, and none with these attributes: what
 // is rare, which optimised kernels don't inline either, and what runs once for a draw or a cut triangle.
 #define NOINLINE static __attribute__((__noinline__))
+#define SEPARATE static __attribute__((noinline))  // quick kernels optimise it, none inlines it
 #ifdef noinline
 #define SELDOM NOINLINE
 #else
@@ -40,7 +41,7 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 1
 #ifdef __x86_64__
 // Call a function at an address, `void function(T *argument)`, by the calling convention of x86-64 under Linux. The
 // stack has a red zone, which the call must not touch, and any alignment.
-static __attribute__((noinline)) void call_function(ulong code, private void *argument) {
+SEPARATE void call_function(ulong code, private void *argument) {
     __asm__ volatile("movq %%rsp, %%r12\n\tleaq -128(%%rsp), %%rsp\n\tandq $-64, %%rsp\n\t"
                      "callq *%1\n\tmovq %%r12, %%rsp"
                      : "+D"(argument), "+a"(code)

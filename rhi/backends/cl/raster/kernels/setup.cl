@@ -424,7 +424,7 @@ INLINE void count_tiles(global uint *counts, int tiles_x, uint box) {
 // Set up 16 points on a target of one sample, from the draw's point `first` on. Such a point covers the
 // texels of its box, so its record is that of a triangle without edges whose box cuts it. Return the index
 // behind the last record.
-static __attribute__((noinline)) int set_up_points(
+SEPARATE int set_up_points(
     global const Batch *batch, global const Draw *draw, int draw_number, int first, int to_slot,
     global uint *counts, int record_index
 ) {

@@ -141,7 +141,7 @@ def test_a_stage_without_an_address_is_built_into_a_kernel_of_its_own(
 
 def test_the_text_that_calls_keeps_the_numbers_of_its_lines() -> None:
     text = textures_text(16, [TextureKind.D2], Precision.FAST) + "\nint last;"
-    called = call_textures(text)
+    called = call_textures(text, texture_function(text))
     assert called.count("\n") == text.count("\n")
     assert called.endswith("\nint last;")
     assert "rhi_bilinear8" in text
@@ -171,7 +171,7 @@ def test_stages_that_only_sample_2d_textures_need_the_plain_function(
 ) -> None:
     text = textures_text(16, [kind], Precision.EXACT) + f"\n{call}t, w);"
     assert texture_function(text) == TextureFunction(Precision.EXACT, is_plain)
-    assert f"RHI_PLAIN_SAMPLES {int(is_plain)}" in call_textures(text)
+    assert f"RHI_PLAIN_SAMPLES {int(is_plain)}" in call_textures(text, texture_function(text))
 
 
 def test_the_plain_function_has_less_than_the_whole_one() -> None:
