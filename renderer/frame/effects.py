@@ -25,7 +25,7 @@ from renderer.frame.thin_air import THIN_HAZE, is_fog_seen, is_haze_seen, is_sky
 from renderer.frame.transparent_layers import TransparentLayers
 from renderer.frame.visible_features import VisibleFeatures
 from renderer.light_kinds.kind import LocalLightKind
-from renderer.light_kinds.shapes import flag_areas
+from renderer.light_kinds.shapes import flag_areas, flag_discs, flag_spheres
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.lights.frustum_culling import select_lights_in_view
 from renderer.scene import Camera, Scene
@@ -513,7 +513,7 @@ def collect_frame_effects(
     penumbras = []
     for effect, row in LOCAL_LIGHTS.items():
         lights_of_kind, light_indices = lights.of_kind(row.kind), in_view[effect]
-        wide = in_view[row.spheres] = light_indices[lights_of_kind["source_radius"][light_indices] > 0.0]
+        wide = in_view[row.spheres] = light_indices[flag_spheres(lights_of_kind)[light_indices]]
         if row.areas is not None:
             in_view[row.areas] = _NONE
             if sources.counts[row.areas]:
@@ -717,7 +717,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.HEIGHT_FIELDS: len(height_fields),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
         Effect.DIRECTIONAL_PENUMBRAS: _count_casting(
-            scene, lights.directional[lights.directional["angular_diameter"] > 0.0]
+            scene, lights.directional[flag_discs(lights.directional)]
         ),
         Effect.LOCAL_PENUMBRAS: 0,
         **{_EFFECTS[name]: count for name, count in features.items()},
@@ -727,7 +727,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         lights_of_kind = lights.of_kind(row.kind)
         counts[effect] = len(lights_of_kind)
         counts[row.shadows] = _count_casting(scene, lights_of_kind)
-        is_wide = lights_of_kind["source_radius"] > 0.0
+        is_wide = flag_spheres(lights_of_kind)
         counts[row.spheres] = int(np.count_nonzero(is_wide))
         counts[Effect.LOCAL_PENUMBRAS] += _count_casting(scene, lights_of_kind[is_wide])
         if row.areas is not None:

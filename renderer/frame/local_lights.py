@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from renderer.frame.mirrors import MirroredArray, MirroredTable, split_doubles
 from renderer.light_kinds.generation import define, for_kind
 from renderer.light_kinds.kind import LocalLightKind
-from renderer.light_kinds.shapes import flag_areas, pack_shapes
+from renderer.light_kinds.shapes import flag_areas, flag_spheres, pack_shapes
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.scene.arrays import Floats
 from renderer.scene.lights import Lights
@@ -223,7 +223,7 @@ class LocalLightBuffers:
         """Upload the radii of sources: the lights of all kinds with the same index share a texel."""
         radii = np.zeros((max(map(len, needed)), self._channels), np.float32)
         for channel, (kind, lights) in enumerate(zip(LOCAL_LIGHT_KINDS, needed, strict=True)):
-            radii[: len(lights), channel] = lights["source_radius"]
+            radii[: len(lights), channel] = np.where(flag_spheres(lights), lights["source_radius"], 0.0)
             if kind.has_shapes:
                 radii[: len(lights), channel][flag_areas(lights)] = 0.0
         if radii.any():

@@ -1,6 +1,6 @@
 """Surfaces of which a view sees nothing but the backs, which aren't drawn: water from below.
 
-A simulation that states `HeightSimulation.max_slope` moves the heights of a surface over the x and z of its
+A simulation that states `HeightSimulation.max_slopes` moves the heights of a surface over the x and z of its
 object. No triangle of it is steeper, so a point far enough below sees all of them from behind. Then nothing of
 the surface is drawn or simulated, whatever its waves are. A bound on slopes is needed, since being below isn't
 enough: a flat ray leaves a steep wave at its back, and meets the front of the next.
@@ -29,10 +29,10 @@ class TurnedSurfaces:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        slopes: dict[int, float] = {}
+        slopes: dict[int, NDArray[np.float64]] = {}
         for simulated in scene.simulated:
             if isinstance(simulated.simulation, HeightSimulation):
-                slopes |= dict.fromkeys(simulated.objects.tolist(), simulated.simulation.max_slope)
+                slopes |= dict.fromkeys(simulated.objects.tolist(), simulated.simulation.max_slopes)
         self.object_indices: NDArray[np.int64] = np.array(sorted(slopes), np.int64)
         self._slopes = slopes
 
@@ -52,12 +52,12 @@ class TurnedSurfaces:
         world = nodes.world[node]
         if not abs(np.linalg.det(world[:3, :3])) > 0.0:
             return False
-        inverse, slope = np.linalg.inv(world), _MARGIN * self._slopes[row]
+        inverse, slopes = np.linalg.inv(world), _MARGIN * self._slopes[row]
         if isinstance(camera.projection, Orthographic):
-            x, y, z = (inverse[:3, :3] @ camera.forward).tolist()
-            return bool(y > slope * np.hypot(x, z))
+            forward = inverse[:3, :3] @ camera.forward
+            return bool(forward[1] > slopes @ np.abs(forward[::2]))
         eye = inverse[:3, :3] @ camera.position + inverse[:3, 3]
         lower, upper = boxes.lower[row], boxes.upper[row]
         below = float(lower[1] - eye[1])  # at least so far
         away = np.maximum(np.abs(eye - lower), np.abs(eye - upper))[::2]
-        return bool(below > slope * np.hypot(*away))
+        return bool(below > slopes @ away)

@@ -25,6 +25,23 @@ _SMALLEST: Final = 1e-6
 _LEAST: Final = 1e-15
 """The least half side in metres."""
 
+_SMALLEST_SPHERE: Final = 1e-9
+"""The radius over the range up to which a sphere looks like a point: at a thousandth of the range it is as wide as
+1e-6 radians, and nearer surfaces are too bright to differ."""
+_SMALLEST_DISC: Final = 1e-9
+"""The diameter in radians up to which a directional light looks like a point: behind an edge 10,000 km away its
+shadow is soft over a centimetre."""
+
+
+def flag_spheres(lights: NDArray[Any]) -> NDArray[np.bool_]:
+    """The mask (k,) of lights with a position whose radius changes something."""
+    return np.asarray(lights["source_radius"] > _SMALLEST_SPHERE * lights["range"])
+
+
+def flag_discs(lights: NDArray[Any]) -> NDArray[np.bool_]:
+    """The mask (k,) of directional lights whose diameter changes something."""
+    return np.asarray(lights["angular_diameter"] > _SMALLEST_DISC)
+
 
 def flag_areas(lights: NDArray[Any]) -> NDArray[np.bool_]:
     """The mask (k,) of lights that are rectangles or tubes."""

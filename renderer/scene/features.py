@@ -37,6 +37,13 @@ _FEATURES: Final = (
 )
 """The features that a material has or lacks by itself."""
 
+_CHANNELS: Final = {
+    "metallic_roughness_texture": (1, 2),
+    "occlusion_texture": (0,),
+    "emissive_texture": (0, 1, 2),
+}
+"""The channels of textures that multiply a value of the material."""
+
 
 class MaterialFeatures:
     """The features that the materials of a scene have, as of the last `refresh`.
@@ -59,7 +66,7 @@ class MaterialFeatures:
         """`bounds` are those of what textures and vertices multiply colors by; by default of none."""
         self._bends = np.array([False, *(custom.shader.reads_tangents for custom in shaders)], bool)
         self._bounds = SurfaceBounds(textures, ()) if bounds is None else bounds
-        self._textures = textures
+        self._textures, self._ones = textures, self._bounds.flag_ones()
         self._repeats = np.array(
             [(sampler.wrap_u, sampler.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for sampler in samplers], bool
         )
@@ -124,7 +131,7 @@ class MaterialFeatures:
         is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
         emitted = materials["base_color"][:, :3].max(axis=1) * materials["emission"].astype(np.float64)
         emits = (materials["emissive"] > LEAST_LIGHT).any(axis=1)
-        has = {name: materials[name] >= 0 for name in TEXTURES}
+        has = {name: self._flag_changing(materials, name, channels) for name, channels in _CHANNELS.items()}
         tells_metal = (materials["metallic"] > 0.0) | (materials["roughness"] > 0.0)
         columns = {
             "emission": emitted * self._bounds.max_color > LEAST_LIGHT,
@@ -142,10 +149,19 @@ class MaterialFeatures:
         return np.stack([columns[name] for name in _FEATURES], axis=1)
 
     def _read_colors(self, materials: NDArray[Any]) -> NDArray[np.int32]:
-        """Return the texture (k,) of the base color of materials, -1 where it is black and covers all."""
-        shows = materials["base_color"][:, :3].any(axis=1) | (materials["shader"] > 0)
+        """Return the texture (k,) of the base color of materials, -1 where the material is black or the texture
+        white, and it covers all."""
+        changes = self._flag_changing(materials, "texture", (0, 1, 2))
+        shows = (materials["base_color"][:, :3].any(axis=1) & changes) | (materials["shader"] > 0)
         shows |= flag_cut(materials, self._bounds) | flag_blended(materials, self._bounds)
         return np.where(shows, materials["texture"], -1)
+
+    def _flag_changing(
+        self, materials: NDArray[Any], name: str, channels: tuple[int, ...]
+    ) -> NDArray[np.bool_]:
+        """Return which materials (k,) have a texture in a field, with channels that aren't 1 everywhere."""
+        textures = materials[name]
+        return np.asarray((textures >= 0) & ~self._ones[textures][:, channels].all(axis=1))
 
     def _list_textures(self, materials: NDArray[Any], name: str) -> NDArray[np.int32]:
         """Return the texture (k,) of materials that a field names, -1 where it isn't read."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer.light_kinds.kind import LightKind
-from renderer.light_kinds.shapes import measure_extent
+from renderer.light_kinds.shapes import flag_discs, flag_spheres, measure_extent
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS, AllLightArrays
 from renderer.scene.arrays import Floats
 from renderer.scene.negligible import LEAST_LIGHT
@@ -74,10 +74,8 @@ class Lights(AllLightArrays):
     @property
     def has_wide_shadows(self) -> bool:
         """True if any light casts shadows from a source that has a size."""
-        return bool(
-            (self.directional["casts_shadow"] & (self.directional["angular_diameter"] > 0.0)).any()
-        ) or any(
-            bool((lights["casts_shadow"] & (lights["source_radius"] > 0.0)).any())
+        return bool((self.directional["casts_shadow"] & flag_discs(self.directional)).any()) or any(
+            bool((lights["casts_shadow"] & flag_spheres(lights)).any())
             for lights in map(self.of_kind, LOCAL_LIGHT_KINDS)
         )
 

@@ -57,6 +57,17 @@ class SurfaceBounds:
         """Return the least value, 0 to 1, of a channel of all texels of a texture."""
         return self._find_range(texture, channel)[0]
 
+    def flag_ones(self) -> NDArray[np.bool_]:
+        """Return of which textures each channel is 1 everywhere, (t + 1, 4); the last row, which -1 selects, is
+        False. Multiplying by such a channel changes nothing."""
+        ones = np.zeros((len(self._textures) + 1, 4), bool)
+        for texture, image in enumerate(self._textures["image"].tolist()):
+            if image < len(self._images):
+                first_texel = np.resize(self._images[image][0, 0], 4)
+                for channel in np.flatnonzero(first_texel == 255).tolist():  # mostly none: no image is read
+                    ones[texture, channel] = self.texel_minimum(texture, channel) == 1.0
+        return ones
+
     def _find_range(self, texture: int, channel: int) -> tuple[float, float]:
         """Return the least and the largest value, 0 to 1, of a channel of a texture; each image is read once."""
         image = int(self._textures["image"][texture])

@@ -117,8 +117,8 @@ class HeightSimulation(VertexSimulation, Protocol):
     """
 
     @property
-    def max_slope(self) -> float:
-        """The greatest slope of any triangle: metres up for each metre along x and z."""
+    def max_slopes(self) -> Floats:
+        """The greatest slopes of any triangle along x and along z (2,): metres up for each metre."""
         ...
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from renderer.frame import LOCAL_LIGHTS, Effect, FrameEffects
 from renderer.frame.resources import SceneResources
 from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.shapes import flag_discs, flag_spheres
 from renderer.lights.object_lists import list_lights
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Indices
@@ -152,7 +153,7 @@ class MapPlanner:
             direction = lights["direction"][light_index].astype(np.float64)
             axes = Camera.look_at((0, 0, 0), direction).rotation
             source = 0.0
-            if self._has_penumbras:
+            if self._has_penumbras and flag_discs(lights[light_index]):
                 source = float(np.tan(0.5 * lights["angular_diameter"][light_index].astype(np.float64)))
             boxes = self.casters.rotate_casters(light_index, axes)
             receivers = rotate_boxes(scene, visible, axes)
@@ -268,7 +269,7 @@ class MapPlanner:
         key = (light.light.tobytes(), width, static.tobytes())
         faces = self._faces.get(name)
         if faces is None or faces.key != key:
-            has_penumbras = self._has_penumbras and bool(light.light["source_radius"] > 0.0)
+            has_penumbras = self._has_penumbras and bool(flag_spheres(light.light))
             aimed = map_cameras(light.kind, light.light, width, has_penumbras=has_penumbras)
             planes = np.stack([camera.frustum.planes for camera in aimed])
             maps = [

@@ -130,23 +130,30 @@ class StepPools(sl.Shader):
         )
 
     def write_vertex(self, at: int, first: int, point: int) -> None:
-        """Write a vertex's height and normal. Its x and z never change."""
+        """Write a vertex's height and normal. Its x and z never change.
+
+        Heights of neighbours differ by at most `max_height` (`WaterPool.break_waves`).
+        """
         columns = self.pool.columns
         row = point // columns
         column = point - row * columns
         line = first + row * columns
-        rise = 0.0
-        drop_lift = 0.0
+        height = self.heights[first + point]
+        left = self.heights[line + sl.max(column - 1, 0)]
+        right = self.heights[line + sl.min(column + 1, columns - 1)]
+        above = self.heights[first + sl.max(row - 1, 0) * columns + column]
+        below = self.heights[first + sl.min(row + 1, self.pool.rows - 1) * columns + column]
+        highest = sl.max(sl.max(left, right), sl.max(above, below))
+        lowest = sl.min(sl.min(left, right), sl.min(above, below))
+        rise_x = 0.0
+        rise_z = 0.0
         if column > 0 and column < columns - 1:
-            rise = (self.heights[line + column + 1] - self.heights[line + column - 1]) / (
-                2.0 * self.pool.spacing.x
-            )
+            rise_x = (right - left) / (2.0 * self.pool.spacing.x)
         if row > 0 and row < self.pool.rows - 1:
-            drop_lift = (self.heights[line + columns + column] - self.heights[line - columns + column]) / (
-                2.0 * self.pool.spacing.y
-            )
-        normal = sl.normalize(sl.vec3(-rise, 1.0, -drop_lift))
-        self.vertices[at + 1] = self.heights[first + point]
+            rise_z = (below - above) / (2.0 * self.pool.spacing.y)
+        normal = sl.normalize(sl.vec3(-rise_x, 1.0, -rise_z))
+        limit = self.pool.max_height
+        self.vertices[at + 1] = sl.clamp(height, highest - limit, lowest + limit)
         self.vertices[at + 3] = normal.x
         self.vertices[at + 4] = normal.y
         self.vertices[at + 5] = normal.z

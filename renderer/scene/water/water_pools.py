@@ -47,7 +47,8 @@ class WaterPool:
         rain: drops a second.
         drop: the height in metres by which one lifts the water.
         radius: of a drop in metres.
-        max_height: metres: no point is ever higher, nor lower than minus as much.
+        max_height: metres: no point is ever higher, nor lower than minus as much. Two neighbours are drawn
+            with a difference of at most this: a steeper wave breaks.
         start: (rows + 1, columns + 1), the heights at first, in metres; None is flat.
 
     Raises:
@@ -150,13 +151,27 @@ class WaterPool:
         """Make the mesh of the surface at first. Texture coordinates are 0 to 1 along x and z."""
         return MeshGeometry(self.make_vertices(self.heights[None]), list_grid_triangles(*self.shape))
 
+    def break_waves(self, heights: NDArray[Any]) -> NDArray[Any]:
+        """Return `heights` (k, rows + 1, columns + 1), nearer to rest where neighbours differ by more than
+        `max_height`.
+
+        A point is at most this far from each neighbour. As heights are within the limit on both sides of
+        rest, no point moves beyond rest, so a neighbour that moves as well only comes nearer.
+        """
+        wide = np.pad(heights, ((0, 0), (1, 1), (1, 1)), "edge")
+        neighbours = (wide[:, 1:-1, :-2], wide[:, 1:-1, 2:], wide[:, :-2, 1:-1], wide[:, 2:, 1:-1])
+        lowest = np.minimum.reduce(neighbours) + self.max_height
+        highest = np.maximum.reduce(neighbours) - self.max_height
+        limited: NDArray[Any] = np.clip(heights, highest, lowest)
+        return limited
+
     def make_vertices(self, heights: NDArray[Any]) -> NDArray[Any]:
         """Return the vertices (k * n,) of `VERTEX` of surfaces with `heights` (k, rows + 1, columns + 1)."""
         z, x = np.meshgrid(*(np.linspace(0.0, 1.0, count) for count in self.shape), indexing="ij")
         vertices = np.zeros(heights.shape, VERTEX)
         vertices["uv"] = np.stack([x, z], axis=-1)
         vertices["position"][..., ::2] = (vertices["uv"] - 0.5) * self.size
-        vertices["position"][..., 1] = heights
+        vertices["position"][..., 1] = self.break_waves(heights)
         slope = np.zeros((2, *heights.shape))
         slope[0, :, :, 1:-1] = (heights[:, :, 2:] - heights[:, :, :-2]) * (0.5 * self.cells[0] / self.size[0])
         slope[1, :, 1:-1] = (heights[:, 2:] - heights[:, :-2]) * (0.5 * self.cells[1] / self.size[1])
@@ -204,9 +219,9 @@ class WaterSimulation(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         return duplicate
 
     @property
-    def max_slope(self) -> float:
-        """The greatest slope of a triangle: from the lowest to the highest point along both of its edges."""
-        return float(2.0 * self.pool.max_height * np.hypot(*(1.0 / self.pool.spacing)))
+    def max_slopes(self) -> Floats:
+        """The greatest slopes of a triangle along x and z (2,): neighbours differ by `max_height` at most."""
+        return self.pool.max_height / self.pool.spacing
 
     def _make_initial_state(self) -> NDArray[np.float32]:
         """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water is still: of the last

@@ -45,7 +45,10 @@ CHECKS[..., 3] = 255
 BUMPS = np.maximum(CHECKS, 140)
 BUMPS[..., 3] = 255
 CLEAR = CHECKS * np.array((1, 1, 1, 0), np.uint8)
-IMAGES = {"checks": CHECKS, "bumps": BUMPS, "clear": CLEAR}
+WHITE = np.full((8, 8, 4), 255, np.uint8)
+ROUGH = WHITE * np.array((0, 1, 1, 0), np.uint8)
+"""White in the channels of metallic-roughness textures alone."""
+IMAGES = {"checks": CHECKS, "bumps": BUMPS, "clear": CLEAR, "white": WHITE, "rough": ROUGH}
 
 LIGHT_FIELDS: dict[str, tuple[Any, ...]] = {
     "position": ((0.0, 2.0, 1.0), (0.0, -0.1, 0.0), (1e6, 0.0, 0.0)),
@@ -53,10 +56,10 @@ LIGHT_FIELDS: dict[str, tuple[Any, ...]] = {
     "color": ((1.0, 1.0, 1.0), (1e4, 0.0, 0.0)),
     "intensity": (1.0, 1e6),
     "casts_shadow": (True, False),
-    "source_radius": (0.0, 1e-3),
+    "source_radius": (0.0, 1e-3, 1e-12),
     "source_right": ((0.0, 0.0, 0.0), (0.4, 0.0, 0.0)),
     "source_up": ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0)),
-    "angular_diameter": (0.0, 1e-3, np.pi / 2),
+    "angular_diameter": (0.0, 1e-3, np.pi / 2, 1e-12),
     "direction": ((-0.3, -1.0, -0.5), (0.0, 1.0, 0.0)),
     "inner": (0.2, 0.0),
     "outer": (0.5, np.pi),
@@ -140,6 +143,13 @@ EQUAL: tuple[tuple[Values, Values], ...] = (
         {"metallic": 0.0, "roughness": 0.0, "metallic_roughness_texture": None},
     ),
     ({"rim_strength": 0.0}, {"rim_strength": None}),
+    ({"texture": "white"}, {"texture": None}),
+    ({"emissive_texture": "white"}, {"emissive_texture": None}),
+    ({"occlusion_texture": "white", "occlusion_strength": 1.0}, {"occlusion_texture": None}),
+    (
+        {"metallic_roughness_texture": "rough", "metallic": 1.0, "roughness": 0.5},
+        {"metallic_roughness_texture": None, "metallic": 1.0, "roughness": 0.5},
+    ),
     (
         {"texture": "checks", "base_color": (0.0, 0.0, 0.0, 1.0)},
         {"texture": None, "base_color": (0.0, 0.0, 0.0, 1.0)},
@@ -262,6 +272,17 @@ def spread_lights() -> Iterator[Neutral]:
                 yield Neutral(f"a dark {kind.name} light: {off}, {turn}", _add_light(kind, set_to))
     for direction, outer in (((0.0, 1.0, 0.0), 0.5), ((0.0, 1.0, 0.0), 1e-3), ((0.6, 0.8, 0.0), 1.0)):
         yield Neutral(f"a spot {direction}, {outer}", partial(_aim_spot, direction=direction, outer=outer))
+
+
+def spread_small_lights() -> Iterator[Neutral]:
+    """Lights of each kind that are so small that they look like points."""
+    for kind in LIGHT_KINDS:
+        values = {name: values[0] for name, values in light_fields(kind).items()}
+        size = "source_radius" if "source_radius" in values else "angular_diameter"
+        for smallest, casts_shadow in itertools.product((1e-12, 4e-10), (True, False)):
+            lights = ({**values, "casts_shadow": casts_shadow, size: radius} for radius in (smallest, 0.0))
+            name = f"a {kind.name} light of size {smallest}, {casts_shadow}"
+            yield Neutral(name, *(_add_light(kind, light) for light in lights))
 
 
 def _aim_spot(builder: SceneBuilder, direction: tuple[float, float, float], outer: float) -> None:
@@ -432,6 +453,7 @@ def _set(builder: SceneBuilder, name: str, value: Any) -> None:
 def spread_all() -> list[Neutral]:
     return [
         *spread_lights(),
+        *spread_small_lights(),
         *spread_materials(),
         *spread_equal_materials(),
         *spread_objects(),

@@ -19,13 +19,13 @@ from rhi import Op
 from rhi.math import multiply
 
 POOL = WaterPool(size=(6.0, 4.0), cells=(12, 8), depth=0.2, rain=20.0, max_height=0.05)
-"""Its triangles have a slope of 0.28 at most."""
+"""Its triangles have slopes of 0.1 along x and z at most."""
 HEIGHT = 6.0
 BELOW = Camera.look_at((0.5, 0.5, 3.0), (0.0, HEIGHT, 0.0))
 """The farthest corner is 6.1 m away along the ground, and 5.45 m above the eye at least."""
 ABOVE = Camera.look_at((0.5, HEIGHT + 3.0, 4.0), (0.0, HEIGHT, 0.0))
-STEEP = WaterPool(size=(6.0, 4.0), cells=(48, 32), depth=0.2, rain=20.0, max_height=0.05)
-"""Its triangles may have a slope of 1.13, so that some may face the eye."""
+STEEP = WaterPool(size=(6.0, 4.0), cells=(96, 64), depth=0.2, rain=20.0, max_height=0.05)
+"""Its triangles may have slopes of 0.8 along both, so that some may face the eye."""
 
 
 def make_pool(
@@ -77,6 +77,15 @@ def test_water_from_below_costs_nothing(null: rhi.Device, visibility: str) -> No
 def test_water_is_drawn_where_a_slope_may_face_the_eye(null: rhi.Device, pool: WaterPool) -> None:
     drawn = count_work(null, make_pool(pool), BELOW)[Op.DISPATCH] > 0
     assert drawn is (pool is STEEP)
+
+
+def test_a_fine_grid_from_steeply_below_costs_nothing(null: rhi.Device) -> None:
+    """Cells of 36 mm and waves of 100 mm: seen at 78 degrees, only slopes of 4 would face the eye."""
+    pool = WaterPool(size=(2.6, 1.4), cells=(72, 40), depth=0.06, damping=0.6, rain=5.0)
+    camera = Camera.look_at((0.9, -22.3, 6.0), (0.9, -14.0, 0.0))
+    assert count_work(null, make_pool(pool), camera)[Op.DISPATCH] == 0
+    nearer = Camera.look_at((0.9, -12.3, 6.0), (0.9, -4.0, 0.0))
+    assert count_work(null, make_pool(pool), nearer)[Op.DISPATCH] == 1, "control: 60 degrees"
 
 
 def test_water_with_two_sides_is_drawn_from_below(null: rhi.Device) -> None:

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rhi
+from renderer.content import BUILT_IN
 from renderer.renderer import Renderer
-from renderer.scene import TEXTURE, AlphaMode, Scene, TextureMap, make_material
+from renderer.scene import TEXTURE, AlphaMode, Scene, SceneBuilder, TextureMap, make_material
 from renderer.scene.features import MaterialFeatures
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import NoCulling
@@ -175,3 +176,44 @@ def test_a_scene_finds_transparent_objects_again_when_it_is_refreshed() -> None:
     scene.materials["base_color"][:, 3] = 0.5
     scene.refresh()
     assert scene.list_transparent().tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("field", "feature", "channels"),
+    [
+        ("texture", "images", (0, 1, 2)),
+        ("emissive_texture", "emissive maps", (0, 1, 2)),
+        ("occlusion_texture", "occlusion maps", (0,)),
+        ("metallic_roughness_texture", "roughness maps", (1, 2)),
+    ],
+)
+def test_a_texture_that_is_white_in_the_channels_that_are_read_is_no_feature(
+    field: str, feature: str, channels: tuple[int, ...]
+) -> None:
+    values: dict[str, Any] = {"emissive": (2.0, 2.0, 2.0)}
+    if feature == "roughness maps":
+        values |= {"metallic": 1.0, "roughness": 0.5}
+    white = np.zeros((4, 4, 4), np.uint8)
+    white[..., channels] = 255
+    assert build_textured(field, white, **values)[feature] == 0
+    for channel in channels:
+        spotted = white.copy()
+        spotted[3, 2, channel] = 254
+        assert build_textured(field, spotted, **values)[feature] == 1, "control: one texel differs"
+
+
+def test_the_alpha_of_a_white_texture_is_read_where_it_cuts() -> None:
+    holes = np.full((4, 4, 4), 255, np.uint8)
+    assert build_textured("texture", holes, alpha_mode=AlphaMode.MASK)["images"] == 0
+    holes[1, 1, 3] = 0
+    assert build_textured("texture", holes, alpha_mode=AlphaMode.MASK)["images"] == 1
+    assert build_textured("texture", holes)["images"] == 0, "control: an opaque material has no alpha"
+
+
+def build_textured(field: str, pixels: np.ndarray[Any, Any], **values: Any) -> dict[str, int]:
+    """The features of a scene with a box whose material has an image in a field."""
+    builder = SceneBuilder("textured")
+    mesh = builder.add_mesh(BUILT_IN["box"]())
+    material = builder.add_material(**{field: builder.add_image(pixels)}, **values)
+    builder.add_objects(builder.add_node(), mesh, material)
+    return dict(builder.build().count_features())

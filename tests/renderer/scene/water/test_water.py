@@ -142,6 +142,41 @@ def test_no_rain_takes_water_out_of_its_bounds() -> None:
     assert heights[1] > 0.1  # the control: it would have
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_neighbours_are_drawn_with_a_difference_within_the_greatest_height(
+    device: rhi.Device, seed: int
+) -> None:
+    """Between -H and H two neighbours may differ by 2 H. Where all are within H of each other, nothing moves."""
+    heights = 0.1 * np.random.default_rng(seed).choice([-1.0, -0.4, 0.3, 1.0], (21, 25))
+    pool = WaterPool(**{**RAIN, "rain": 0.0, "start": heights})
+    water = WaterSimulation(1, pool)
+    drawn = [
+        deform(device, water)[0, :, 1].reshape(pool.shape),
+        pool.make_vertices(heights[None])["position"],
+    ]
+    drawn[1] = drawn[1][:, 1].reshape(pool.shape)
+    water.release(device)
+    for surface in drawn:
+        differences = np.concatenate([np.abs(np.diff(surface, axis=axis)).reshape(-1) for axis in (0, 1)])
+        assert differences.max() <= 0.1 * (1.0 + 1e-6)
+        np.testing.assert_allclose(surface, limit_by_loops(heights, 0.1), atol=1e-7)
+    calm = 0.5 * heights
+    np.testing.assert_array_equal(pool.break_waves(calm[None])[0], calm)
+    assert np.abs(np.diff(heights)).max() == pytest.approx(0.2), "control: the wave was steeper"
+
+
+def limit_by_loops(heights: np.ndarray, limit: float) -> np.ndarray:
+    """Return each height within `limit` of its four neighbours, one point after another."""
+    limited = heights.copy()
+    for row, column in np.ndindex(heights.shape):
+        for down, across in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            neighbour = (row + down, column + across)
+            if min(neighbour) >= 0 and neighbour[0] < heights.shape[0] and neighbour[1] < heights.shape[1]:
+                lowest, highest = heights[neighbour] - limit, heights[neighbour] + limit
+                limited[row, column] = min(max(limited[row, column], lowest), highest)
+    return limited
+
+
 def make_pools() -> Scene:
     """Make three pools in a row along x, 4 m apart."""
     builder, pool = SceneBuilder("pools"), WaterPool(**RAIN)
