@@ -236,19 +236,44 @@ def count_warm_up() -> Cells:
     return rows
 
 
+def _describe_error(error: float | None) -> str:
+    """Return an error with two decimals, or with two digits if it is small."""
+    if error is None:
+        return "-"
+    return f"{error:.2f}" if error == 0.0 or error >= 0.1 else f"{error:.2g}"
+
+
 def measure_by_rays() -> Cells:
     """Measure errors of quality settings on gl and cl: to ray-traced images, and to the best value's."""
-    cells: dict[str, list[str]] = {}
-    names = [f"--quality-setting={name}" for name in RAY_TRACED_SETTINGS]
+    return _measure_errors("city:blocks=4", RAY_TRACED_SETTINGS, rounds=1)
+
+
+def measure_effects() -> Cells:
+    """Measure errors of the quality settings of effects on gl and cl, each in a scene that has the effect, and the
+    ratios of their times."""
+    cells: dict[str, Sequence[str]] = {}
+    for scene, names in EFFECT_SETTINGS.items():
+        cells |= _measure_errors(scene, names, rounds=3, times=True)
+    return cells
+
+
+def _measure_errors(scene: str, names: Sequence[str], *, rounds: int, times: bool = False) -> Cells:
+    """Return the errors of each value on gl and on cl, and after those, if asked for, the ratios of times."""
+    errors: dict[str, list[str]] = {}
+    ratios: dict[str, list[str]] = {}
+    settings = [f"--quality-setting={name}" for name in names]
     for backend in ("gl", "cl"):
-        options = f"city:blocks=4 --backend {backend} --size 96x54 --views 1 --rounds 1"
-        report = _read_report("-m", "renderer", "accuracy", *options.split(), *names)
+        options = f"{scene} --backend {backend} --size 96x54 --views 1 --rounds {rounds}"
+        report = _read_report("-m", "renderer", "accuracy", *options.split(), *settings)
         for setting in report["quality_settings"]:
             for row in setting["rows"]:
                 value = f"**{row['value']}**" if row["is_default"] else row["value"]
-                errors = (f"{row[name]:.2f}" for name in ("mean_error", "difference"))
-                cells.setdefault(f"`{row['setting']}`: {value}", []).extend(errors)
-    return {title: errors for title, errors in cells.items() if len(errors) == 4}  # of both
+                title = f"`{row['setting']}`: {value}"
+                cells = map(_describe_error, (row["mean_error"], row["difference"]))
+                errors.setdefault(title, []).extend(cells)
+                ratios.setdefault(title, []).append(f"{row['processor_ratio']:.2f}")
+    of_both = [title for title, cells in errors.items() if len(cells) == 4]
+    return {title: [*errors[title], *(ratios[title] if times else ())] for title in of_both}
 
 
 def count_useless() -> Cells:
@@ -270,11 +295,33 @@ RAY_TRACED_SETTINGS: Final = (
     "shadow_bias",
 )
 """The quality settings of the table whose errors are distances from ray-traced images."""
+EFFECT_SETTINGS: Final = {
+    "city:blocks=4": ("temporal", "temporal_deviations", "temporal_bits"),
+    "city:blocks=4,shadows=1,sun_degrees=3": ("blocker_samples", "penumbra_samples"),
+    "city:blocks=4,occlusion=2": (
+        "occlusion_slices",
+        "occlusion_steps",
+        "occlusion_smoothing",
+        "occlusion_bits",
+    ),
+    "city:blocks=4,focus=12,aperture=0.3": ("focus_samples", "focus_radius", "focus_bits"),
+    "yard:environment=1": ("environment_samples", "environment_size"),
+    "night:bloom=0.2": ("bloom_levels", "bloom_karis_average", "bloom_bits"),
+}
+"""The quality settings of effects, by a scene that has the effect."""
+
 TABLES: Final = {
     "by rays": MeasuredTable(
         "docs/measurements/accuracy.md",
         ("gl: error", "gl: to best", "cl: error", "cl: to best"),
         measure_by_rays,
+        tolerance=0.1,
+    ),
+    "effects": MeasuredTable(
+        "docs/measurements/accuracy.md",
+        ("gl: error", "gl: to best", "cl: error", "cl: to best"),
+        measure_effects,
+        ("gl: time", "cl: time"),
         tolerance=0.1,
     ),
     "orders": MeasuredTable(
@@ -408,7 +455,7 @@ def main() -> int:
     form.add_argument("--check", action="store_true", help="write nothing, and end with 1 if figures differ")
     form.add_argument("--ratios", action="store_true", help="print ratios of times, old and new")
     arguments = parser.parse_args()
-    differences = []
+    differences: list[str] = []
     for name in arguments.names or TABLES:
         figure = TABLES[name]
         if arguments.ratios and not figure.times:

@@ -64,6 +64,7 @@ from renderer.lab.accuracy import (
 )
 from renderer.lab.measure import format_table
 from renderer.lab.measure.disturbance import DISTURBED
+from renderer.lab.measure.machine import describe_machine
 from renderer.scene import Scene
 from renderer.scene.files import read_json
 from renderer.settings import to_json
@@ -339,6 +340,7 @@ def describe(
     """The report that `--json` prints."""
     return {
         **to_json(setup),
+        "machine": asdict(describe_machine()),
         "quality_settings": [
             {
                 **asdict(report),

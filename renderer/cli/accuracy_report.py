@@ -22,6 +22,7 @@ from renderer.lab.accuracy import (
     SweepSetup,
     ValueRow,
 )
+from renderer.lab.measure.machine import describe_machine
 
 _SMALLEST_ERROR: Final = 1e-3
 """If some error is 0, the axis of errors is logarithmic from here on, and linear below."""
@@ -256,7 +257,8 @@ def write_page(
         f"<p>{escape(setup.scene)}, {width} × {height}, {escape(str(setup.backend))}: {escape(device)}. "
         f"{setup.views} views compared, {setup.rounds} frames timed. Ratios are to the most accurate value "
         "of "
-        "a quality setting, with 95 % confidence intervals. Shaded rows are defaults.</p>",
+        "a quality setting, with 95 % confidence intervals. Shaded rows are defaults. "
+        f"Measured on {escape(str(describe_machine()))}.</p>",
     ]
     if choice is not None:
         parts.append(f"<h2>Chosen</h2><p>{escape(format_choice(choice))}.</p>")

@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from typing import Any
 
@@ -15,6 +15,7 @@ from renderer.cli.options import CommandOption, add_options, executor, form
 from renderer.cli.output import draw_chart, note, prepare_chart, report_omissions
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.lab.comparison import KERNELS, Record
+from renderer.lab.measure.machine import describe_machine
 from renderer.lab.measure.table import format_table, format_value, title_of
 from renderer.scene import Scene
 from rhi_screen.executors import KINDS, SERIAL, as_completed, make_executor
@@ -88,11 +89,13 @@ class ComparisonProgram:
             note(f"wrote {arguments.plot}")
         if arguments.json:
             left_out = {} if report.scene is None else report_omissions(report.scene)
-            print(json.dumps({**report.metadata, "rows": report.rows, **left_out}))
+            machine = asdict(describe_machine())
+            print(json.dumps({**report.metadata, "machine": machine, "rows": report.rows, **left_out}))
         else:
             tables = [
                 self.format(report.rows, markdown=arguments.markdown),
                 *self.extra_tables(report.metadata, arguments.markdown),
+                f"Measured on {describe_machine()}.",
             ]
             print("\n\n".join(tables))
 

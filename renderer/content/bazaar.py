@@ -29,25 +29,34 @@ _HEIGHT: Final = 3.4
 _THICK: Final = 0.3  # of a wall
 _DOOR: Final = (1.5, 2.4)  # width and height of a doorway, metres
 _OPEN: Final = 0.18  # share of the walls between rooms that are missing
+_CIRCLE: Final = 0.6  # the radius of the circles of lights, metres
 _PER_ROOM: Final = 44  # things in a room, walls not counted
 _VARIANTS: Final = 2  # surfaces of each kind
 _TEXELS: Final = 256  # width and height of a surface's images
 
 
 def make_bazaar(
-    instances: int, materials: int, meshes: int, lights: int, detail: int, seed: int, radius: float = 0.0
+    instances: int,
+    materials: int,
+    meshes: int,
+    lights: int,
+    detail: int,
+    seed: int,
+    radius: float = 0.0,
+    moving: float = 0.0,
 ) -> Scene:
     """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights`
-    lights: points, or spheres of a `radius`."""
+    lights: points, or spheres of a `radius`. A share of them, `moving`, go around in circles."""
     rng = np.random.default_rng([seed, 21])
     name = f"bazaar:instances={instances},materials={materials},meshes={meshes},lights={lights}"
-    builder = SceneBuilder(f"{name},detail={detail},seed={seed}" + (f",radius={radius:g}" if radius else ""))
+    options = "".join(f",{key}={value:g}" for key, value in (("radius", radius), ("moving", moving)) if value)
+    builder = SceneBuilder(f"{name},detail={detail},seed={seed}{options}")
     builder.background = (0.012, 0.014, 0.022)
     side = max(2, int(np.ceil(np.sqrt(instances / (_PER_ROOM + 4.0)))))
     used = _add_materials(builder, rng, materials, seed)
     walls = _add_walls(builder, rng, side, used, instances)
     _add_things(builder, rng, side, used, meshes, instances - walls, detail)
-    _add_lights(builder, rng, side, lights, radius)
+    _add_lights(builder, rng, side, lights, radius, round(moving * lights))
     _add_cameras(builder, side)
     return builder.build()
 
@@ -63,6 +72,7 @@ BAZAAR: Final = Generator(
         Option("detail", 12, "how finely things are divided", 4, 64),
         SEED,
         Option("radius", 0.0, "radius of the spheres that the lights are, metres; 0: points", 0.0, 1.0),
+        Option("moving", 0.0, "share of the lights that go around in circles", 0.0, 1.0),
     ),
     make_bazaar,
 )
@@ -193,8 +203,9 @@ def _make_thing(rng: np.random.Generator, detail: int) -> MeshGeometry:
 
 
 def _add_lights(
-    builder: SceneBuilder, rng: np.random.Generator, side: int, count: int, radius: float
+    builder: SceneBuilder, rng: np.random.Generator, side: int, count: int, radius: float, moving: int
 ) -> None:
+    """Add lights, of which the first `moving` follow nodes that go around in circles."""
     lights = builder.lights
     lights.sky, lights.ground = (0.045, 0.05, 0.07), (0.03, 0.027, 0.024)
     if not count:
@@ -204,15 +215,40 @@ def _add_lights(
     positions = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
     colors = _hues(rng.random(count))
     reach = float(np.clip(2.2 * side * ROOM / np.sqrt(count), 2.5, 9.0))
-    lights.add_points(positions, reach, colors, 0.16 * reach**2, source_radius=radius)
+    in_node = np.where(
+        np.arange(count)[:, None] < moving, 0.0, positions
+    )  # those that move are where their node is
+    rows = lights.add_points(in_node, reach, colors, 0.16 * reach**2, source_radius=radius)
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
     bulb_colors = _hues(np.arange(8) / 8.0)
     bulb_materials = [
         builder.add_material(base_color=tuple(color), emission=1.6) for color in bulb_colors.tolist()
     ]
-    nodes = builder.add_nodes(multiply(translation(positions), scaling(np.full(3, 2.0 * radius or 0.12))))
+    size = 2.0 * radius or 0.12
+    transforms = multiply(translation(positions), scaling(np.full(3, size)))
+    still = builder.add_nodes(transforms[moving:])
+    circling = _add_circling_nodes(builder, positions[:moving], size) if moving else still[:0]
+    if moving:
+        builder.attach_lights("point", rows[:moving], circling)
+    nodes = np.concatenate([circling, still])
     nearest = np.abs(colors[:, None] - bulb_colors).sum(-1).argmin(1)
     builder.add_objects(nodes, bulb, np.array(bulb_materials)[nearest], casts_shadow=False)
+
+
+def _add_circling_nodes(builder: SceneBuilder, middles: Floats, size: float) -> Indices:
+    """Add nodes that go around `middles` (k, 3) on level circles, each at a speed of its own; return their ids."""
+    turns = np.arange(len(middles))
+    starts, speeds = 2.4 * turns, 0.6 + 0.9 * (0.618 * turns % 1.0)  # radians, and radians a second
+
+    def circle(seconds: float) -> Floats:
+        angles = starts + speeds * seconds
+        offsets = _CIRCLE * np.stack([np.cos(angles), np.zeros(len(angles)), np.sin(angles)], axis=1)
+        return multiply(translation(middles + offsets), scaling(np.full(3, size)))
+
+    nodes = builder.add_nodes(circle(0.0), dynamic=True)
+    reach = np.array([_CIRCLE + 0.5 * size, 0.5 * size, _CIRCLE + 0.5 * size]) * 1.001
+    builder.animate(nodes, circle, (middles - reach, middles + reach))
+    return nodes
 
 
 def _hues(turns: Floats) -> Floats:

@@ -19,9 +19,11 @@ from renderer.frame.pixel_rays import compute_pixel_rays
 from renderer.lab.measure.published_encodings import (
     decode_derivatives,
     decode_octahedral_truncated,
+    decode_quaternion,
     decode_tangent_frame,
     encode_derivatives,
     encode_octahedral_truncated,
+    encode_quaternion,
     encode_tangent_frame,
 )
 from renderer.scene import Camera, Depth, Perspective
@@ -117,6 +119,15 @@ class PublishedFrame(RoundTrip):
     def store(self, value: StoredValue) -> StoredValue:
         frame = encodings.TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
         frame = decode_tangent_frame(encode_tangent_frame(frame))
+        return StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
+
+
+class QuaternionFrame(RoundTrip):
+    """Stores a normal and a tangent as a quaternion."""
+
+    def store(self, value: StoredValue) -> StoredValue:
+        frame = encodings.TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
+        frame = decode_quaternion(encode_quaternion(frame))
         return StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
 
 
@@ -391,26 +402,27 @@ def _positions(
 def _normals(name: str, bits: int, base: type[RoundedNormal]) -> Encoding:
     shader = type(base.__name__, (base,), {"__module__": __name__, "bits": bits})
     return Encoding(
-        f"octahedral 2 × {bits}, {name}",
-        "normal",
-        2 * bits,
-        shader,
-        sample_frames,
-        lambda expected, read: angles_in_degrees(expected[:, :3], read[:, :3]),
-        "degrees",
+        f"octahedral 2 × {bits}, {name}", "normal", 2 * bits, shader, sample_frames, normal_errors, "degrees"
     )
 
 
-def _tangents(name: str, shader: type[RoundTrip]) -> Encoding:
-    return Encoding(
-        name,
-        "normal and tangent",
-        32,
-        shader,
-        sample_frames,
-        lambda expected, read: angles_in_degrees(expected[:, 4:7], read[:, 4:7]),
-        "degrees",
-    )
+def normal_errors(expected: Floats, decoded: Floats) -> Floats:
+    """The angles between normals and what was read, in degrees."""
+    return angles_in_degrees(expected[:, :3], decoded[:, :3])
+
+
+def tangent_errors(expected: Floats, decoded: Floats) -> Floats:
+    """The angles between tangents and what was read, in degrees."""
+    return angles_in_degrees(expected[:, 4:7], decoded[:, 4:7])
+
+
+def _frames(
+    name: str,
+    shader: type[RoundTrip],
+    bits: int = 32,
+    measure: Callable[[Floats, Floats], Floats] = tangent_errors,
+) -> Encoding:
+    return Encoding(name, "normal and tangent", bits, shader, sample_frames, measure, "degrees")
 
 
 ENCODINGS: Final = (
@@ -423,8 +435,10 @@ ENCODINGS: Final = (
             ("best of 4", BestNormal),
         )
     ),
-    _tangents("tangent by the cosine of its angle (Listing 1.6)", PublishedFrame),
-    _tangents("tangent by its way around a square", StoredFrame),
+    _frames("tangent by the cosine of its angle (Listing 1.6)", PublishedFrame),
+    _frames("tangent by its way around a square", StoredFrame),
+    _frames("quaternion 3 × 10, its tangent (McAuley)", QuaternionFrame, 33),
+    _frames("quaternion 3 × 10, its normal (McAuley)", QuaternionFrame, 33, normal_errors),
     Encoding(
         "derivatives by cosines, halves (Listing 1.5)",
         "derivatives",

@@ -1,7 +1,7 @@
 """Encodings as Deferred+ publishes them (Doghramachi and Bucci 2017, Listings 1.5 and 1.6), to compare ours
-with.
+with, and the quaternion of a tangent frame, which Deferred+ dismisses (section 1.3.2).
 
-All of them truncate. An angle is stored as its cosine, which is coarse where the cosine is near 1.
+Those of the listings truncate. An angle is stored as its cosine, which is coarse where the cosine is near 1.
 """
 
 from __future__ import annotations
@@ -91,3 +91,56 @@ def decode_tangent_frame(stored: sl.uvec4) -> TangentFrame:
         tangent=first * cosine + sl.cross(normal, first) * sine,
         side=-1.0 if (stored.w & 1) == sl.uint(1) else 1.0,
     )
+
+
+@sl.function
+def encode_quaternion(frame: TangentFrame) -> sl.uvec4:
+    """Encode a tangent frame as the unit quaternion that turns the axes into tangent, bitangent and normal
+    (McAuley, Rendering the World of Far Cry 4, 2015).
+
+    Of its four components the largest follows from the others, which are stored in 10 bits each. Two bits say
+    which one it is, and a bit that the target has elsewhere is the handedness. Each row of `4 q qᵀ` is a multiple
+    of the quaternion; that of the largest component is exact enough.
+    """
+    x, z = frame.tangent, frame.normal
+    y = sl.cross(z, x)
+    squares = sl.vec4(
+        1.0 + x.x - y.y - z.z, 1.0 - x.x + y.y - z.z, 1.0 - x.x - y.y + z.z, 1.0 + x.x + y.y + z.z
+    )
+    largest = sl.max(sl.max(squares.x, squares.y), sl.max(squares.z, squares.w))
+    index = 0 if largest == squares.x else 1 if largest == squares.y else 2 if largest == squares.z else 3
+    sums = sl.vec3(y.z + z.y, z.x + x.z, x.y + y.x)  # 4 yz, 4 zx, 4 xy
+    turns = sl.vec3(y.z - z.y, z.x - x.z, x.y - y.x)  # 4 xw, 4 yw, 4 zw
+    others = sl.vec3(sums.z, sums.y, turns.x)
+    if index == 1:
+        others = sl.vec3(sums.z, sums.x, turns.y)
+    elif index == 2:
+        others = sl.vec3(sums.y, sums.x, turns.z)
+    elif index == 3:
+        others = turns
+    others = others / sl.sqrt(sl.dot(others, others) + largest * largest)
+    codes = sl.uvec3(sl.saturate(others * 0.70710678 + 0.5) * 1023.0 + 0.5)
+    side = sl.uint(4) if frame.side < 0.0 else sl.uint(0)
+    return sl.uvec4(codes, sl.uint(index) | side)
+
+
+@sl.function
+def decode_quaternion(stored: sl.uvec4) -> TangentFrame:
+    """Decode the tangent frame of `encode_quaternion`."""
+    others = (sl.vec3(stored.xyz) / 1023.0 - 0.5) * 1.41421356
+    largest = sl.sqrt(sl.saturate(1.0 - sl.dot(others, others)))
+    index = int(stored.w & 3)
+    q = sl.vec4(largest, others)
+    if index == 1:
+        q = sl.vec4(others.x, largest, others.yz)
+    elif index == 2:
+        q = sl.vec4(others.xy, largest, others.z)
+    elif index == 3:
+        q = sl.vec4(others, largest)
+    tangent = sl.vec3(
+        1.0 - 2.0 * (q.y * q.y + q.z * q.z), 2.0 * (q.x * q.y + q.w * q.z), 2.0 * (q.x * q.z - q.w * q.y)
+    )
+    normal = sl.vec3(
+        2.0 * (q.x * q.z + q.w * q.y), 2.0 * (q.y * q.z - q.w * q.x), 1.0 - 2.0 * (q.x * q.x + q.y * q.y)
+    )
+    return TangentFrame(normal=normal, tangent=tangent, side=-1.0 if stored.w >= sl.uint(4) else 1.0)

@@ -48,6 +48,25 @@ def test_its_lights_are_as_large_as_their_bulbs_if_they_have_a_radius(small):
     assert np.allclose(size[:, 1], 0.5, atol=0.01)
 
 
+def test_a_share_of_its_lights_goes_around_with_their_bulbs(small):
+    scene = load_scene(f"{SMALL},seed=0,radius=0.25,moving=0.25")
+    assert scene.name == f"{small.name},radius=0.25,moving=0.25"
+    bulbs = np.flatnonzero(scene.objects.mesh == scene.meshes.names.index("bulb"))
+    positions = []
+    for seconds in (0.0, 1.0, 2.5):
+        scene.update(seconds)
+        lights = scene.lights.point["position"].astype(np.float64)
+        middles = scene.nodes.world[scene.objects.node[bulbs]][:, :3, 3]
+        np.testing.assert_allclose(middles, lights, atol=1e-5)
+        positions.append(lights)
+    moved = np.linalg.norm(positions[1] - positions[0], axis=1) > 0.1
+    assert moved.tolist() == [True] * 4 + [False] * 12
+    still = small.lights.point["position"]
+    np.testing.assert_allclose(np.linalg.norm(positions[2][:4] - still[:4], axis=1), 0.6, atol=1e-5)
+    np.testing.assert_array_equal(positions[2][4:], still[4:].astype(np.float64))
+    assert scene.check_bounds([0.5, 4.0, 20.0]) is None
+
+
 def test_few_instances_are_all_floors_and_walls():
     assert len(load_scene("bazaar:instances=16,materials=1,meshes=1,lights=0,detail=4").objects) == 16
 
