@@ -28,6 +28,12 @@ because llvmpipe runs the GPU's work on the same cores. Triangles stop before th
 
     python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize]
     [--wgpu]
+
+In a page it measures the web backend, whole frames with their submission, against loops of JavaScript that make
+the same calls of WebGPU. `one mesh`: the vertex buffer is set once. `value`: each draw's constants are numbers.
+`all set`: as most programs have it, each draw also sets the pipeline, and passes its offsets as a new array.
+
+    RHI_WEB_DAWN_OPTIONS=backend=null python scripts/run_in_node.py benchmarks/draw_cost.py --draws 1000
 """
 
 from __future__ import annotations
@@ -35,11 +41,11 @@ from __future__ import annotations
 import argparse
 import gc
 import itertools
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
-import moderngl
 import numpy as np
 
 import rhi
@@ -47,7 +53,6 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import ColorWrite, CullMode, DepthWrite
-from rhi.backends.gl.gl_backend import GlBackend
 from rhi.backends.null import NullBackend
 from rhi.contract.descriptors import Stage
 from rhi.shading import Shader, Struct, Uniform, compile_shader, vec2, vec4
@@ -198,6 +203,10 @@ class Work:
 
 def make_bare_gl(work: Work) -> Callable[[], None]:
     """Return a loop of moderngl that does the same OpenGL work with the same objects."""
+    import moderngl
+
+    from rhi.backends.gl.gl_backend import GlBackend
+
     backend = work.device.backend_as(GlBackend)
     linked = backend._programs[work.program.id]
     buffer = backend._buffers.objects[work.objects.buffer.id]
@@ -230,7 +239,7 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     uniform = {"type": "uniform", "has_dynamic_offset": True}
     visible = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
     layout = device.create_bind_group_layout(
-        entries=[{"binding": slot, "visibility": visible, "buffer": uniform} for slot in range(2)]
+        entries=[{"binding": 2 * slot, "visibility": visible, "buffer": uniform} for slot in range(2)]
     )
     attribute = {"format": "float32x2", "offset": 0, "shader_location": 0}
     pipeline = device.create_render_pipeline(
@@ -253,7 +262,7 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     objects = device.create_buffer_with_data(data=padded, usage=usage.UNIFORM)
     sizes = {0: (camera, 16), 1: (objects, 32)}
     entries = [
-        {"binding": n, "resource": {"buffer": b, "offset": 0, "size": s}} for n, (b, s) in sizes.items()
+        {"binding": 2 * n, "resource": {"buffer": b, "offset": 0, "size": s}} for n, (b, s) in sizes.items()
     ]
     group = device.create_bind_group(layout=layout, entries=entries)
     buffers = [device.create_buffer_with_data(data=part, usage=usage.VERTEX) for part in work.corners]
@@ -289,6 +298,10 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
 
 def measure_draws(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
+    import moderngl
+
+    from rhi.backends.gl.gl_backend import GlBackend
+
     work = Work("gl", arguments.draws, arguments.triangles)
     devices, gl_backend = [work.device], work.device.backend_as(GlBackend)
     with ExitStack() as opened:
@@ -344,6 +357,134 @@ def measure_draws(arguments: argparse.Namespace) -> Iterator[Record]:
     for device in devices:
         device.close()
     yield from costs
+
+
+BARE_JAVASCRIPT = """(device, texts, corners, numbers, draws) => {
+  const [vertex, fragment] = texts.map((code) => device.createShaderModule({code}));
+  const uniform = {type: "uniform", hasDynamicOffset: true}, uniforms = 0x48, vertices = 0x28;
+  const layout = device.createBindGroupLayout(
+    {entries: [0, 2].map((binding) => ({binding, visibility: 3, buffer: uniform}))});
+  const attributes = [{format: "float32x2", offset: 0, shaderLocation: 0}];
+  const pipeline = device.createRenderPipeline({
+    layout: device.createPipelineLayout({bindGroupLayouts: [layout]}),
+    vertex: {module: vertex, entryPoint: "main", buffers: [{arrayStride: 8, attributes}]},
+    fragment: {module: fragment, entryPoint: "main", targets: [{format: "rgba8unorm"}]},
+  });
+  const fill = (data, usage) => {
+    const buffer = device.createBuffer({size: data.byteLength, usage});
+    device.queue.writeBuffer(buffer, 0, data);
+    return buffer;
+  };
+  const camera = fill(new Float32Array([1, 1, 1, 1]), uniforms);
+  const constants = new Float32Array(64 * draws);
+  const rows = [], meshes = [], count = corners.length / 2 / draws;
+  for (let i = 0; i < draws; i++) {
+    constants.set(numbers.subarray(8 * i, 8 * i + 8), 64 * i);
+    rows.push({offset: Array.from(numbers.subarray(8 * i, 8 * i + 4)),
+               color: Array.from(numbers.subarray(8 * i + 4, 8 * i + 8))});
+    meshes.push(fill(corners.slice(2 * count * i, 2 * count * (i + 1)), vertices));
+  }
+  const objects = fill(constants, uniforms);
+  const resources = [{buffer: camera, size: 16}, {buffer: objects, size: 32}];
+  const entries = resources.map((resource, i) => ({binding: 2 * i, resource}));
+  const group = device.createBindGroup({layout, entries});
+  const target = device.createTexture({size: [64, 64], format: "rgba8unorm", usage: 0x11});
+  const clear = {loadOp: "clear", storeOp: "store", clearValue: [0, 0, 0, 1]};
+  const offsets = new Uint32Array(2);
+  return (own, values, all) => {
+    const encoder = device.createCommandEncoder();
+    const pass = encoder.beginRenderPass({colorAttachments: [{view: target.createView(), ...clear}]});
+    pass.setPipeline(pipeline);
+    pass.setVertexBuffer(0, meshes[0]);
+    for (let i = 0; i < draws; i++) {
+      if (values) {
+        constants.set(rows[i].offset, 64 * i);
+        constants.set(rows[i].color, 64 * i + 4);
+      }
+      if (all) {
+        pass.setPipeline(pipeline);
+        pass.setBindGroup(0, group, [0, 256 * i]);
+        pass.setVertexBuffer(0, meshes[0]);
+      } else {
+        offsets[1] = 256 * i;
+        pass.setBindGroup(0, group, offsets, 0, 2);
+      }
+      if (own) pass.setVertexBuffer(0, meshes[i]);
+      pass.draw(count);
+    }
+    pass.end();
+    if (values) device.queue.writeBuffer(objects, 0, constants);
+    device.queue.submit([encoder.finish()]);
+  };
+}"""
+
+
+def measure_frames(arguments: argparse.Namespace) -> Iterator[Record]:
+    """Yield the microseconds per draw of frames in a page, and their ratios to the same loop in JavaScript."""
+    from pyodide.code import run_js
+    from pyodide.ffi import to_js
+
+    from rhi.backends.web.web_backend import WebBackend
+
+    work = Work("web", arguments.draws, arguments.triangles)
+    device, program = work.device, work.program
+    shader = compile_shader(Flat)
+    texts = [shader.emit("wgsl", stage).text for stage in (Stage.VERTEX, Stage.FRAGMENT)]
+    numbers = np.stack([work.rows["offset"], work.rows["color"]], 1)
+    bare = run_js(BARE_JAVASCRIPT)(
+        device.backend_as(WebBackend).device._internal,
+        to_js(texts),
+        to_js(work.corners.reshape(-1)),
+        to_js(numbers.reshape(-1)),
+        arguments.draws,
+    )
+    values = [(row["offset"].tolist(), row["color"].tolist()) for row in work.rows]
+    variants = work.list_variants()
+
+    def draw_values() -> None:
+        draw, mesh, camera = device.draw, work.meshes[0], work.camera
+        for offset, color in values:
+            draw(program, mesh, camera=camera, object=Object(offset=offset, color=color))
+
+    def frame(draw: Callable[[], None]) -> Callable[[], None]:
+        def run() -> None:
+            with device.render_pass(work.image, clear=(0, 0, 0, 1)):
+                draw()
+            device.present()
+
+        return run
+
+    own_mesh, shared_mesh = "device.draw", "device.draw, one mesh"
+    groups: list[dict[str, Callable[[], None]]] = [
+        {
+            "JavaScript": lambda: bare(True, False, False),
+            own_mesh: frame(variants[own_mesh]),
+            "device.draw_many": frame(variants["device.draw_many"]),
+        },
+        {
+            "JavaScript, one mesh": lambda: bare(False, False, False),
+            shared_mesh: frame(variants[shared_mesh]),
+        },
+        {
+            "JavaScript, value": lambda: bare(False, True, False),
+            "device.draw, value": frame(draw_values),
+        },
+        {
+            "JavaScript, value, all set": lambda: bare(False, True, True),
+            "device.draw, value": frame(draw_values),
+        },
+    ]
+    columns = {"microseconds": time(1e6 / arguments.draws), "ratio": ratio()}
+    gc.disable()
+    for group in groups:
+        rows = [
+            Subject({"on": "web", "variant": name}, lambda _, run=run: run(), device.finish)
+            for name, run in group.items()
+        ]
+        yield from compare(rows, columns, range(arguments.rounds))
+        gc.collect()
+    gc.enable()
+    device.close()
 
 
 class EmptyBlock:
@@ -448,7 +589,11 @@ def measure_scopes(count: int, rounds: int) -> Iterator[Record]:
 
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
-    """Yield the rows of draws, and those of scopes around nothing on the null device."""
+    """Yield the rows of draws, and those of scopes around nothing on the null device; in a page, the rows of
+    its frames."""
+    if sys.platform == "emscripten":
+        yield from measure_frames(arguments)
+        return
     yield from measure_draws(arguments)
     for row in measure_scopes(1000, arguments.rounds):
         yield {"on": "null", **row}

@@ -12,6 +12,9 @@ shaders is off, and ours begins empty.
 - `ratio`: that time, compared with the first row's in the same round. `memory_mib`: the most that the process
   has held.
 
+`web` and `three` are this renderer and three.js in a page of headless Chromium, on SwiftShader
+(`scripts/run_in_node.py --fetch`). Their `memory_mib` is what the page's JavaScript and WebAssembly hold.
+
 What they leave out differs, so no two images are the same; `--images` shows all of them. Ours has haze, which
 glTF can't say. Panda3D's fixed pipeline lights vertices, by eight lights, and its own rasteriser filters no
 textures.
@@ -49,6 +52,7 @@ FOLDER: Final = Path(__file__).parent / "engines"
 ENVIRONMENTS: Final = Path(__file__).parents[1] / "out" / "engines"
 PACKAGES: Final[dict[str, tuple[str, ...]]] = {
     "rhi": (),
+    "page": (),
     "pygfx": ("numpy", "pygfx==0.17.0", "gltflib==1.0.13", "imageio==2.38.1"),
     "panda3d": ("numpy", "panda3d==1.10.16", "panda3d-gltf==1.3.0"),
     "vtk": ("numpy", "vtk==9.7.2"),
@@ -62,8 +66,12 @@ ENGINES: Final = {
     "panda3d": "panda3d",
     "panda3d_software": "panda3d",
     "vtk": "vtk",
+    "web": "page",
+    "three": "page",
 }
 """The program of each row."""
+SEPARATE: Final = ("wgpu", "web", "three")
+"""Those that are measured only if they are asked for."""
 COLUMNS: Final = {"ms": time(digits=1), "ratio": ratio(2)}
 FAR: Final = 4000.0
 
@@ -171,7 +179,10 @@ def join(images: Mapping[str, Any]) -> Any:
 
 OPTIONS: Final = (
     options.names(
-        "--only", ENGINES, "no engine that is compared", [name for name in ENGINES if name != "wgpu"]
+        "--only",
+        ENGINES,
+        "no engine that is compared",
+        [name for name in ENGINES if name not in ("wgpu", "web", "three")],
     ),
     options.option("--scene", "what is drawn", "city"),
     options.size((1280, 720)),
@@ -199,6 +210,9 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
                 answer = worker.send(f"end {folder}/{engine}.rgb")
                 pixels = np.fromfile(f"{folder}/{engine}.rgb", np.uint8)
                 images[engine] = pixels.reshape(job["height"], job["width"], 3)
+                parts = [f"{round(answer[name])} MiB {name}" for name in answer if name != "memory"]
+                if parts:
+                    note(f"{engine}: {', '.join(parts)}")
                 return {
                     "first_ms": round(worker.first_ms),
                     "load_s": round(worker.load_s, 2),

@@ -33,6 +33,7 @@ from renderer.frame import (
     Frame,
     FrameEffects,
     Layer,
+    LightComponent,
     LightWatch,
     OcclusionSettings,
     Plan,
@@ -51,7 +52,6 @@ from renderer.frame import (
     watch_lights,
 )
 from renderer.frame.attributes import CheckedAttribute, TypedAttribute
-from renderer.frame.detail import DetailLimit
 from renderer.frame.lobe_fits import LobeTable
 from renderer.frame.motion import SceneMotion
 from renderer.frame.scene_images import SceneImages
@@ -71,6 +71,7 @@ from renderer.techniques.parts.scaling import scale_image
 from renderer.techniques.parts.temporal import temporal_passes
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, to_visibility
+from renderer.visibility.detail import DetailLimit
 from rhi import Device, Format, Texture
 from rhi.math import is_parallel
 from rhi.shading import Precision
@@ -179,11 +180,11 @@ def _to_technique(renderer: Any, call: str, value: Technique | str | None) -> Te
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom`, `occlusion`, `depth_of_field` and
-    `temporal` and `environment` may be exchanged between any two frames, and `layers` changed, which are drawn over
-    each frame in their order, those that belong to the scene first. With `simulates_hidden`, by default off, what an
-    absence would change, such as cloth, is simulated in every frame. `show` ends a frame with its image: by default it
-    is `Device.present`; a window puts its own in that place.
+    The attributes `technique`, `visibility`, `blending`, `precision`, `bloom`, `occlusion`, `depth_of_field`,
+    `temporal`, `environment` and `light_component` may be exchanged between any two frames, and `layers` changed,
+    which are drawn over each frame in their order, those that belong to the scene first. With `simulates_hidden`, by
+    default off, what an absence would change, such as cloth, is simulated in every frame. `show` ends a frame with its
+    image: by default it is `Device.present`; a window puts its own in that place.
 
     `technique` and `visibility` may be set to a name. What isn't of an attribute's type is refused as
     `renderer-attribute`.
@@ -197,6 +198,7 @@ class Renderer:
     depth_of_field = TypedAttribute(DepthOfFieldSettings)
     temporal = TypedAttribute(TemporalSettings)
     environment = TypedAttribute(EnvironmentSettings)
+    light_component = TypedAttribute(LightComponent)
 
     def __init__(
         self,
@@ -214,6 +216,7 @@ class Renderer:
         depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
         temporal: TemporalSettings = NO_HISTORY,
         environment: EnvironmentSettings = DEFAULT_ENVIRONMENT,
+        light_component: LightComponent = LightComponent.ALL,
         uploads: UploadSettings | None = None,
         validation: bool = False,
     ) -> None:
@@ -235,6 +238,7 @@ class Renderer:
             depth_of_field: how exactly depth of field is computed.
             temporal: how samples of many frames are put together, which smooths edges (temporal anti-aliasing).
             environment: how exactly light from an environment is computed.
+            light_component: the part of the light that is drawn.
             uploads: how many bytes of the scene each frame uploads; None uploads all of them now.
             validation: whether to check samples of what is simulated: each batch has one object whose
                 vertices must be inside its bounds (`scene-left-bounds`)."""
@@ -253,6 +257,7 @@ class Renderer:
         self._forgets_history = False
         self._last_seconds = 0.0
         self.environment = environment
+        self.light_component = light_component
         self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
         self.simulates_hidden = False
         self.layers: list[Layer] = []
@@ -595,7 +600,7 @@ class Renderer:
             features.reconsider()
             return None
         self._view.aim(camera)
-        if resources.levels is not None:
+        if resources.uses_levels:
             self._limit_detail()
         if self._animation_step:
             self._set_time(seconds)
@@ -616,14 +621,14 @@ class Renderer:
             resources.workspace(SceneMotion).begin_frame(resources)
         else:
             around = self._aim(camera)
-        if resources.levels is not None:
-            self._limit_detail()
         expected = simulator.drawn_objects
         simulator.begin_frame(self._set_time(seconds))
         self.scene.refresh()
         simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
+        if resources.uses_levels:
+            self._limit_detail()
         resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
         resources.simulate_expected(around, expected, simulator.diverging if self.simulates_hidden else None)
         features = self._recent_features.choose_shader_features(around)
@@ -666,6 +671,7 @@ class Renderer:
             self.depth_of_field,
             self.temporal,
             self.environment,
+            self.light_component,
             self._resources.simulator,
         )
 
@@ -798,6 +804,7 @@ class Renderer:
             depth_of_field=self.depth_of_field,
             temporal=self.temporal if self._is_temporal else NO_HISTORY,
             environment=self.environment,
+            component=self.light_component,
             filters_penumbras=maps is not None and maps.settings.filter is ShadowFilter.PCSS,
             visible_features=recent_features,
             shows_objects=shows_objects,

@@ -35,12 +35,14 @@ del _arguments, _mounts
 python.globals.set("_source", readFileSync(program, "utf8"));
 python.globals.set("_filename", "/host" + resolve(program));
 const code = await python.runPythonAsync(`
-import traceback
+import traceback, types
 from pyodide.code import eval_code_async
 
 async def _run():
+    module = sys.modules["__main__"] = types.ModuleType("__main__")  # in which annotations are looked up
+    module.__file__ = _filename
     try:
-        await eval_code_async(_source, {"__name__": "__main__"}, filename=_filename)
+        await eval_code_async(_source, module.__dict__, filename=_filename)
     except SystemExit as error:
         return error.code if isinstance(error.code, int) else int(error.code is not None)
     except BaseException:

@@ -79,6 +79,16 @@ PACKAGES: Final = (
 )
 
 
+THREE: Final = Package(
+    "npm",
+    "three@0.187.0",
+    "ff540832ded0cfe919764d24a3d88f3e2a05f23303f876423e4f893841e90728",
+    "three",
+    "package/",
+)
+"""three.js, which only `benchmarks/engines.py` needs."""
+
+
 def find_node() -> str | None:
     """Return the program of node, or None if there is none."""
     try:
@@ -108,10 +118,10 @@ def find_obstacle(*, gpu: bool = True) -> str | None:
     return None
 
 
-def fetch() -> None:
+def fetch(packages: Sequence[Package] = PACKAGES) -> None:
     """Download the packages that `FOLDER` lacks, check their hashes, and unpack them. Says each on standard
     error."""
-    for package in PACKAGES:
+    for package in packages:
         target = FOLDER / package.folder
         if target.is_dir():
             continue
@@ -202,7 +212,7 @@ def main() -> int:
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
     options = parser.parse_args()
     if options.fetch:
-        fetch()
+        fetch((*PACKAGES, THREE))
     if options.program is None:
         return 0
     obstacle = find_obstacle()

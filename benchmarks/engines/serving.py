@@ -42,7 +42,8 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
 
     Args:
         load: makes what a job needs; returns what draws, and the function that draws a frame and returns its
-            image (h, w, 3 or more) as bytes, top row first.
+            image (h, w, 3 or more) as bytes, top row first, or a function that returns the image and the
+            MiB that its process holds, by the names of their kinds.
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)
@@ -53,9 +54,12 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
         image = draw()
         figures: dict[str, float] = {}
         if order == "end":
-            Path(file).write_bytes(np.ascontiguousarray(image[..., :3]).tobytes())
             status = Path("/proc/self/status").read_text(encoding="utf-8")
             figures["memory"] = float(status.partition("VmHWM:")[2].split()[0]) / 1024.0
+            if callable(image):  # of another process
+                image, parts = image()
+                figures |= {"memory": sum(parts.values()), **parts}
+            Path(file).write_bytes(np.ascontiguousarray(image[..., :3]).tobytes())
         print(json.dumps(figures), file=answers)
 
 

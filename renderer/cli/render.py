@@ -8,6 +8,7 @@
   python -m renderer render city --backend null --json
   python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
   python -m renderer render hall --show lights
+  python -m renderer render hall --show specular
   python -m renderer render hall --technique deferred --show surface
   python -m renderer render city --camera ground --frame 600 --stereo dubois
   python -m renderer render city --backend null --frames 10 --trace city.zip
@@ -35,6 +36,7 @@ from renderer.cli.options import option
 from renderer.cli.output import note, prepare_image, report_omissions, short_name, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_path_frames
+from renderer.frame import COMPONENTS
 from renderer.inspection import FrameCost, measure_frame
 from renderer.inspection.texture_images import texture_to_image
 from renderer.layers.overlay import Overlay
@@ -80,8 +82,8 @@ _OPTIONS: Final = (
     ),
     option(
         "--show",
-        f"show what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture "
-        "of the technique's plan, such as surface (see `plan`)",
+        f"show a component of the light alone: {', '.join(COMPONENTS)}; or what the frame is made of instead: "
+        f"{', '.join(INSPECTIONS)}, or a texture of the technique's plan, such as surface (see `plan`)",
         metavar="NAME",
     ),
     replace(
@@ -131,6 +133,7 @@ def _run(arguments: argparse.Namespace) -> None:
         ) as renderer,
         ExitStack() as layers,
     ):
+        renderer.light_component = COMPONENTS.get(arguments.show, renderer.light_component)
         renderer.stereo = make_stereo(
             arguments, scene, path_frames[0].camera.with_aspect(arguments.size[0] / arguments.size[1])
         )
@@ -175,7 +178,7 @@ def _make_technique_to_show(
     if arguments.show in INSPECTIONS:
         return Inspection(arguments.show, settings.technique.get_cluster_settings(arguments.show))
     technique = settings.technique
-    if arguments.show is None:
+    if arguments.show is None or arguments.show in COMPONENTS:
         return technique.make(scene, device)
     if technique.name == AutoTechnique.name:
         arguments.technique = Forward.name

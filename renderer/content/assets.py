@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from math import inf
-from os import cpu_count
 from typing import Any, Final, TypeVar
 from weakref import WeakValueDictionary
 
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content.progress import report
+from renderer.content.thread_maps import map_in_threads
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry
 from rhi import ValidationError, decode_colors, open_image
@@ -34,7 +33,7 @@ def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | st
     """Return the pixels of images (of `rhi.open_image`), or the reason why one can't be
     read.
 
-    Each content is decoded once, in as many threads as there are processors.
+    Each content is decoded once, in threads where Python has them.
     """
     contents = list(encoded)
     ids = [hash_content(content) for content in contents]
@@ -42,16 +41,10 @@ def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | st
         key: pixels for key in ids if (pixels := _images.get(key)) is not None
     }
     missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in decoded}
-    with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
-        try:
-            for number, (key, pixels) in enumerate(
-                zip(missing, pool.map(_decode, missing.values()), strict=True)
-            ):
-                report("images", number, len(missing))
-                decoded[key] = pixels if isinstance(pixels, str) else _share(_images, key, pixels)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with map_in_threads(_decode, missing.values()) as results:
+        for number, (key, pixels) in enumerate(zip(missing, results, strict=True)):
+            report("images", number, len(missing))
+            decoded[key] = pixels if isinstance(pixels, str) else _share(_images, key, pixels)
     return [decoded[key] for key in ids]
 
 

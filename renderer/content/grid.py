@@ -33,12 +33,14 @@ _STRIDES: Final = np.array([0.7548776662466927, 0.5698402909980532])
 2018)."""
 
 
-def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> Scene:
+def make_grid(mesh: str, count: int, spacing: float, lights: int, levels: int, seed: int) -> Scene:
     """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0. They
-    are lit by the sun, or by `lights` coloured lights above them."""
+    are lit by the sun, or by `lights` coloured lights above them. Far copies are drawn as one of up to `levels`
+    simplified versions."""
     rng = np.random.default_rng([seed, 3])
     geometry = _unit(BUILT_IN[mesh]() if mesh in BUILT_IN else read_geometry(mesh))
     options = f"mesh={mesh},count={count},spacing={spacing:g},seed={seed}"
+    options += f",levels={levels}" if levels else ""
     builder = SceneBuilder(f"grid:lights={lights},{options}" if lights else f"grid:{options}")
     materials = np.array(
         [
@@ -57,7 +59,9 @@ def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> 
         multiply(translation(positions), rotation((0, 1, 0), rng.uniform(0, 6.28, count)))
     )
     builder.add_objects(
-        nodes, builder.add_mesh(geometry, mesh), materials[rng.integers(0, len(_COLORS), count)]
+        nodes,
+        builder.add_mesh(geometry, mesh, levels=levels),
+        materials[rng.integers(0, len(_COLORS), count)],
     )
 
     half = 0.5 * side * spacing
@@ -93,6 +97,7 @@ GRID: Final = Generator(
         Option("count", 400, "how many copies", 1, 1_000_000),
         Option("spacing", 1.5, "metres between copies", 0.1, 1e4),
         Option("lights", 0, "coloured lights above the copies; 0: the sun", 0, 65_536),
+        Option("levels", 0, "simplified versions of the mesh at most, for far copies", 0, 12),
         SEED,
     ),
     make_grid,

@@ -1,4 +1,4 @@
-"""Options of a model file: its scale, its position, the parts that are left out, and merged meshes.
+"""Options of a model file: its scale, its position, the parts that are left out, merged meshes, levels of detail.
 
 They are said by `load_model(…, options=…)`, or in a scene's text: `model.glb:scale=0.01,centre`. All are checked
 before anything is added to a scene.
@@ -27,7 +27,8 @@ _SCALES: Final = (1e-6, 1e6)
 _SEPARATOR: Final = "|"
 _LIMIT_WORDS: Final = ("outside", "unlimited")
 _FLAGS: Final = ("centre", "merge")
-_KEYS: Final = ("scale", "without")
+_KEYS: Final = ("scale", "without", "levels")
+_MOST_LEVELS: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +44,15 @@ class ImportOptions:
             `[abc]` are those of `fnmatch`; case matters.
         merge: whether objects with equal materials become one mesh, where they never move apart. Fewer draws,
             but they are culled together. Blended ones stay apart: they are sorted by distance.
+        levels: up to so many simplified versions of each mesh are made, 0 to 12, with bounds of their errors
+            (`simplify`). Meshes with skins or morph targets have none.
     """
 
     scale: float = 1.0
     centre: bool = False
     without: tuple[str, ...] = ()
     merge: bool = False
+    levels: int = 0
 
     def __post_init__(self) -> None:
         call = "ImportOptions"
@@ -65,6 +69,10 @@ class ImportOptions:
         if not is_list or not all(isinstance(pattern, str) and pattern for pattern in patterns):
             allowed = "a sequence of names or patterns, none of them empty"
             refuse(rules.BAD_IMPORT, f"{call}(without=...)", describe_value(patterns), allowed)
+        levels = rules.check_count(rules.BAD_IMPORT, f"{call}(levels=...)", self.levels, 0)
+        if levels > _MOST_LEVELS:
+            refuse(rules.BAD_IMPORT, f"{call}(levels=...)", levels, f"0 to {_MOST_LEVELS}")
+        object.__setattr__(self, "levels", levels)
         object.__setattr__(self, "scale", scale)
         object.__setattr__(self, "without", tuple(patterns))
 
@@ -100,8 +108,8 @@ class ImportOptions:
 def parse_model_options(call: str, text: str) -> tuple[ModelLimits, ImportOptions]:
     """Parse the options of a model file in a scene's text: words and `key=value`, with commas between them.
 
-    The words are `outside`, `unlimited`, `centre` and `merge`, the keys `scale` and `without`, whose patterns have
-    `|` between them.
+    The words are `outside`, `unlimited`, `centre` and `merge`, the keys `scale`, `levels` and `without`, whose
+    patterns have `|` between them.
 
     Raises:
         ValidationError: `scene-spec-syntax`, `scene-unknown-key`, `scene-bad-import`.
@@ -121,8 +129,12 @@ def parse_model_options(call: str, text: str) -> tuple[ModelLimits, ImportOption
         scale = float(words.get("scale", "1"))
     except ValueError:
         refuse(rules.BAD_IMPORT, call, f"scale={words['scale']}", "a number")
+    try:
+        levels = int(words.get("levels", "0"))
+    except ValueError:
+        refuse(rules.BAD_IMPORT, call, f"levels={words['levels']}", "a whole number")
     without = tuple(words["without"].split(_SEPARATOR)) if "without" in words else ()
-    options = ImportOptions(scale, "centre" in words, without, "merge" in words)
+    options = ImportOptions(scale, "centre" in words, without, "merge" in words, levels)
     return replace(limits, outside="outside" in words), options
 
 
@@ -159,6 +171,8 @@ class ModelPlacement:
             builder.merge_objects(
                 self._first_object, self._first_mesh, lambda count: budget.spend("vertices", count)
             )
+        if self._options.levels:
+            builder.simplify_meshes(self._first_mesh, self._options.levels)
 
     def move_path(self, path: CameraPath) -> CameraPath:
         """Return a camera path of the file with these options."""

@@ -1,5 +1,5 @@
-"""Shaders of materials: parallax, marble, and a checkerboard. They show how materials get shaders of their
-own, and the scene `yard` has them."""
+"""Shaders of materials: parallax, brushed metal, marble, and a checkerboard. They show how materials get shaders
+of their own, and the scene `yard` has all but brushed metal."""
 
 from __future__ import annotations
 
@@ -63,6 +63,43 @@ class Parallax(MaterialShader):
         if gap > 0.0:
             return probe.uv
         return probe.uv + step * (gap / sl.max(before - gap, 1e-6))
+
+
+class BrushedParameters(sl.Struct):
+    """Parameters of `Brushed`: how anisotropic it is, from 0 to 1; the angle in radians, counter-clockwise, from the
+    tangent to the direction along which highlights are drawn out; and the texture that turns and weakens them (red
+    and green: a direction of -1 to 1; blue: a factor of 0 to 1)."""
+
+    anisotropy: float
+    anisotropy_rotation: float
+    anisotropy_texture: int
+
+
+class Brushed(MaterialShader):
+    """Metal, or anything of the metallic-roughness model, whose highlights are longer in one direction, as scratches
+    across it make them (glTF's KHR_materials_anisotropy)."""
+
+    parameter_defaults: ClassVar = {"anisotropy": 0.8, "anisotropy_rotation": 0.0}
+    parameter_textures: ClassVar = {"anisotropy_texture": False}
+    reads_tangents = True
+    has_anisotropy = True
+
+    parameters: sl.Storage[BrushedParameters]
+
+    def describe_anisotropy(self, at: SurfaceInput) -> sl.vec3:
+        brushed = self.parameters[at.material]
+        tangent = safe_normalize(at.tangent.xyz)
+        up = sl.cross(at.normal, tangent) * (-1.0 if at.tangent.w < 0.0 else 1.0)
+        cosine = sl.cos(brushed.anisotropy_rotation)
+        sine = sl.sin(brushed.anisotropy_rotation)
+        direction = sl.vec2(cosine, sine)
+        strength = brushed.anisotropy
+        if self.map_arrays != 0 and brushed.anisotropy_texture >= 0:
+            texel = self.read_data(brushed.anisotropy_texture, at).xyz
+            read = texel.xy * 2.0 - 1.0
+            strength *= texel.z
+            direction = sl.vec2(cosine * read.x - sine * read.y, sine * read.x + cosine * read.y)
+        return safe_normalize(tangent * direction.x + up * direction.y) * sl.saturate(strength)
 
 
 class MarbleParameters(sl.Struct):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer.scene.arrays import Floats
-from renderer.scene.meshes import VERTEX, MeshGeometry, join
+from renderer.scene.meshes import VERTEX, MeshGeometry, join, make_geometry
 
 _SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this times its longest edge squared
 
@@ -123,6 +123,29 @@ def torus(segments: int = 32) -> MeshGeometry:
         return 0.375 * out + 0.125 * normal, normal
 
     return _smooth_surface(lambda u, v: point(u, 2.0 * v), segments, max(segments // 2, 3))
+
+
+def bumpy_sphere(side: int = 32, height: float = 0.1, seed: int = 0) -> MeshGeometry:
+    """Make a sphere of about `side`² triangles, whose radii are 1 and up to `height` more or less.
+
+    Unlike `sphere` it has no seam and no texture coordinates: each position is one vertex, so it can be simplified
+    everywhere.
+    """
+    rings = side // 2 - 1
+    around = 2.0 * np.pi * np.arange(side) / side
+    down = np.pi * np.arange(1, rings + 1)[:, None] / (rings + 1)
+    ring = np.broadcast_arrays(np.sin(down) * np.cos(around), np.cos(down), -np.sin(down) * np.sin(around))
+    points = np.concatenate([[[0.0, 1.0, 0.0]], np.stack(ring).reshape(3, -1).T, [[0.0, -1.0, 0.0]]])
+    waves = np.random.default_rng(seed).normal(0.0, 3.0, (3, 3))
+    points *= 1.0 + height * np.sin(points @ waves).prod(axis=1, keepdims=True)
+    number = 1 + np.arange(rings * side).reshape(rings, side)
+    ahead = np.roll(number, -1, axis=1)
+    a, b, c, d = (part.reshape(-1) for part in (number[:-1], ahead[:-1], number[1:], ahead[1:]))
+    caps = [
+        np.stack(np.broadcast_arrays(0, number[0], ahead[0]), axis=1),
+        np.stack(np.broadcast_arrays(rings * side + 1, ahead[-1], number[-1]), axis=1),
+    ]
+    return make_geometry(points, np.concatenate([*caps, np.stack([a, c, d], 1), np.stack([a, d, b], 1)]))
 
 
 BUILT_IN: Final[dict[str, Callable[[], MeshGeometry]]] = {

@@ -26,6 +26,8 @@ from renderer.frame.environment import EnvironmentSettings as EnvironmentSetting
 from renderer.frame.frame import Frame as Frame
 from renderer.frame.layer import Layer as Layer
 from renderer.frame.layer import SceneLayer as SceneLayer
+from renderer.frame.light_components import COMPONENTS as COMPONENTS
+from renderer.frame.light_components import LightComponent as LightComponent
 from renderer.frame.mirrors import MirroredArray as MirroredArray
 from renderer.frame.occlusion import DEFAULT_OCCLUSION as DEFAULT_OCCLUSION
 from renderer.frame.occlusion import OCCLUSION as OCCLUSION

@@ -1,79 +1,21 @@
-"""Levels of detail: which simplified version of its mesh an object is drawn as.
+"""Levels of detail of a scene's objects: the draws of each level, as the CPU and as the device draws them.
 
-A level's error bounds its distance from the mesh. Seen from a distance, it is fewer pixels than a limit: so the image
-of the level is nowhere farther than that from the mesh's. The coarsest level within the limit is drawn. A change of
-levels moves no edge by more than twice the limit, so there is no hysteresis.
-
-- With perspective, a point that is moved by e at a distance d from the eye, e < d, moves on the image plane by at most
-  f e / (d - e) / cos²: f is the focal length in pixels, and the cosine that of the angle to the image's corner.
-- The distance is that of the object's bounding box from the eye, so a turn of the camera changes no level.
-- An object's transform stretches an error by at most the square root of the largest row sum of AᵀA, A being its linear
-  part: exact for rotations and uniform scales.
-- All passes of a frame, and both eyes, have the same limit, and so the same levels. Shadow maps have limits of their
-  own: those of their cameras, in texels.
+Which level an object is drawn as is said by a limit of the error (`renderer.visibility.detail`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Floats, Indices
-from rhi.math import is_parallel
+from renderer.scene import Scene
+from renderer.scene.arrays import Indices
+from renderer.scene.meshes import Meshes
+from renderer.shaders import MeshPart
+from renderer.visibility.detail import DetailLimit
 from rhi.math.indexing import repeat_each
-
-_STEPS: Final = 256.0
-"""Limits are rounded down to such parts of a power of two, so that offsets of samples don't change them."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class DetailLimit:
-    """The largest error, in metres, that an object at a distance may have: `constant` + `slope` times the distance.
-
-    Attributes:
-        eyes: (e, 3) positions, the nearest of which counts.
-    """
-
-    eyes: Floats
-    constant: float
-    slope: float
-
-    @classmethod
-    def compute(cls, cameras: Sequence[Camera], size: tuple[int, int], pixels: float) -> DetailLimit | None:
-        """Return the limit of images of this size whose errors are at most so many pixels, None for no error."""
-        if not pixels > 0.0:
-            return None
-        constants, slopes = [], []
-        for camera in cameras:
-            matrix = camera.projection.matrix
-            scale = 0.5 * max(abs(matrix[0, 0]) * size[0], abs(matrix[1, 1]) * size[1])
-            if is_parallel(camera.projection):
-                constants.append(pixels / scale)
-                slopes.append(0.0)
-                continue
-            tangents = [(1.0 + abs(matrix[axis, 2])) / abs(matrix[axis, axis]) for axis in (0, 1)]
-            angle = pixels / (scale * (1.0 + tangents[0] ** 2 + tangents[1] ** 2))
-            constants.append(0.0)
-            slopes.append(angle / (1.0 + angle))
-        eyes = np.array([camera.position for camera in cameras])
-        return cls(eyes, _round_down(min(constants)), _round_down(min(slopes)))
-
-    def allow(self, lower: Floats, upper: Floats) -> Floats:
-        """Return the largest errors (k,) of objects with these bounds (k, 3)."""
-        away = np.maximum(np.maximum(lower - self.eyes[:, None], self.eyes[:, None] - upper), 0.0)
-        distances = np.sqrt((away * away).sum(axis=-1)).min(axis=0)
-        errors: Floats = self.constant + self.slope * distances
-        return errors
-
-
-def _round_down(value: float) -> float:
-    mantissa, exponent = np.frexp(value)
-    return float(np.ldexp(np.floor(mantissa * _STEPS) / _STEPS, exponent))
 
 
 class DetailLevels:
@@ -102,6 +44,10 @@ class DetailLevels:
         rows["count"] = ranges["index_count"]
         return np.concatenate([draws, rows])
 
+    def has_any(self, is_selected: NDArray[np.bool_]) -> bool:
+        """Return whether any of the objects that are selected, (n,) bool, has levels."""
+        return bool((self._counts[is_selected] > 0).any())
+
     def select(self, object_indices: Indices, limit: DetailLimit) -> Indices:
         """Return the draws (k,) of objects (k,): those of the coarsest levels within the limit."""
         has_levels = self._counts[object_indices] > 0
@@ -109,12 +55,30 @@ class DetailLevels:
             return object_indices
         scene = self._scene
         indices = object_indices[has_levels]
-        linear = scene.nodes.world[scene.objects.node[indices]][:, :3, :3]
-        gram = linear.transpose(0, 2, 1) @ linear
-        stretch = np.sqrt(np.abs(gram).sum(axis=2).max(axis=1))
-        allowed = limit.allow(scene.objects.lower[indices], scene.objects.upper[indices])
-        errors = scene.meshes.level_errors[scene.objects.mesh[indices]]
-        levels = (errors * stretch[:, None] <= allowed[:, None]).sum(axis=1)
+        mesh = scene.objects.mesh[indices]
+        levels = limit.count_levels(
+            scene.nodes.world[scene.objects.node[indices]],
+            scene.meshes.lower[mesh],
+            scene.meshes.upper[mesh],
+            scene.meshes.level_errors[mesh],
+        )
         rows = object_indices.copy()
         rows[has_levels] = np.where(levels > 0, self._first[indices] + levels - 1, indices)
         return rows
+
+
+def make_mesh_parts(meshes: Meshes) -> NDArray[Any]:
+    """Return the parts of meshes, and behind them those of their levels, (meshes + levels,) of `MeshPart`."""
+    counts = np.diff(meshes.level_begins)
+    mesh = np.concatenate([np.arange(len(meshes)), repeat_each(np.arange(len(meshes)), counts)])
+    parts = np.zeros(len(mesh), MeshPart.dtype)
+    parts["lower"], parts["upper"] = meshes.lower[mesh], meshes.upper[mesh]
+    parts["base_vertex"] = meshes.ranges["base_vertex"][mesh]
+    own, levels = parts[: len(meshes)], parts[len(meshes) :]
+    own["first"], own["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
+    own["first_level"], own["level_count"] = len(meshes) + meshes.level_begins[:-1], counts
+    levels["first"] = meshes.level_ranges["first_index"] + len(meshes.indices)
+    levels["count"] = meshes.level_ranges["index_count"]
+    errors = meshes.level_errors[np.isfinite(meshes.level_errors)]
+    levels["error"] = np.nextafter(errors.astype(np.float32), np.float32(np.inf))
+    return parts

@@ -156,16 +156,8 @@ class DrawResult:
 
     @cached_property
     def triangles(self) -> int:
-        """The number of triangles of all objects drawn."""
-        resources = self._resources
-        if self._limit is None:
-            return resources.count_triangles(self.object_indices)
-        listed = len(self.opaque) - sum(
-            len(step if isinstance(step, np.ndarray) else step[0]) for step in self._steps
-        )
-        on_cpu, by_device = np.split(self.opaque, [len(self.opaque) - listed])
-        count = resources.count_triangles(np.concatenate([on_cpu, self.transparent]), self._limit)
-        return count + (resources.count_triangles(by_device) if listed else 0)
+        """The number of triangles of all objects drawn, by the levels that the CPU chooses."""
+        return self._resources.count_triangles(self.object_indices, self._limit)
 
 
 class TechniqueDrawer:

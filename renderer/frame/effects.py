@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.frame.depth_of_field import DEFAULT_FOCUS, DepthOfFieldSettings, is_blur_seen
 from renderer.frame.environment import DEFAULT_ENVIRONMENT, EnvironmentSettings
+from renderer.frame.light_components import LightComponent
 from renderer.frame.occlusion import DEFAULT_OCCLUSION, OCCLUSION, OcclusionSettings, is_occlusion_seen
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
@@ -127,6 +128,41 @@ class Blending(Choice):
     WEIGHTED = "weighted"
     """Surfaces are averaged, near ones with more weight, in any order (McGuire and Bavoil 2013)."""
 
+
+_SURROUNDINGS: Final = frozenset((Effect.HAZE, Effect.FOG, Effect.SKY_BOX))
+_AMBIENT: Final = frozenset((Effect.AMBIENT_OCCLUSION, Effect.ENVIRONMENT, Effect.OCCLUSION_MAPS))
+_EMITTED: Final = frozenset((Effect.EMISSION, Effect.EMISSIVE_COLORS, Effect.EMISSIVE_MAPS))
+_OF_THE_SUN: Final = frozenset(
+    (Effect.DIRECTIONAL_LIGHTS, Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS)
+)
+_OF_LOCAL_LIGHTS: Final = frozenset(
+    (
+        *LOCAL_LIGHTS,
+        *(effect for _, *effects in LOCAL_LIGHTS.values() for effect in effects if effect is not None),
+        Effect.LOCAL_PENUMBRAS,
+    )
+)
+
+
+def _list_left_out(component: LightComponent) -> frozenset[Effect]:
+    """The effects that a component of light leaves out."""
+    if component is LightComponent.ALL:
+        return frozenset()
+    left_out = _SURROUNDINGS
+    if not component.has_directional_lights:
+        left_out |= _OF_THE_SUN
+    if not component.has_local_lights:
+        left_out |= _OF_LOCAL_LIGHTS
+    if component is not LightComponent.AMBIENT:
+        left_out |= _AMBIENT
+    if component is not LightComponent.EMISSIVE:
+        left_out |= _EMITTED
+    if component is LightComponent.ALBEDO:
+        left_out |= {*CAMERA_EFFECTS}
+    return left_out
+
+
+_LEFT_OUT: Final = {component: _list_left_out(component) for component in LightComponent}
 
 LIGHT_FORMATS: Final = {11: Format.R11G11B10F, 16: Format.RGBA16F, 32: Format.RGBA32F}
 """Formats of linear light by the bits of a channel."""
@@ -270,6 +306,7 @@ class FrameEffects:
         temporal: how samples of many frames are put together; `NO_HISTORY` if each frame is on its own.
         has_movable_objects: whether the motion of objects is needed for that.
         environment: how exactly light from an environment is computed.
+        component: the part of the light that is drawn.
         filters_penumbras: whether shadows are as soft as the sizes of sources make them.
         shaders: those that the scene's materials have of their own.
         layers_format: the format that transparent objects are added up in; None if they are blended to the
@@ -293,6 +330,7 @@ class FrameEffects:
     temporal: TemporalSettings
     has_movable_objects: bool
     environment: EnvironmentSettings
+    component: LightComponent
     filters_penumbras: bool
     shaders: tuple[type[Any], ...]
     sources: EffectSources
@@ -327,12 +365,19 @@ class FrameEffects:
     @property
     def has_single_directional_light(self) -> bool:
         """True if there is exactly one directional light."""
-        return self.counts[Effect.DIRECTIONAL_LIGHTS] == 1
+        return self.counts[Effect.DIRECTIONAL_LIGHTS] == 1 and Effect.DIRECTIONAL_LIGHTS in self.enabled
 
     @property
     def has_both_models(self) -> bool:
         """True if some materials are of the metallic-roughness model, and others of the specular one."""
         return Effect.METALS in self.enabled and self.counts[Effect.METALS] < self.material_count
+
+    @property
+    def has_anisotropy(self) -> bool:
+        """True if a material may draw out highlights, which needs directions that geometry buffers don't store."""
+        return Effect.MATERIAL_SHADERS in self.enabled and any(
+            shader.has_anisotropy for shader in self.shaders
+        )
 
     @property
     def has_geometric_normals(self) -> bool:
@@ -361,6 +406,7 @@ class FrameEffects:
             self.temporal,
             self.has_movable_objects,
             self.environment,
+            self.component,
             self.has_fogged_sky,
             self.layers_format,
         )
@@ -368,6 +414,8 @@ class FrameEffects:
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
+        if count and effect in _LEFT_OUT[self.component]:
+            return f"only the {self.component.value} component of light is drawn"
         if effect in (Effect.HAZE, Effect.FOG):
             unseen = ", too thin to be seen" if effect in self.unseen else ""
             return f"the scene has {effect.value if count else f'no {effect.value}'}{unseen}"
@@ -445,6 +493,7 @@ def collect_frame_effects(
     depth_of_field: DepthOfFieldSettings = DEFAULT_FOCUS,
     temporal: TemporalSettings = NO_HISTORY,
     environment: EnvironmentSettings = DEFAULT_ENVIRONMENT,
+    component: LightComponent = LightComponent.ALL,
     filters_penumbras: bool = False,
     visible_features: frozenset[str] | None = None,
     shows_objects: bool | None = None,
@@ -462,6 +511,7 @@ def collect_frame_effects(
         depth_of_field: how depth of field is to be computed.
         temporal: how samples of many frames are to be put together.
         environment: how light from an environment is to be computed.
+        component: the part of the light that is to be drawn.
         filters_penumbras: whether shadows are to be as soft as the sizes of sources make them.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
@@ -491,6 +541,7 @@ def collect_frame_effects(
             depth_of_field,
             temporal,
             environment,
+            component,
             filters_penumbras,
             visible_features,
             shows_objects,
@@ -503,6 +554,7 @@ def collect_frame_effects(
             last.depth_of_field,
             last.temporal,
             last.environment,
+            last.component,
             last.filters_penumbras,
             last.visible_features,
             last.shows_objects,
@@ -522,12 +574,13 @@ def collect_frame_effects(
                 in_view[row.spheres] = wide[~areas[wide]]
         in_view[row.shadows] = (
             light_indices[lights_of_kind["casts_shadow"][light_indices]]
-            if sources.counts[row.shadows]
+            if sources.counts[row.shadows] and component.has_local_lights
             else _NONE
         )
         penumbras.append(np.intersect1d(in_view[row.shadows], wide, assume_unique=True))
     in_view[Effect.LOCAL_PENUMBRAS] = np.concatenate(penumbras)
     hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)} | air
+    hidden |= _LEFT_OUT[component]
     if not filters_penumbras:
         hidden |= {*PENUMBRA_EFFECTS}
     if not shows_objects:
@@ -541,6 +594,7 @@ def collect_frame_effects(
         if name not in visible_features and name != "vertex colors"
     }
     enabled = frozenset(effect for effect, count in sources.counts.items() if count and effect not in hidden)
+    has_fogged_sky = has_fogged_sky and Effect.FOG in enabled
     bits = _count_light_bits(enabled, bloom, depth_of_field)
     image = LIGHT_FORMATS[bits] if bits else IMAGE_FORMAT
     return FrameEffects(
@@ -556,6 +610,7 @@ def collect_frame_effects(
         temporal,
         temporal.is_on and bool(len(scene.objects.following_indices) or scene.simulated),
         environment,
+        component,
         filters_penumbras,
         sources.shaders,
         sources,

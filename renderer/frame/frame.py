@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from renderer.frame.drawing import DrawResult, TechniqueDrawer
 from renderer.frame.effects import FrameEffects
+from renderer.frame.light_components import LightComponent
 from renderer.frame.resources import SceneResources
 from renderer.frame.targets import Targets
 from renderer.frame.view import View
@@ -21,6 +22,8 @@ from rhi import Device, Program, Texture
 from rhi.errors.shared_caches import cache_once
 from rhi.math import is_parallel
 from rhi.shading import Precision, Shader
+
+_BLACK: Final = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(eq=False, slots=True)
@@ -70,7 +73,10 @@ class Frame:
 
     @property
     def background(self) -> tuple[float, float, float, float]:
-        """The clear value of `image`, as a colour, or with effects of the camera as light."""
+        """The clear value of `image`, as a colour, or with effects of the camera as light; black if only a component
+        of light is drawn."""
+        if self.effects.component is not LightComponent.ALL:
+            return _BLACK
         color = self.resources.scene.background
         return (*inverse_tone_map(color), 1.0) if self.effects.keeps_light else (*color, 1.0)
 

@@ -22,12 +22,14 @@ class InstanceSets:
         meshes: the mesh (n,) of each object, as of the last `follow`.
     """
 
-    def __init__(self, device: Device, meshes: NDArray[np.int32]) -> None:
+    def __init__(self, device: Device, meshes: NDArray[np.int32], level_begins: NDArray[np.int64]) -> None:
+        """`level_begins` are those of `Meshes`."""
         self.meshes = meshes.copy()
+        self._level_begins = level_begins
         self._object_meshes = MirroredArray(device, int, "meshes of objects")
         self._entries = MirroredArray(device, ListEntry, "list entries")
         self._begins = MirroredArray(device, uint, "instance sets")
-        self._is_current = False
+        self._is_current = self._has_levels = False
 
     def follow(self, meshes: NDArray[np.int32]) -> bool:
         """Take other meshes (n,) of the objects; return whether any has changed."""
@@ -42,12 +44,14 @@ class InstanceSets:
         self._is_current = False
 
     def update(
-        self, groups: NDArray[np.int32]
+        self, groups: NDArray[np.int32], *, has_levels: bool = True
     ) -> tuple[StorageBuffer[int], StorageBuffer[ListEntry], StorageBuffer[uint]]:
         """Return the buffers `object_meshes`, `list_entries` and `set_begins` of `SceneArrays`, given the number (n,)
-        of the program and states that draw each object."""
-        if not self._is_current:
-            entries, begins = make_instance_sets(self.meshes, groups)
+        of the program and states that draw each object. Without `has_levels` there are no sets of levels of detail."""
+        if not self._is_current or has_levels != self._has_levels:
+            self._has_levels = has_levels
+            level_begins = self._level_begins if has_levels else None
+            entries, begins = make_instance_sets(self.meshes, groups, level_begins)
             self._object_meshes.write(self.meshes)
             self._entries.write(entries)
             self._begins.write(begins)

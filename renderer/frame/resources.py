@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
-from renderer.frame.detail import DetailLevels, DetailLimit
+from renderer.frame.detail import DetailLevels, make_mesh_parts
 from renderer.frame.hidden_objects import HiddenObjects
 from renderer.frame.instance_sets import InstanceSets
 from renderer.frame.local_lights import LocalLightBuffers, Views
@@ -50,6 +50,7 @@ from renderer.scene.arrays import list_ranges
 from renderer.scene.lights import Lights
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import select_in_view
+from renderer.visibility.detail import DetailLimit, make_constants
 from renderer.visibility.gpu.draw_lists import DrawArguments
 from rhi import (
     DRAW,
@@ -97,6 +98,7 @@ class SceneResources:
         mesh: all meshes in one.
         draws: (n,) of `rhi.DRAW`, one for each object, and behind them those of levels of detail.
         levels: these levels; None if no mesh has any.
+        uses_levels: whether any object that is shown has levels.
         detail_limit: the limit of their error in this frame, None for full meshes.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its
             triangles.
@@ -125,6 +127,7 @@ class SceneResources:
 
     light_cutoff = 0.0
     detail_error = 0.0
+    uses_levels = False
     detail_limit: DetailLimit | None = None
 
     def __init__(
@@ -205,7 +208,7 @@ class SceneResources:
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._object_positions: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
-        self._instance_sets = keep(InstanceSets(device, objects.mesh))
+        self._instance_sets = keep(InstanceSets(device, objects.mesh, scene.meshes.level_begins))
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.transparent_indices: NDArray[np.int64] = np.zeros(0, np.int64)
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
@@ -243,7 +246,7 @@ class SceneResources:
     def select_draws(self, object_indices: NDArray[np.int64], limit: DetailLimit | None) -> NDArray[np.int64]:
         """The indices in `draws` (k,) of what objects (k,) are drawn as within a limit of the error: all of their
         meshes without one."""
-        if limit is None or self.levels is None:
+        if limit is None or self.levels is None or not self.uses_levels:
             return object_indices
         return self.levels.select(object_indices, limit)
 
@@ -285,16 +288,15 @@ class SceneResources:
     def count_triangles(self, object_indices: NDArray[np.int64], limit: DetailLimit | None = None) -> int:
         """Number of triangles of the objects `object_indices` (k,), drawn within a limit of the error. For height
         fields it is the last view's, which is read back from the device."""
-        if limit is not None and self.levels is not None:  # there are no height fields
-            draws = self.get_draws(object_indices, limit)
-            return int(draws["count"].sum(dtype=np.int64)) // 3
         is_tessellated = np.isin(object_indices, self.tessellated_indices)
+        draws = self.get_draws(object_indices[~is_tessellated], limit)
+        count = int(draws["count"].sum(dtype=np.int64)) // 3
         if not is_tessellated.any():
-            return self.scene.count_triangles(object_indices)
+            return count
         counts = self.tessellated_draws.read()["count"][
             np.searchsorted(self.tessellated_indices, object_indices[is_tessellated])
         ]
-        return self.scene.count_triangles(object_indices[~is_tessellated]) + int(counts.sum()) // 3
+        return count + int(counts.sum()) // 3
 
     def draw_objects(
         self,
@@ -323,12 +325,9 @@ class SceneResources:
 
     @cached_property
     def mesh_parts(self) -> StorageBuffer[shaders.MeshPart]:
-        """Boxes and index ranges of the meshes, for shaders that write draws; created on first use."""
-        meshes = self.scene.meshes
-        mesh_parts = np.zeros(len(meshes), shaders.MeshPart.dtype)
-        mesh_parts["lower"], mesh_parts["upper"] = meshes.lower, meshes.upper
-        mesh_parts["first"], mesh_parts["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
-        mesh_parts["base_vertex"] = meshes.ranges["base_vertex"]
+        """Boxes and index ranges of the meshes and of their levels, for shaders that write draws; created on
+        first use."""
+        mesh_parts = make_mesh_parts(self.scene.meshes)
         return self._keep(self._device.storage(shaders.MeshPart, mesh_parts, label="mesh parts"))
 
     def mirror(self, value: S) -> UniformBuffer[S]:
@@ -352,12 +351,13 @@ class SceneResources:
 
     def scene_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
         """Buffers of objects and meshes for visibility algorithms on the device, and the constants of a
-        view."""
+        view. What they say of levels of detail is this frame's."""
         objects, object_positions = self.objects.buffer, self.object_positions.buffer
         assert objects is not None, "a scene has at least one object"
         assert object_positions is not None
-        sets = self._instance_sets.update(self.group)
-        return SceneArrays(view, objects, object_positions, self.mesh_parts, *sets)
+        sets = self._instance_sets.update(self.group, has_levels=self.uses_levels)
+        detail = self.mirror(make_constants(self.detail_limit)) if self.uses_levels else None
+        return SceneArrays(view, objects, object_positions, self.mesh_parts, *sets, detail)
 
     def simulate(
         self,
@@ -585,6 +585,7 @@ class SceneResources:
         self.transparent_indices = object_indices
         self._has_two_sides = two_sided
         self._is_shown = objects.is_shown.copy()
+        self.uses_levels = self.levels is not None and self.levels.has_any(self._is_shown)
         self._shader = shader
         self.is_transparent[:] = False
         self.is_transparent[object_indices] = True

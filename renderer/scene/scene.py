@@ -650,6 +650,7 @@ class SceneBuilder:
                 rules.BAD_MESH, "add_mesh(levels=...)", levels, "0, since the mesh has bounds: it may change"
             )
         if bounds is None and (mesh_id := self._mesh_ids.get(id(geometry))) is not None:
+            self._level_counts[mesh_id] = max(self._level_counts[mesh_id], levels)
             return mesh_id
         if bounds is not None:
             lower, upper = geometry.bounds
@@ -664,6 +665,14 @@ class SceneBuilder:
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
+
+    def simplify_meshes(self, first: int, levels: int) -> None:
+        """Make up to so many simplified versions of the meshes from the id `first` on, but of those with bounds, which
+        may change."""
+        levels = rules.check_count(rules.BAD_MESH, "simplify_meshes(levels=...)", levels, 0)
+        for mesh in range(first, len(self._geometries)):
+            if self._bounds[mesh] is None:
+                self._level_counts[mesh] = levels
 
     def add_height_field(self, field: HeightField, name: str = "") -> int:
         """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for

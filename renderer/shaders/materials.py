@@ -53,6 +53,7 @@ class MaterialShader(ViewRayShader):
         parameter_defaults: the parameters that materials needn't give, and their values.
         parameter_textures: the parameters that are textures, and whether these hold colours (`read_color`) or
             data (`read_data`). One that a material lacks is -1.
+        has_anisotropy: whether it draws out highlights by `describe_anisotropy`, which needs `reads_tangents`.
         reads_tangents: whether it reads `SurfaceInput.tangent`, so that meshes need tangents.
     """
 
@@ -63,6 +64,7 @@ class MaterialShader(ViewRayShader):
     parameter_defaults: ClassVar[Mapping[str, object]] = {}
     parameter_textures: ClassVar[Mapping[str, bool]] = {}
     reads_tangents: ClassVar[bool] = False
+    has_anisotropy = False
 
     view: sl.Uniform[ViewConstants]
     materials: sl.Storage[Material]
@@ -87,7 +89,8 @@ class MaterialShader(ViewRayShader):
     map_table: sl.TextureTable
     image_arrays = 1
     map_arrays = 1
-    """The number of arrays of data, `IN_TABLE` where they are images of a texture table."""
+    """The number of arrays of data, `IN_TABLE` where they are images of a texture table. 0 if there are none,
+    where tangents may be needed all the same."""
     has_table = False
     has_gradients = False
     """Whether textures are sampled with the gradients of texture coordinates of the input
@@ -122,6 +125,11 @@ class MaterialShader(ViewRayShader):
             occlusion=self.sample_occlusion(at),
             emissive=self.sample_emissive(at),
         )
+
+    def describe_anisotropy(self, at: SurfaceInput) -> sl.vec3:
+        """Return the direction in which highlights of the metallic-roughness model are drawn out, as long as they are
+        anisotropic, from 0 to 1 (glTF's KHR_materials_anisotropy)."""
+        return sl.vec3(0.0)
 
     def evaluate(self, at: SurfaceInput) -> SurfaceParameters:
         """Return the surface's properties at a point. Nothing is drawn where the alpha of a mask is below its
@@ -162,7 +170,7 @@ class MaterialShader(ViewRayShader):
 
     def mapped_normal(self, at: SurfaceInput) -> sl.vec3:
         """Return the unit normal as maps bend it. Where a texture has no direction, it is as it was."""
-        if not self.has_normal_maps:
+        if not self.has_normal_maps or self.map_arrays == 0:
             return at.normal
         material = self.materials[at.material]
         if material.normal_texture < 0:

@@ -17,8 +17,18 @@ collect them, and a `SurfacePoint` has the two colours.
 
 `(n·h)² (α² - 1) + 1` loses all digits of a sharp highlight in float32; it is the same as `|n×h|² + α²
 (n·h)²`, which loses none. Where a mapped normal looks away from the eye and n·h is negative, D isn't cut to
-0, which would show as an edge. A roughness below `MIN_ROUGHNESS` counts as that: the highlight of a light
-without size is white there anyway, and normals that are stored in 2 × 16 bits would no longer do.
+0, which would show as an edge.
+
+**Anisotropic** materials have a roughness α_t along a tangent t and α_b along the bitangent b (Burley 2012; glTF's
+KHR_materials_anisotropy, α_t = mix(α, 1, anisotropy²) and α_b = α):
+
+- `D = 1 / (π α_t α_b ((t·h)² / α_t² + (b·h)² / α_b² + (n·h)²)²)`;
+- of V, each root is `√(α_t² (t·l)² + α_b² (b·l)² + (n·l)²)`.
+
+With α = √(α_t α_b) and a stretch s = √(α_t / α_b), the bitangent falls out: (b·h)² is `|n×h|² - (t·h)²`.
+
+A roughness below `MIN_ROUGHNESS` counts as that: the highlight of a light without size is white there anyway,
+and normals that are stored in 2 × 16 bits would no longer do.
 """
 
 from __future__ import annotations
@@ -28,7 +38,7 @@ from typing import Final
 from renderer.light_kinds.incidence import Incidence
 from renderer.shaders.lighting import hemisphere, safe_normalize
 from renderer.shaders.structs import Ambient, SurfacePoint
-from rhi.shading import abs, cross, dot, exp2, function, max, min, mix, reflect, saturate, sqrt, vec3
+from rhi.shading import abs, cross, dot, exp2, function, length, max, min, mix, reflect, saturate, sqrt, vec3
 
 MIN_ROUGHNESS: Final = 0.1
 """The least roughness. Its highlight is about that of a shininess of 20,000."""
@@ -69,6 +79,47 @@ def metallic_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
     masked = (lit + sqrt(alpha + (1.0 - alpha) * lit * lit)) * (
         seen + sqrt(alpha + (1.0 - alpha) * seen * seen)
     )
+    lobe = alpha / (spread * spread * masked)
+    return vec3(1.0 - p, lobe * (1.0 - p), lobe * p)
+
+
+@function
+def stretch_surface(surface: SurfacePoint, anisotropy: vec3) -> SurfacePoint:
+    """Return a surface of this model whose highlights are drawn out along a direction, by the square of its length of
+    0 to 1: the roughness there is mixed with 1. All else then sees the round lobe with as much area."""
+    strength = saturate(length(anisotropy))
+    flat = anisotropy - surface.normal * dot(surface.normal, anisotropy)
+    alpha = surface.shininess * surface.shininess
+    along = mix(alpha, 1.0, strength * strength)
+    surface.stretch = safe_normalize(flat) * (sqrt(along / alpha) - 1.0)
+    surface.shininess = -sqrt(sqrt(along * alpha))
+    return surface
+
+
+@function
+def anisotropic_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
+    """Return the factors of `metallic_terms` for a surface whose highlights are drawn out."""
+    halfway = safe_normalize(to_light + surface.to_eye)
+    beyond = 1.0 - saturate(dot(surface.to_eye, halfway))
+    p = beyond * beyond
+    p = p * p * beyond
+    length_less_1 = length(surface.stretch)
+    tangent = surface.stretch / max(length_less_1, 1e-6)
+    squared = (1.0 + length_less_1) * (1.0 + length_less_1)
+    excess = squared - 1.0 / squared
+    roughness = surface.shininess * surface.shininess
+    alpha = roughness * roughness
+    across = cross(surface.normal, halfway)
+    along = dot(surface.normal, halfway)
+    side = dot(tangent, halfway)
+    spread = max(dot(across, across) * squared - side * side * excess + alpha * along * along, alpha)
+    lit = saturate(dot(surface.normal, to_light))
+    lit_side = dot(tangent, to_light)
+    seen = abs(dot(surface.normal, surface.to_eye))
+    seen_side = dot(tangent, surface.to_eye)
+    lit_width = (1.0 - lit * lit) / squared + lit_side * lit_side * excess
+    seen_width = (1.0 - seen * seen) / squared + seen_side * seen_side * excess
+    masked = (lit + sqrt(alpha * lit_width + lit * lit)) * (seen + sqrt(alpha * seen_width + seen * seen))
     lobe = alpha / (spread * spread * masked)
     return vec3(1.0 - p, lobe * (1.0 - p), lobe * p)
 

@@ -85,20 +85,27 @@ class ObjectPosition(Struct):
 
 
 class ListEntry(Struct):
-    """An object that a list of draws may have, and its mesh."""
+    """An object that a list of draws may have, and a mesh part that it may be drawn as."""
 
     object: uint
-    mesh: int
+    mesh_part: int
 
 
 class MeshPart(Struct):
-    """A mesh: its box in mesh space, and its range of the arrays that all meshes share."""
+    """A mesh, or a level of detail of one: the mesh's box in mesh space, and the range of the arrays that all share.
+
+    The parts of meshes are in the order of these; those of levels are behind them. A mesh's levels are those from
+    `first_level` on, ever coarser; each is at most `error` metres from the mesh, rounded up.
+    """
 
     lower: vec3
     first: uint
     upper: vec3
     count: uint
     base_vertex: int
+    first_level: int
+    level_count: int
+    error: float
 
 
 @function
@@ -245,6 +252,9 @@ class SurfacePoint(Struct):
 
     `occlusion` is the share of ambient light that reaches the surface; `emissive` multiplies the light that
     its material emits.
+
+    `stretch` is for anisotropic materials: at right angles to `normal`, along the direction in which highlights are
+    drawn out, and as long as they are longer than round ones, less 1; else 0.
     """
 
     position: vec3
@@ -256,3 +266,4 @@ class SurfacePoint(Struct):
     shininess: float
     occlusion: float
     emissive: vec3
+    stretch: vec3

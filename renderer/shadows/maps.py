@@ -37,7 +37,6 @@ from renderer.frame import (
     choose_program,
     draw_group_states,
 )
-from renderer.frame.detail import DetailLimit
 from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
 from renderer.frame.resources import DRAW_GROUPS, SceneResources
 from renderer.light_kinds.table import LIGHT_KINDS, LOCAL_LIGHT_KINDS
@@ -61,6 +60,7 @@ from renderer.shadows.receiver import (
 )
 from renderer.shadows.shadow_settings import ShadowSettings
 from renderer.shadows.tile_allocator import Tile, TileAllocator
+from renderer.visibility.detail import DetailLimit
 from rhi import (
     Comparison,
     CullMode,
@@ -591,9 +591,10 @@ class ShadowMaps:
             for shadow_map, rows in maps:
                 x, y, size = shadow_map.tile
                 assert shadow_map.required is not None
-                limit = DetailLimit.compute(
-                    [shadow_map.required.camera], (size, size), resources.detail_error
-                )
+                limit = None
+                if resources.uses_levels:
+                    cameras = [shadow_map.required.camera]
+                    limit = DetailLimit.compute(cameras, (size, size), resources.detail_error)
                 for number, (view, viewport, casters) in enumerate(shadow_map.parts(rows)):
                     with device.states(viewport, Scissor(x, y, size, size)):
                         if number == 0:

@@ -16,8 +16,10 @@ from typing import Final
 
 from renderer.frame import Frame, FrameEffects, FramePass
 from renderer.techniques.parts.deferred_lighting import GeometryResolve, LightingShader, volume_passes
+from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS
 from renderer.techniques.parts.geometry_buffer import DEFAULT_NORMAL_BITS, GEOMETRY_SHADERS, NORMAL_BITS
+from renderer.techniques.parts.light_list_reader import ForwardByCells
 from renderer.techniques.parts.light_volumes import VolumeShader
 from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, check_bits
 from rhi.shading import Shader
@@ -33,6 +35,8 @@ class Deferred:
         LightingShader,
         VolumeShader,
         GeometryResolve,
+        ForwardByCells,
+        *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""

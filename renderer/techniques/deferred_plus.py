@@ -104,6 +104,8 @@ class PackedLight(PackedReader, LightListReader, ShadingShader):
         material = self.materials[at.material]
         described = self.describe(at)
         surface = self.make_surface(position, at.normal, described, material)
+        if self.has_anisotropy:
+            surface = self.stretch(surface, at)
         color = self.shade(surface, material)
         if self.has_local_lights:
             color += self.shade_cell_lights(surface, distance)

@@ -18,6 +18,7 @@ from typing import Final
 
 from renderer import rules
 from renderer.frame import Frame, FrameEffects, FramePass
+from renderer.techniques.parts.clustered_passes import clustered_passes
 from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS, draw_once, forward_passes
 from renderer.techniques.parts.light_list_reader import (
@@ -89,15 +90,5 @@ class Clustered:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `light lists` and `forward`, with `depth` before them if `depth_first`. Without local
         lights, those of `Forward`."""
-        if not local_light_effects(effects):
-            return forward_passes(effects, samples=self.samples)
-        lighting = lit_by_cells(self.cells)
-        return draw_once(
-            effects,
-            lighting,
-            "draws the visible objects, lit by their clusters' lights",
-            samples=self.samples,
-            depth_first="no hidden fragment is lit" if self.depth_first else "",
-            lists=(light_list_pass(effects, self.cells),),
-            transparent=lighting,
-        )
+        reason = "no hidden fragment is lit" if self.depth_first else ""
+        return clustered_passes(effects, samples=self.samples, depth_first=reason, cells=self.cells)

@@ -35,8 +35,11 @@ from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
+from renderer.techniques.parts.clustered_passes import clustered_passes
+from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
 from renderer.techniques.parts.geometry_buffer import SurfaceReader, full_size_pixel, surface_format
+from renderer.techniques.parts.light_list_reader import ForwardByCells
 from renderer.techniques.parts.light_terms import (
     DIRECTIONS,
     SHININESS_FORMAT,
@@ -46,6 +49,7 @@ from renderer.techniques.parts.light_terms import (
     bind_resources,
     collect_terms,
     list_terms,
+    name_terms,
     normals_pass,
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, declare_lights
@@ -151,7 +155,11 @@ class InferredLightShader(ForwardShader, SurfaceReader):
 
     def shade_local_lights(self, surface: SurfacePoint, lights: LightBounds) -> sl.vec3:
         taps = self.compute_taps(surface, lights.x)
+        if not self.has_specular_light:
+            return surface.base_color * filter_light(self.diffuse, taps)
         diffuse = filter_light(self.diffuse, taps)
+        if not self.has_diffuse_light:
+            diffuse = sl.vec3(0.0)
         color = surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
         if self.has_metals:
             color += filter_light(self.grazing, taps)
@@ -217,6 +225,8 @@ class Inferred:
         StippleShader,
         InferredLightShader,
         StippledShader,
+        ForwardByCells,
+        *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
@@ -239,12 +249,16 @@ class Inferred:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `normals`, `downscale`, one per kind of local lights in view, `materials`, and those
         of transparent surfaces. Without local lights, those of forward shading."""
+        if effects.has_anisotropy:
+            return clustered_passes(effects)
         stippled = self.stippled and self.scale < 1.0 and Effect.TRANSPARENCY in effects.enabled
         scale = self.scale
         small = downscaled_names("small ")
         lit = downscaled_names("stippled " if stippled else "small ")
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
-        lights, last = declare_lights(effects, list_terms(effects), lit, collect, scale, self.light_bits)
+        lights, last = declare_lights(
+            effects, name_terms(list_terms(effects)), lit, collect, scale, self.light_bits
+        )
         if not lights:
             return forward_passes(effects)
         shader_bindings = dict(zip(list_terms(effects), last, strict=True), surface=lit[0])

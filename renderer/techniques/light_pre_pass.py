@@ -25,7 +25,10 @@ from renderer.frame import DEPTH_FORMAT, Frame, FrameEffects, FramePass
 from renderer.light_kinds.bounds import LightBounds
 from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.parts.clustered_passes import clustered_passes
+from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
+from renderer.techniques.parts.light_list_reader import ForwardByCells
 from renderer.techniques.parts.light_terms import (
     PACKED_TERM_SHADERS,
     TERM_SHADERS,
@@ -33,6 +36,7 @@ from renderer.techniques.parts.light_terms import (
     collect_terms,
     list_terms,
     luminance,
+    name_terms,
     normals_pass,
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, declare_lights
@@ -58,6 +62,10 @@ class LitByTerms(ForwardShader):
         specular = terms.rgb / sl.max(luminance(terms.rgb), 1e-6) * terms.a
         if not self.is_packed:
             specular = sl.min(self.specular.load(pixel).rgb, MAX_HALF_FLOAT)
+        if not self.has_diffuse_light:
+            terms = sl.vec4(0.0)
+        if not self.has_specular_light:
+            return surface.base_color * terms.rgb
         color = surface.base_color * terms.rgb + surface.specular_color * specular
         if self.has_metals:
             color += sl.min(self.grazing.load(pixel).rgb, MAX_HALF_FLOAT)
@@ -79,6 +87,8 @@ class LightPrePass:
         *PACKED_TERM_SHADERS,
         VolumeShader,
         LitByTerms,
+        ForwardByCells,
+        *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
@@ -97,10 +107,12 @@ class LightPrePass:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `normals`, one per kind of local lights in view, and `materials`. Without local
         lights, those of forward shading."""
+        if effects.has_anisotropy:
+            return clustered_passes(effects)
         reads = ("surface", "shininess", "depth")
         buffers = list_terms(effects, packed=self.specular_channels == 1)
         collect = partial(collect_terms, stencil=self.stencil)
-        lights, last = declare_lights(effects, buffers, reads, collect, bits=self.light_bits)
+        lights, last = declare_lights(effects, name_terms(buffers), reads, collect, bits=self.light_bits)
         if not lights:
             return forward_passes(effects)
         shader_bindings, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Blending, Frame, Layer
+from renderer.frame import COMPONENTS, Blending, Frame, Layer, LightComponent
 from renderer.inspection.texture_images import texture_to_image
 from renderer.layers.ground_grid import GroundGrid
 from renderer.layers.overlay import Overlay
@@ -59,7 +59,7 @@ class DisplaySettings:
 
     Attributes:
         settings: how the scene is drawn.
-        show: `LIT_IMAGE`, one of `INSPECTIONS`, or a resource of the plan.
+        show: `LIT_IMAGE`, one of `COMPONENTS` of light, one of `INSPECTIONS`, or a resource of the plan.
         shadows: one of `SHADOWS`.
         stereo: one of `OUTPUTS`, or None for one eye.
         overlay, particles, grid: whether these layers are drawn.
@@ -241,6 +241,7 @@ class Configurator:
             undo.pop_all()
         assert visibility is not None
         settings.apply_to(renderer, technique)
+        renderer.light_component = COMPONENTS.get(display.show, LightComponent.ALL)
         renderer.visibility = visibility
         if self._visibility not in (None, visibility):
             self._visibility.destroy()
@@ -258,10 +259,10 @@ class Configurator:
         device.timing = self._original.timing or (shows_times and device.capabilities.timestamps)
 
     def list_show_choices(self, camera: Camera) -> list[str]:
-        """The names that can be shown: the image, `INSPECTIONS`, and the textures of the technique's plan."""
+        """The names that can be shown: the image, `COMPONENTS` of light, `INSPECTIONS`, and textures of the plan."""
         effects, _ = self._renderer.plan(camera)
         resource = list_resources(self._make_plain(self.display).declare(effects))
-        return list(dict.fromkeys([LIT_IMAGE, *INSPECTIONS, *resource]))
+        return list(dict.fromkeys([LIT_IMAGE, *COMPONENTS, *INSPECTIONS, *resource]))
 
     def destroy(self) -> None:
         """Destroy the layers that were created for display settings."""
@@ -281,7 +282,7 @@ class Configurator:
     def _make_plain(self, display: DisplaySettings) -> Technique:
         """The technique of display settings; buffers are shown with a technique that stays the same."""
         settings = display.settings.technique
-        if settings.name == AutoTechnique.name and display.show != LIT_IMAGE:
+        if settings.name == AutoTechnique.name and display.show not in (LIT_IMAGE, *COMPONENTS):
             settings = replace(settings, name=Forward.name)
         return settings.make(self._renderer.scene, self._renderer.device)
 
@@ -291,7 +292,7 @@ class Configurator:
         )  # refuses samples that it lacks, also if a shown texture would hide that
         if display.show in INSPECTIONS:
             return Inspection(display.show, display.settings.technique.get_cluster_settings(display.show))
-        return plain if display.show == LIT_IMAGE else ResourceCapture(plain, display.show)
+        return plain if display.show in (LIT_IMAGE, *COMPONENTS) else ResourceCapture(plain, display.show)
 
 
 def _list_lights(scene: Scene) -> tuple[NDArray[Any], ...]:

@@ -68,7 +68,7 @@ class FrustumCulling(DevicelessCulling):
         objects = self._scene.objects
         planes = scene_drawer.widen(camera).frustum.planes
         static, counts = self._static.select_visible(planes)
-        visible = objects.fixed_indices.take(static)
+        visible = objects.fixed_indices[static]
         moving = objects.following_indices
         if len(moving):
             is_visible = select_visible(planes, objects.lower[moving], objects.upper[moving])

@@ -20,6 +20,7 @@ from renderer.scene import Camera
 from renderer.scene.arrays import Indices
 from renderer.shaders import ListEntry, MeshPart, Object, ObjectPosition, ViewConstants
 from renderer.visibility.boxes.bounds import UNKNOWN_SIZE
+from renderer.visibility.detail import DetailConstants
 from rhi import Encoder, IndirectDraws, QuerySet, Readback, StorageBuffer, Texture, refuse
 from rhi.shading import StorageRange, UniformRange, uint
 
@@ -30,7 +31,8 @@ class SceneArrays:
 
     An object is an element of `objects` and of `object_positions`; its index is the base instance of its
     draw. A mesh is an element of `mesh_parts`, and that of an object is in `object_meshes`. The objects of an
-    instance set are neighbours in `list_entries`, from one of `set_begins` to the next.
+    instance set are neighbours in `list_entries`, from one of `set_begins` to the next. `detail` is the limit of
+    levels of detail, None if no mesh has any.
     """
 
     view: UniformRange[ViewConstants]
@@ -40,6 +42,7 @@ class SceneArrays:
     object_meshes: StorageRange[int]
     list_entries: StorageRange[ListEntry]
     set_begins: StorageRange[uint]
+    detail: UniformRange[DetailConstants] | None = None
 
 
 class DeviceDrawList(Protocol):

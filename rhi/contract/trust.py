@@ -87,9 +87,12 @@ def read_key() -> bytes:
             handle, fresh = mkstemp(dir=path.parent)  # which only the user can read
             with os.fdopen(handle, "wb") as file:
                 file.write(os.urandom(_KEY_BYTES))
-            with suppress(FileExistsError):  # another process was first
-                os.link(fresh, path)
-            os.unlink(fresh)
+            if hasattr(os, "link"):
+                with suppress(FileExistsError):  # another process was first
+                    os.link(fresh, path)
+                os.unlink(fresh)
+            else:  # a page, which is one process
+                os.replace(fresh, path)
         status, key = path.stat(), path.read_bytes()
     except OSError:
         return b""

@@ -34,6 +34,7 @@ SMALLEST: Final = {
     "--rounds": "1",
     "--runs": "1",
     "--scale": "0.001",
+    "--side": "8",
     "--size": "32x18",
     "--triangles": "1000",
     "--vertices": "100",

@@ -41,9 +41,14 @@ TIMEOUT: Final = 120.0
 
 
 class Page:
-    """A page of a browser."""
+    """A page of a browser.
+
+    Attributes:
+        timeout: seconds that a call may take.
+    """
 
     def __init__(self, socket: Any) -> None:
+        self.timeout = TIMEOUT
         self._socket = socket
         self._latest = 0
         self.messages: list[dict[str, Any]] = []
@@ -55,7 +60,7 @@ class Page:
         self._latest += 1
         self._socket.send(json.dumps({"id": self._latest, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(timeout=TIMEOUT))
+            message = json.loads(self._socket.recv(timeout=self.timeout))
             if message.get("id") == self._latest:
                 assert "error" not in message, message
                 return message["result"]

@@ -29,6 +29,7 @@ ATTRIBUTES = (
     "depth_of_field",
     "temporal",
     "environment",
+    "light_component",
     "stereo",
 )
 ARGUMENTS = (*(name for name in ATTRIBUTES if name != "stereo"), "textures", "uploads")

@@ -28,6 +28,7 @@ from rhi.errors import RhiError, refuse
 EXTENSIONS: Final = {
     "EXT_texture_webp": "texture",
     "KHR_lights_punctual": "node",
+    "KHR_materials_anisotropy": "material",
     "KHR_materials_emissive_strength": "material",
     "KHR_materials_unlit": "material",
     "KHR_mesh_quantization": "mesh",

@@ -6,7 +6,7 @@ out, and materials go without it: the rest of the file can still be seen, and th
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from renderer.content.assets import decode_images
 from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SPECULAR, get_extras
+from renderer.content.material_shaders import Brushed
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
 from renderer.scene.omissions import Omissions
 from renderer.scene.scene import SceneBuilder
@@ -89,9 +90,32 @@ class Materials:
         return self._material_ids[key]
 
     def normal_map_uv(self, number: int) -> str:
-        """Return the set of texture coordinates of a material's normal map, `uv` or `uv2`; "" without one."""
-        texture = self._read_values[number][1].get("normal_texture")
-        return "" if texture is None else ("uv2" if texture.uv_set else "uv")
+        """Return the set of texture coordinates by which a material needs tangents, `uv` or `uv2`; "" if it needs none,
+        which is without a normal map and anisotropy."""
+        values, textures = self._read_values[number]
+        texture = textures.get("normal_texture")
+        if texture is None:
+            return "uv" if "shader" in values else ""
+        return "uv2" if texture.uv_set else "uv"
+
+    def _read_anisotropy(
+        self, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]], fields: JsonObject
+    ) -> None:
+        """Note the shader of an anisotropic material. It reads its textures as they are."""
+        anisotropy = fields.extension("KHR_materials_anisotropy")
+        if anisotropy is None:
+            return
+        strength = anisotropy.real("anisotropyStrength", 0.0, 0.0, 1.0)
+        rotation = anisotropy.real("anisotropyRotation", 0.0)
+        turned: dict[str, tuple[int, dict[str, Any]]] = {}
+        self._read_map(turned, "anisotropy_texture", anisotropy, "anisotropyTexture")
+        if strength == 0.0:
+            return
+        if not all(_is_plain(rest) for _, rest in (maps | turned).values()):
+            self.omissions.add("anisotropy beside textures that are transformed or clamped", fields.where)
+            return
+        maps |= turned
+        values |= {"shader": Brushed, "anisotropy": strength, "anisotropy_rotation": rotation}
 
     def _read(self, fields: JsonObject) -> tuple[dict[str, Any], dict[str, tuple[int, dict[str, Any]]]]:
         """Return the arguments of `add_material`, and for each texture the image and how it is read."""
@@ -122,6 +146,7 @@ class Materials:
         emissive = np.minimum(_colors(fields, "emissiveFactor", 3, 0.0) * factor, _STRONGEST)
         values["emissive"] = tuple(emissive.tolist())
         self._read_map(maps, "emissive_texture", fields, "emissiveTexture")
+        self._read_anisotropy(values, maps, fields)
         extras = get_extras(fields)
         return (values if extras is None else _restore(extras, values, maps)), maps
 
@@ -190,6 +215,13 @@ def _make_unlit(values: dict[str, Any]) -> dict[str, Any]:
         "specular_color": (0.0, 0.0, 0.0),
         "emission": _UNLIT,
     }
+
+
+def _is_plain(rest: Mapping[str, Any]) -> bool:
+    """Test whether a texture is repeated, as the first set of texture coordinates says."""
+    texture = TextureMap(0, **rest)
+    wraps = {texture.sampler.wrap_u, texture.sampler.wrap_v}
+    return texture == TextureMap(0, sampler=texture.sampler) and wraps == {Wrap.REPEAT}
 
 
 def _restore(

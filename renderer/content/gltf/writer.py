@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import json
 import struct
-from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
-from os import cpu_count
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +25,8 @@ from renderer.content.gltf.materials import ALPHA_MODES, MAGNIFY, MINIFY, WRAPS
 from renderer.content.gltf.nodes import CANDELA
 from renderer.content.gltf.primitives import ATTRIBUTES
 from renderer.content.gltf.tracks import LINEAR, NodeMotion, Track
+from renderer.content.material_shaders import Brushed
+from renderer.content.thread_maps import map_in_threads
 from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
@@ -86,7 +86,9 @@ class _GltfWriter:
     def write_all(self) -> None:
         """Collect everything in the scene."""
         self._write_images()
-        self._lists["materials"] = [self._material(row) for row in self._scene.materials]
+        self._lists["materials"] = [
+            self._material(row, index) for index, row in enumerate(self._scene.materials)
+        ]
         primitives = self._write_meshes()
         motions = self._write_nodes(primitives)
         self._write_animations(motions)
@@ -96,7 +98,8 @@ class _GltfWriter:
             if getattr(self._scene, attribute) is not None:
                 self.omissions.add(attribute.replace("_", " "), "scene")
         for custom in self._scene.shaders:
-            self.omissions.add("shaders of materials", custom.shader.__name__)
+            if custom.shader is not Brushed:
+                self.omissions.add("shaders of materials", custom.shader.__name__)
 
     def save(self, file: Path) -> None:
         """Write the file, and its buffer beside it unless it is a `.glb`."""
@@ -139,8 +142,8 @@ class _GltfWriter:
         return number
 
     def _write_images(self) -> None:
-        with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
-            for encoded in pool.map(_encode, self._scene.images):
+        with map_in_threads(_encode, self._scene.images) as images:
+            for encoded in images:
                 self._add("images", {"bufferView": self._view(encoded), "mimeType": "image/png"})
         for number, sampler in enumerate(self._scene.samplers):
             self._add("samplers", self._sampler(sampler, number))
@@ -179,7 +182,7 @@ class _GltfWriter:
             }
         return use
 
-    def _material(self, row: NDArray[Any]) -> dict[str, Any]:
+    def _material(self, row: NDArray[Any], index: int) -> dict[str, Any]:
         """Return a material; one of the specular model is a likeness, with its parameters in extras."""
         color = [float(value) for value in row["base_color"]]
         pbr: dict[str, Any] = {"baseColorFactor": color}
@@ -216,6 +219,16 @@ class _GltfWriter:
                 self._extensions.add("KHR_materials_emissive_strength")
                 strength_fields = {"emissiveStrength": float(strength)}
                 fields["extensions"] = {"KHR_materials_emissive_strength": strength_fields}
+        if row["shader"] and self._scene.shaders[row["shader"] - 1].shader is Brushed:
+            brushed = self._scene.parameters[row["shader"] - 1][index]
+            self._extensions.add("KHR_materials_anisotropy")
+            anisotropy: dict[str, Any] = {
+                "anisotropyStrength": float(brushed["anisotropy"]),
+                "anisotropyRotation": float(brushed["anisotropy_rotation"]),
+            }
+            if brushed["anisotropy_texture"] >= 0:
+                anisotropy["anisotropyTexture"] = self._texture(brushed["anisotropy_texture"])
+            fields.setdefault("extensions", {})["KHR_materials_anisotropy"] = anisotropy
         if image >= 0:
             fields["emissiveTexture"] = self._texture(image)
         if row["alpha_mode"] != AlphaMode.OPAQUE:

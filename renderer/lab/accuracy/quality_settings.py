@@ -69,6 +69,7 @@ class Requirement(Choice):
     DIVERGING_SIMULATIONS = "a simulation that depends on its history"
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
+    LEVELS_OF_DETAIL = "a mesh with levels of detail"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
     SHADOW_CASTING_HEIGHT_FIELDS = (
         "a height field that may cast shadows, and whose limit holds all of its triangles"
@@ -208,6 +209,7 @@ FAR_SHADOWS: Final = replace(
 )
 SORTED_BLENDING: Final = replace(RAY_TRACED, changes={"blending": Blending.SORTED})
 WIDE_BLOOM: Final = Reference("all scattered light, spread over 8 levels", {"bloom": BloomSettings(levels=8)})
+FULL_MESHES: Final = Reference("full meshes", {"detail_error": 0.0})
 FINEST_TESSELLATION: Final = replace(RAY_TRACED, changes={"tessellation.edge_pixels": 0.01})
 EVERY_FRAME_ANIMATED: Final = Reference("motion in each frame", {"animation_step": 0.0, "animation_lag": 0.0})
 DISTANCES: Final = Reference("the distances in float64")
@@ -646,6 +648,15 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             requirement=Requirement.FOCUS,
         ),
         _image_quality(
+            "detail_error",
+            "pixels by which levels of detail may be off",
+            "detail_error",
+            _same(8.0, 4.0, 2.0, 1.0, 0.5, 0.0),
+            "a bound: in the exam, edges move by a sixth of it",
+            reference=FULL_MESHES,
+            requirement=Requirement.LEVELS_OF_DETAIL,
+        ),
+        _image_quality(
             "depth",
             "direction of depth in 32-bit floats",
             "depth",
@@ -897,7 +908,6 @@ NOT_QUALITY_SETTINGS: Final[Mapping[str, str]] = {
     "technique.tiles.slices": "tiles end at the surfaces that they show",
     "technique.tiles.sphere_test": "as that of clusters, which is a quality setting",
     "visibility.emulated": "the same query results in another way",
-    "detail_error": "a bound in pixels by itself, and no built-in scene has meshes with levels",
     "shadows.split": "divides the same texels between near and far",
     "shadows.min_size": "maps that small are of lights that light a few pixels",
     "shadows.max_atlas_size": "a limit of memory, which shrinks maps beyond it",

@@ -378,6 +378,8 @@ def _name_missing_part(scene: Scene, setting: QualitySetting) -> str | None:
             has = sum(isinstance(simulated.simulation, ClothSimulation) for simulated in scene.simulated)
         case Requirement.FOUNTAINS:
             has = sum(isinstance(simulated.simulation, FountainSimulation) for simulated in scene.simulated)
+        case Requirement.LEVELS_OF_DETAIL:
+            has = len(scene.meshes.level_ranges)
         case Requirement.HEIGHT_FIELDS | Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
             has = sum(field.limit == field.count for field in scene.height_fields.values())
             if setting.requirement is Requirement.SHADOW_CASTING_HEIGHT_FIELDS:

@@ -17,6 +17,7 @@ import numpy as np
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, FountainSimulation, make_drops
 from renderer.content.material_shaders import Marble
+from renderer.content.shapes import bumpy_sphere
 from renderer.content.skies import paint_sky
 from renderer.frame import TemporalSettings
 from renderer.layers.overlay import Overlay
@@ -173,6 +174,13 @@ def _add_terrain(builder: SceneBuilder) -> int:
     material = builder.add_material(base_color=(0.34, 0.42, 0.24))
     node = builder.add_node(translation((0.0, 0.0, -1.0)))
     builder.add_objects(node, builder.add_height_field(make_height_field(heights, 16.0)), material)
+    return material
+
+
+def _add_levels(builder: SceneBuilder) -> int:
+    material = builder.add_material(base_color=(0.55, 0.36, 0.24))
+    node = builder.add_node(translation((-2.6, 0.4, 0.2)) @ np.diag([0.4, 0.4, 0.4, 1.0]))
+    builder.add_objects(node, builder.add_mesh(bumpy_sphere(16), levels=3), material)
     return material
 
 
@@ -418,6 +426,12 @@ EFFECT_STEPS: Final = (
         ),
         _add_terrain,
         modules=("renderer.tessellation",),
+    ),
+    EffectStep(
+        "levels",
+        "a ball with levels of detail",
+        add_to_scene=_add_levels,
+        modules=("renderer.visibility.detail", "renderer.frame.detail"),
     ),
     EffectStep(
         "fountain",

@@ -9,9 +9,11 @@ from typing import Any, Final
 
 from renderer import rules
 from renderer.lab.exam import (
+    anisotropy_cases,
     area_light_cases,
     crack_cases,
     deformation_cases,
+    detail_cases,
     encoding_cases,
     environment_cases,
     far_position_cases,
@@ -50,6 +52,8 @@ _CASE_MODULES: Final = (
     temporal_cases,
     environment_cases,
     area_light_cases,
+    anisotropy_cases,
+    detail_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

@@ -11,6 +11,7 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass
 from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.parts.clustered_passes import clustered_passes
 from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.geometry_buffer import (
     DEFAULT_NORMAL_BITS,
@@ -101,13 +102,16 @@ class LitByLists(LightListReader, GeometryResolve):
 def volume_passes(
     effects: FrameEffects, *, stencil: bool, light_bits: int, normal_bits: int
 ) -> tuple[FramePass[Frame], ...]:
-    """The passes that draw a geometry buffer, light it by volumes, and make the image.
+    """The passes that draw a geometry buffer, light it by volumes, and make the image; with anisotropic materials,
+    those of clustered forward shading.
 
     Args:
         stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
         light_bits: the bits of a channel of the light that is added up.
         normal_bits: those of each number of a normal.
     """
+    if effects.has_anisotropy:
+        return clustered_passes(effects)
     reads = geometry_buffer_names(effects)
     lights, last = declare_lights(
         effects, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits
@@ -129,7 +133,9 @@ def cluster_passes(
     effects: FrameEffects, samples: int = 1, normal_bits: int = DEFAULT_NORMAL_BITS
 ) -> tuple[FramePass[Frame], ...]:
     """The passes that draw a geometry buffer and light it by the light lists of clusters; without local
-    lights, by ambient and directional light alone."""
+    lights, by ambient and directional light alone. With anisotropic materials, those of clustered forward shading."""
+    if effects.has_anisotropy:
+        return clustered_passes(effects, samples=samples)
     reads, has_local_lights = (
         list_samples(samples, *geometry_buffer_names(effects)),
         bool(local_light_effects(effects)),

@@ -97,6 +97,7 @@ class TermShader(VolumeShader, SurfaceReader, AreaReflectingShader):
             shininess=self.shininess.load(pixel).x / _SHININESS_SCALE,
             occlusion=1.0,
             emissive=sl.vec3(1.0),
+            stretch=sl.vec3(0.0),
         )
         if self.has_areas:
             shape = self.source_shape(light)
@@ -194,6 +195,11 @@ def list_terms(effects: FrameEffects, *, packed: bool = False) -> list[str]:
     return ["diffuse", *([] if packed else ["specular"]), *grazing]
 
 
+def name_terms(terms: Sequence[str]) -> list[str]:
+    """Names of the resources that hold accumulated terms."""
+    return [f"{term} terms" for term in terms]
+
+
 def collect_terms(
     frame: Frame,
     *,
@@ -217,7 +223,8 @@ def collect_terms(
         shaders[len(targets)],
         targets,
         shader_bindings={name: frame.targets[f"{prefix}{name}"] for name in ("surface", "shininess")},
-        switches={"is_downscaled": bool(prefix)},
+        # Materials leave out what isn't drawn: where terms are packed, diffuse light is the hue of the specular.
+        switches={"is_downscaled": bool(prefix), "has_diffuse_light": True, "has_specular_light": True},
         depth=f"{prefix}depth",
         clears=clears,
         is_masked=stencil,

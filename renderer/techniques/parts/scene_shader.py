@@ -31,10 +31,12 @@ from renderer.shaders.lighting import (
 from renderer.shaders.materials import MaterialShader
 from renderer.shaders.metals import (
     ambient_light_metallic,
+    anisotropic_terms,
     encode_roughness,
     metallic_surface,
     metallic_terms,
     reflected_light_metallic,
+    stretch_surface,
 )
 from renderer.shaders.pixels import ViewRayShader
 from renderer.shaders.spheres import (
@@ -175,6 +177,11 @@ class ReflectingShader(ViewRayShader):
     lean = True
     has_metals = False
     has_both_models = False
+    has_diffuse_light = True
+    has_specular_light = True
+    """Whether this part of the light is drawn (`LightComponent`)."""
+    is_albedo = False
+    has_anisotropy = False
 
     def make_surface(
         self, position: sl.vec3, geometric_normal: sl.vec3, described: SurfaceParameters, material: Material
@@ -190,10 +197,23 @@ class ReflectingShader(ViewRayShader):
             shininess=material.shininess,
             occlusion=described.occlusion,
             emissive=described.emissive,
+            stretch=sl.vec3(0.0),
         )
-        if self.has_metals and (not self.has_both_models or material.model == _METALLIC):
+        if (
+            not self.is_albedo
+            and self.has_metals
+            and (not self.has_both_models or material.model == _METALLIC)
+        ):
             return metallic_surface(surface, described.metallic, described.roughness)
         return surface
+
+    def stretch(self, surface: SurfacePoint, at: SurfaceInput) -> SurfacePoint:
+        """A surface of an anisotropic material; those of the specular model stay as they are."""
+        return surface if surface.shininess > 0.0 else stretch_surface(surface, self.describe_anisotropy(at))
+
+    def describe_anisotropy(self, at: SurfaceInput) -> sl.vec3:
+        """See `MaterialShader.describe_anisotropy`, which replaces it."""
+        return sl.vec3(0.0)
 
     def surface_shininess(self, material: Material, roughness: float) -> float:
         """Shininess of a material with this roughness."""
@@ -205,11 +225,26 @@ class ReflectingShader(ViewRayShader):
         """Factors of base colour, specular colour and white for light from a unit direction in front of
         the surface."""
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
+            if self.has_anisotropy:
+                return anisotropic_terms(surface, to_light)
             return metallic_terms(surface, to_light)
         return sl.vec3(1.0, highlight(surface, to_light), 0.0)
 
+    def keep_component(self, terms: sl.vec3) -> sl.vec3:
+        """Those of `lighting_terms` that are drawn; the others become 0."""
+        return terms * (sl.vec3(1.0, 0.0, 0.0) if self.has_diffuse_light else sl.vec3(0.0, 1.0, 1.0))
+
     def reflect_light(self, surface: SurfacePoint, light: Incidence) -> sl.vec3:
         """Light that the surface reflects to the eye."""
+        if self.has_anisotropy or not (self.has_diffuse_light and self.has_specular_light):
+            facing = sl.dot(surface.normal, light.direction)
+            if facing <= 0.0:
+                return sl.vec3(0.0)
+            terms = self.lighting_terms(surface, light.direction)
+            if not (self.has_diffuse_light and self.has_specular_light):
+                terms = self.keep_component(terms)
+            color = surface.base_color * terms.x + surface.specular_color * terms.y + terms.z
+            return color * light.irradiance * facing
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
             return reflected_light_metallic(surface, light)
         return reflected_light(surface, light)
@@ -237,6 +272,8 @@ class ReflectingShader(ViewRayShader):
     def reflect_sphere(self, surface: SurfacePoint, light: Incidence, size: float) -> sl.vec3:
         """Light of a sphere that the surface reflects to the eye."""
         terms = self.sphere_lighting_terms(surface, light.direction, size)
+        if not (self.has_diffuse_light and self.has_specular_light):
+            terms = self.keep_component(terms)
         color = surface.base_color * terms.x + surface.specular_color * terms.y + terms.z
         return color * light.irradiance
 
@@ -276,6 +313,7 @@ class FinishShader(FogReader):
 class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentLight):
     """Shades a surface by ambient, emitted and directional light."""
 
+    has_ambient_light = True
     has_ambient_occlusion = False
 
     has_emission = False
@@ -291,7 +329,11 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
 
     def shade(self, surface: SurfacePoint, material: Material) -> sl.vec3:
         """Light of the surface without local lights."""
-        if self.has_environment:
+        if self.is_albedo:
+            return surface.base_color
+        if not self.has_ambient_light:
+            color = sl.vec3(0.0)
+        elif self.has_environment:
             color = self.reflect_environment(surface, material)
         else:
             color = self.reflect_ambient(surface, self.ambient, material)
@@ -338,6 +380,8 @@ class AreaReflectingShader(ReflectingShader, AreaLightReader):
         """Light of a rectangle or a tube that the surface reflects to the eye. `light` is that of a point in its
         middle."""
         terms = self.area_lighting_terms(surface, to_center, shape)
+        if not (self.has_diffuse_light and self.has_specular_light):
+            terms = self.keep_component(terms)
         color = surface.base_color * terms.x + surface.specular_color * terms.y + terms.z
         return color * (light.irradiance * sl.max(sl.dot(to_center, to_center), MIN_SQUARED_DISTANCE))
 
@@ -435,9 +479,12 @@ class SurfaceShader(SceneShader, ReflectingShader):
         """The surface that the fragment shows."""
         at = self.surface_input(v)
         described = self.evaluate(at)
-        return self.make_surface(
+        surface = self.make_surface(
             at.position, self.geometric_normal_of(at, described.normal), described, material
         )
+        if self.has_anisotropy:
+            surface = self.stretch(surface, at)
+        return surface
 
 
 class ForwardShader(SurfaceShader, LocalLightShader, ShadingShader):

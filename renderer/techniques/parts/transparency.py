@@ -69,6 +69,8 @@ class TransparentShader(ForwardShader):
         surface = self.make_surface(
             at.position, self.geometric_normal_of(at, described.normal), described, material
         )
+        if self.has_anisotropy:
+            surface = self.stretch(surface, at)
         opacity = sl.saturate(material.base_color.a * described.color.a)
         return sl.vec4(self.light_surface(surface, v, material).rgb, opacity)
 

@@ -23,6 +23,7 @@ from renderer.frame import (
     Frame,
     FrameEffects,
     FramePass,
+    LightComponent,
     Target,
     TechniqueDrawer,
 )
@@ -106,6 +107,7 @@ def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str
         is_own,
         is_parallel(frame.camera.projection),
         sizes,
+        effects.component,
     )
     return cached_shader_variant(bases, *facts, **fixed)
 
@@ -120,6 +122,7 @@ def cached_shader_variant(
     is_own: bool,
     parallel: bool,
     images: tuple[int, int, bool, float] | None,
+    component: LightComponent,
     /,
     **fixed: Any,
 ) -> type[Any]:
@@ -136,9 +139,11 @@ def cached_shader_variant(
         switches |= dict(
             zip(("image_arrays", "map_arrays", "has_table", "gradient_scale"), images, strict=True)
         )
+    else:
+        switches["map_arrays"] = 0
     needs_changes = images is not None and (images[2] or images[3] != 1.0)
     switches |= {"is_own": is_own, "has_gradients": is_own or needs_changes}
-    switches |= fixed
+    switches |= component.switches | fixed
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
     return combine(bases, tuple((name, switches[name]) for name in _list_switches(bases, tuple(switches))))
 

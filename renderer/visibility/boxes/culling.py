@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Indices
 from renderer.visibility.boxes.hierarchy import MAX_COORDINATE, Hierarchy
-from rhi.math.indexing import count_indices, repeat_each
+from rhi.math.indexing import count_indices, reduce_runs, repeat_each
 
 Bits = NDArray[np.uint8]
 """A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
@@ -291,7 +291,7 @@ class _Blocks:
 
 def _merge(bits: Bits, starts: Indices) -> Bits:
     """Return the `bitwise_or` of the rows from each start to the next, computed on eight bytes at a time."""
-    return np.bitwise_or.reduceat(bits.view(np.uint64), starts, axis=0).view(np.uint8)
+    return reduce_runs(np.bitwise_or, bits.view(np.uint64), starts).view(np.uint8)
 
 
 def _expand(first: Indices, end: Indices) -> Indices:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Indices
 from rhi.errors import refuse
-from rhi.math.indexing import repeat_each
+from rhi.math.indexing import reduce_runs, repeat_each
 
 MAX_COORDINATE: Final = 1e300
 """The largest allowed absolute coordinate of a box, so that distances to planes never overflow."""
@@ -197,7 +197,8 @@ class _SplitState:
         rank = np.arange(len(right)) - self.first[self.owner]
         right = np.where(has_split[self.owner], right, rank >= (self.count // 2)[self.owner])
         self._sort(self.order[np.argsort(2 * self.owner + right, kind="stable")])
-        return self.count - np.add.reduceat(right.astype(np.int64), self.first)
+        left: Indices = self.count - reduce_runs(np.add, right.astype(np.int64), self.first)
+        return left
 
     def _plane_costs(self, bin_of: Indices) -> Floats:
         """Return the costs (g, 15) of the planes between bins: the sum over both sides of area times count.
@@ -212,8 +213,8 @@ class _SplitState:
         filled[used] = np.diff(np.append(starts, len(cell)))
         lower: Floats = np.full((groups * _BINS, 3), np.inf)
         upper: Floats = np.full((groups * _BINS, 3), -np.inf)
-        lower[used] = np.minimum.reduceat(self.lower[order], starts)
-        upper[used] = np.maximum.reduceat(self.upper[order], starts)
+        lower[used] = reduce_runs(np.minimum, self.lower[order], starts)
+        upper[used] = reduce_runs(np.maximum, self.upper[order], starts)
         lower, upper = lower.reshape(groups, _BINS, 3), upper.reshape(groups, _BINS, 3)
         left = _areas(np.minimum.accumulate(lower, 1), np.maximum.accumulate(upper, 1))[:, :-1]
         right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[
@@ -224,7 +225,7 @@ class _SplitState:
         return np.where((before > 0) & (after > 0), left * before + right * after, np.inf)
 
     def _reduce(self, function: np.ufunc, values: Floats) -> Floats:
-        return np.asarray(function.reduceat(values, self.first))
+        return reduce_runs(function, values, self.first)
 
 
 def _areas(lower: Floats, upper: Floats) -> Floats:
@@ -286,8 +287,8 @@ def _node_bounds(
     leaves = np.flatnonzero(child < 0)
     leaves = leaves[np.argsort(first[leaves])]
     if len(leaves):
-        node_lower[leaves] = np.minimum.reduceat(lower, first[leaves])
-        node_upper[leaves] = np.maximum.reduceat(upper, first[leaves])
+        node_lower[leaves] = reduce_runs(np.minimum, lower, first[leaves])
+        node_upper[leaves] = reduce_runs(np.maximum, upper, first[leaves])
     for level in range(len(starts) - 2, -1, -1):
         inner = np.flatnonzero(child[starts[level] : starts[level + 1]] >= 0) + starts[level]
         left = child[inner]

@@ -19,6 +19,7 @@ from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.command_cache import CommandCache
 from renderer.visibility.gpu.draw_lists import IndirectDrawList, count_parts
+from renderer.visibility.gpu.level_choice import LevelChoice
 from renderer.visibility.gpu.occludees import ComputeOccludees, Occludees
 from renderer.visibility.scene_drawer import SceneDrawer
 from rhi import Device, Encoder, refuse
@@ -31,6 +32,7 @@ class DeviceCulling(ABC):
 
     Attributes:
         first, second: the lists of the latest frame.
+        level_choice: the levels of detail of the latest frame that had any; None if no mesh has any.
         has_instances: whether the visible objects of a mesh are instances of one draw.
     """
 
@@ -48,6 +50,9 @@ class DeviceCulling(ABC):
             IndirectDrawList(device, self._occludees, parts, has_instances=self.has_instances)
             for _ in range(2)
         )
+        self.level_choice = (
+            LevelChoice(device, len(scene.objects)) if len(scene.meshes.level_ranges) else None
+        )
         self._repeated = CommandCache(device, "culling")
 
     @staticmethod
@@ -63,21 +68,28 @@ class DeviceCulling(ABC):
         self._occludees.aim(camera, size)
         aim = self._aim(camera, size)
         direction = camera.projection.depth
-        key = (*scene_drawer.key, scene_drawer.arrays, scene_drawer.depth, direction, *aim)
+        arrays = scene_drawer.arrays
+        key = (*scene_drawer.key, arrays, scene_drawer.depth, direction, *aim)
         for draws in (self.first, self.second):
             draws.renew()
             scene_drawer.begin_list(draws)
 
+        levels = None if arrays.detail is None else self.level_choice
+        drawn_parts = None if levels is None else levels.drawn_parts
+
         def issue(encoder: Encoder) -> None:
             with encoder.event("likely"):
                 self._mark_likely(encoder, direction, scene_drawer)
+                if levels is not None:
+                    with encoder.event("choose levels"):
+                        levels.choose(encoder, arrays)
                 with encoder.event("list draws"):
-                    self.first.list_draws(encoder, scene_drawer.arrays)
+                    self.first.list_draws(encoder, arrays, drawn_parts)
             scene_drawer.draw_list(encoder, self.first, first=True)
             with encoder.event("missed"):
                 self._mark_missed(encoder, direction, scene_drawer)
                 with encoder.event("list draws"):
-                    self.second.list_draws(encoder, scene_drawer.arrays)
+                    self.second.list_draws(encoder, arrays, drawn_parts)
             scene_drawer.draw_list(encoder, self.second, first=False)
             with encoder.event("remember"):
                 self._remember(encoder, direction, scene_drawer)
@@ -115,3 +127,5 @@ class DeviceCulling(ABC):
         self._repeated.forget()
         for part in (self._occludees, self.first, self.second):
             part.destroy()
+        if self.level_choice is not None:
+            self.level_choice.destroy()

@@ -13,6 +13,8 @@ marked HIDDEN. The CPU sees neither: it draws both indirectly.
   list, and what is near the eye is mostly drawn first, for the benefit of early depth tests.
 - There are no atomics: each group counts and ranks the keys of its 64 sets in shared memory, one group computes the
   prefix sums, and each draw is written to its position.
+- An object whose mesh has levels of detail has an entry for the mesh and one for each level, in sets of their own. It
+  goes to the one that `LevelChoice` has chosen: so there is one draw for each level that any object is drawn as.
 - Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part of
   their own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
 """
@@ -35,6 +37,7 @@ from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occ
 from renderer.visibility.scene_drawer import SceneArrays
 from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback, StorageBuffer
 from rhi.errors.shared_caches import cache_once
+from rhi.math.indexing import repeat_each
 
 _BUCKETS: Final = 31
 """The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km,
@@ -76,13 +79,26 @@ class CountMarks(sl.Shader):
     def compute(self) -> None:
         index = sl.global_id().x
         if index < len(self.entries):
-            is_visible = self.marks[self.entries[index].object] == sl.uint(VISIBLE)
+            entry = self.entries[index]
+            is_visible = self.marks[entry.object] == sl.uint(VISIBLE) and self.is_drawn(entry)
             self.counts[index] = sl.uint(1) if is_visible else sl.uint(0)
             if index == 0:
                 self.counts[len(self.entries) + len(self.marks)] = sl.uint(0)
         if index < len(self.marks):
             is_hidden = self.marks[index] == sl.uint(HIDDEN)
             self.counts[len(self.entries) + index] = sl.uint(1) if is_hidden else sl.uint(0)
+
+    def is_drawn(self, entry: ListEntry) -> bool:
+        return True
+
+
+class CountLevels(CountMarks):
+    """Counts as `CountMarks` those entries that have the mesh part that their object is drawn as."""
+
+    drawn_parts: sl.Storage[int]
+
+    def is_drawn(self, entry: ListEntry) -> bool:
+        return self.drawn_parts[entry.object] == entry.mesh_part
 
 
 class WriteObjects(sl.Shader):
@@ -202,7 +218,7 @@ class WriteDraws(sl.Shader):
                 at = int(sorted_index - self.key_sums[number * self.buckets * groups]) + number * room
                 begin = self.set_begins[index]
                 first = self.sums[begin]
-                part = self.mesh_parts[self.entries[begin].mesh]
+                part = self.mesh_parts[self.entries[begin].mesh_part]
                 self.listed[at] = DrawArguments(
                     count=part.count,
                     instances=self.sums[self.set_begins[index + 1]] - first,
@@ -253,44 +269,67 @@ class IndirectDrawList:
         self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
+        self._has_instances = has_instances
         self._set_count = count  # of the last list
-        self._singles: StorageBuffer[sl.uint] | None = None  # the beginnings of sets of one object
-        if not has_instances:
-            begins = np.arange(count + 1, dtype=np.uint32)
-            self._singles = device.storage(sl.uint, begins, label="single objects")
-        self._counts = device.storage(sl.uint, 2 * count + 1, label="mark counts")
-        self._keys = device.storage(sl.uint, count, label="keys")
-        self._key_counts = device.storage(sl.uint, KEYS * occludees.groups, label="key counts")
+        self._make_counts(count)
         self._count_marks = device.program(CountMarks)
         self._add_counts = device.program(PrefixSum)
         self._write_objects = device.program(WriteObjects)
         self._count_keys: Program[...] = device.program(with_parts(CountKeys, parts))
         self._write_draws: Program[...] = device.program(with_parts(WriteDraws, parts))
 
+    def _make_counts(self, entries: int) -> None:
+        """Create what is counted and ranked of so many entries."""
+        device = self._device
+        self._entries = entries
+        self._singles: StorageBuffer[sl.uint] | None = None  # the beginnings of sets of one object
+        if not self._has_instances:
+            begins = np.arange(entries + 1, dtype=np.uint32)
+            self._singles = device.storage(sl.uint, begins, label="single objects")
+        self._counts = device.storage(sl.uint, entries + self._occludees.count + 1, label="mark counts")
+        self._keys = device.storage(sl.uint, entries, label="keys")
+        self._key_counts = device.storage(sl.uint, KEYS * -(-entries // GROUP), label="key counts")
+
+    def _destroy_counts(self) -> None:
+        for resource in (self._counts, self._keys, self._key_counts, self._singles):
+            if resource is not None:
+                resource.destroy()
+
     def renew(self) -> None:
         """Begin another list: what was read of the one before is out of date."""
         self.generation += 1
 
-    def list_draws(self, encoder: Encoder, arrays: SceneArrays) -> None:
+    def list_draws(
+        self, encoder: Encoder, arrays: SceneArrays, drawn_parts: StorageBuffer[int] | None = None
+    ) -> None:
         """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the indices of those marked
-        HIDDEN."""
+        HIDDEN. Objects are drawn as `drawn_parts` (n,), or as their meshes without."""
         occludees = self._occludees
+        if arrays.list_entries.count != self._entries:  # levels of detail, or other meshes with others
+            self._destroy_counts()
+            self._make_counts(arrays.list_entries.count)
+        groups = -(-self._entries // GROUP)
+        count_marks: Program[...] = self._count_marks
+        levels = {}
+        if drawn_parts is not None:
+            count_marks, levels = self._device.program(CountLevels), {"drawn_parts": drawn_parts}
         set_begins = arrays.set_begins if self._singles is None else self._singles
         self._set_count = set_begins.count - 1
         set_groups = -(-self._set_count // GROUP)
         if not self._device.capabilities.indirect_count:
             clear(encoder, self.draws)  # all are drawn then; those that aren't listed have no instance
         encoder.dispatch(
-            self._count_marks,
-            occludees.groups,
+            count_marks,
+            groups,
             entries=arrays.list_entries,
             marks=occludees.marks,
             counts=self._counts,
+            **levels,
         )
         encoder.dispatch(self._add_counts, 1, counts=self._counts)
         encoder.dispatch(
             self._write_objects,
-            occludees.groups,
+            groups,
             entries=arrays.list_entries,
             objects=arrays.objects,
             object_positions=arrays.object_positions,
@@ -330,7 +369,7 @@ class IndirectDrawList:
         counted = self._device.capabilities.indirect_count
         return IndirectDraws(
             self.draws,
-            self._set_count,
+            min(self._set_count, self._occludees.count),
             offset=part * self._occludees.count * DRAW.itemsize,
             count=self.totals if counted else None,
             count_offset=4 * part if counted else 0,
@@ -370,27 +409,32 @@ class IndirectDrawList:
             self.object_positions,
             self.hidden,
             self.box_draw,
-            self._counts,
-            self._keys,
-            self._key_counts,
         ):
             resource.destroy()
-        if self._singles is not None:
-            self._singles.destroy()
+        self._destroy_counts()
 
 
 def make_instance_sets(
-    meshes: NDArray[np.int32], groups: NDArray[np.int32]
+    meshes: NDArray[np.int32], groups: NDArray[np.int32], level_begins: NDArray[np.int64] | None = None
 ) -> tuple[NDArray[Any], NDArray[np.uint32]]:
-    """Return the entries (n,) of a scene's lists, as `ListEntry`, and where in them each instance set begins and
-    the last one ends, (sets + 1,).
+    """Return the entries of a scene's lists, as `ListEntry`, and where in them each instance set begins and the last
+    one ends, (sets + 1,). There is an entry for each object, and one for each level of detail of its mesh.
 
     Args:
         meshes: the mesh (n,) of each object.
         groups: the number (n,) of the program and states that draw each object.
+        level_begins: where the levels of each mesh begin among all (`Meshes.level_begins`); None without levels.
     """
-    order = np.lexsort((meshes, groups))
+    objects, parts = np.arange(len(meshes)), meshes.astype(np.int64)
+    if level_begins is not None and level_begins[-1]:
+        counts = 1 + np.diff(level_begins)[meshes]
+        objects = repeat_each(objects, counts)
+        level = np.arange(len(objects)) - repeat_each(np.cumsum(counts) - counts, counts)
+        first = len(level_begins) - 2 + level_begins[meshes[objects]]
+        parts = np.where(level > 0, first + level, meshes[objects])
+    order = np.lexsort((parts, meshes[objects], groups[objects]))
+    objects, parts = objects[order], parts[order]
     entries = np.zeros(len(order), ListEntry.dtype)
-    entries["object"], entries["mesh"] = order, meshes[order]
-    is_first = np.diff(meshes[order], prepend=-1) | np.diff(groups[order], prepend=-1)
+    entries["object"], entries["mesh_part"] = objects, parts
+    is_first = np.diff(parts, prepend=-1) | np.diff(groups[objects], prepend=-1)
     return entries, np.append(np.flatnonzero(is_first), len(order)).astype(np.uint32)

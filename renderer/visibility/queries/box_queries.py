@@ -102,7 +102,9 @@ class BoxQueries:
             self._make_buffers(len(box_indices) + len(box_indices) // 2)
             for buffer in old:
                 buffer.destroy()
-        self._box_indices = box_indices
+        self._box_indices = np.asarray(
+            box_indices, np.intp
+        )  # `take` refuses others where pointers have 32 bits
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
         # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each
         # field.

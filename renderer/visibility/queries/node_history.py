@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from renderer.visibility.boxes.forest import Forest
+from rhi.math.indexing import reduce_runs
 
 NEVER: Final = -2
 """A frame number for "not visited yet": it is less than that of any last frame."""
@@ -64,7 +65,8 @@ class NodeHistory:
 
         def reduce(function: np.ufunc, values: np.ndarray) -> list[int]:
             ends = np.stack([first, first + count], axis=1).reshape(-1)
-            reduced: list[int] = function.reduceat(np.append(values[object_positions], 0), ends)[::2].tolist()
+            results = reduce_runs(function, np.append(values[object_positions], 0), ends)
+            reduced: list[int] = results[::2].tolist()
             return reduced
 
         self.visible[forest.moving] = bytes(reduce(np.maximum, was_visible))

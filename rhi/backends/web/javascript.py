@@ -9,30 +9,12 @@ from __future__ import annotations
 from typing import Final
 
 FUNCTIONS: Final = """({
-set_pipeline: (pass, pipeline) => pass.setPipeline(pipeline),
-set_bind_group: (pass, index, group, count, offsets) =>
-  count ? pass.setBindGroup(index, group, offsets, 0, count) : pass.setBindGroup(index, group),
-set_vertex_buffer: (pass, slot, buffer, offset, size) => pass.setVertexBuffer(slot, buffer, offset, size),
-set_index_buffer: (pass, buffer, format, offset, size) => pass.setIndexBuffer(buffer, format, offset, size),
-draw: (pass, count, instances, first, base) => pass.draw(count, instances, first, base),
-draw_indexed: (pass, count, instances, first, vertex, base) =>
-  pass.drawIndexed(count, instances, first, vertex, base),
-multi_draw_indirect: (pass, buffer, offset, draws) => {
-  for (let i = 0; i < draws; i++) pass.drawIndirect(buffer, offset + 16 * i);
-},
-multi_draw_indexed_indirect: (pass, buffer, offset, draws) => {
-  for (let i = 0; i < draws; i++) pass.drawIndexedIndirect(buffer, offset + 20 * i);
-},
-set_viewport: (pass, x, y, width, height, near, far) => pass.setViewport(x, y, width, height, near, far),
-set_scissor_rect: (pass, x, y, width, height) => pass.setScissorRect(x, y, width, height),
-set_stencil_reference: (pass, reference) => pass.setStencilReference(reference),
-set_blend_constant: (pass, r, g, b, a) => pass.setBlendConstant([r, g, b, a]),
-begin_occlusion_query: (pass, slot) => pass.beginOcclusionQuery(slot),
-end_occlusion_query: (pass) => pass.endOcclusionQuery(),
+set_compute_pipeline: (pass, pipeline) => pass.setPipeline(pipeline),
+set_compute_bind_group: (pass, index, group, ...offsets) => pass.setBindGroup(index, group, offsets),
 dispatch_workgroups: (pass, x, y, z) => pass.dispatchWorkgroups(x, y, z),
 dispatch_workgroups_indirect: (pass, buffer, offset) => pass.dispatchWorkgroupsIndirect(buffer, offset),
-begin_render_pass: (encoder, description) => encoder.beginRenderPass(description),
-end_render_pass: (pass) => pass.end(),
+write_timestamp: (encoder, querySet, beginningOfPassWriteIndex) =>
+  encoder.beginComputePass({timestampWrites: {querySet, beginningOfPassWriteIndex}}).end(),
 describe_render_pass: (colors, depth, occlusionQuerySet) => {
   const description = {colorAttachments: [], occlusionQuerySet};
   for (let i = 0; i < colors.length; i += 8) {
@@ -55,7 +37,6 @@ describe_render_pass: (colors, depth, occlusionQuerySet) => {
   return description;
 },
 array: (...values) => values,
-offset_array: (count) => new Uint32Array(count),
 bytes_of: (data) => {
   const view = data.getBuffer("u8");
   try { return view.data.slice(); } finally { view.release(); }

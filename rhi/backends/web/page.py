@@ -14,8 +14,10 @@ import js
 from pyodide.code import run_js
 from pyodide.ffi import JsException, can_run_sync, run_sync, to_js
 
+from rhi.backends.web import pass_commands
 from rhi.backends.web.javascript import FUNCTIONS
 from rhi.backends.web.js_objects import WebObject
+from rhi.backends.web.pass_commands import REPLAY, PassCommands
 from rhi.backends.webgpu.implementation import (
     ColorTarget,
     DepthTarget,
@@ -28,12 +30,14 @@ from rhi.backends.webgpu.implementation import (
 from rhi.backends.webgpu.javascript_names import to_camel_case
 from rhi.backends.webgpu.webgpu_limits import CORE_LIMITS
 from rhi.contract.formats import IndexFormat
+from rhi.contract.interrupts import DeferredInterrupts
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER, DEVICE_WAIT
 
 GpuError.register(JsException)
 
 _CALL: Final = "rhi.create_device('web')"
+_TIMESTAMPS: Final = "timestamp-query"
 _USED: Final = (
     "depth32float-stencil8",
     "float32-blendable",
@@ -41,6 +45,7 @@ _USED: Final = (
     "indirect-first-instance",
     "rg11b10ufloat-renderable",
     "texture-compression-bc",
+    _TIMESTAMPS,
 )
 """Features to request, if the adapter has them."""
 _TIP: Final = 'await request_device() of rhi.backends.web, and pass it: rhi.create_device("web", device=…)'
@@ -138,10 +143,12 @@ def open_host(page: WebPage, device: Any = None) -> Host:
     name = names["description"] or " ".join(filter(None, (names["vendor"], names["architecture"])))
     description = " ".join(filter(None, (names["vendor"], names["architecture"], names["device"])))
     limits = {limit: int(getattr(device.limits, _spell_limit(limit))) for limit in CORE_LIMITS}
-    features = frozenset(feature for feature in _USED if page.functions.has(device.features, feature))
+    features = {feature for feature in _USED if page.functions.has(device.features, feature)}
+    if _TIMESTAMPS in features:
+        features.add("timestamp-query-inside-encoders")  # by `WebPage.write_timestamp`
     page.state = page.functions.watch(device)
     host_info = {"device": name or "WebGPU", "description": description, "backend_type": "WebGPU"}
-    return Host(WebDevice(device, page), host_info, features, limits)
+    return Host(WebDevice(device, page), host_info, frozenset(features), limits)
 
 
 def _spell_limit(name: str) -> str:
@@ -196,43 +203,61 @@ class WebPage:
     """The functions of a page; `rhi.backends.webgpu.implementation.Implementation`."""
 
     name = "web"
-    index_formats: Mapping[IndexFormat, Any] = {IndexFormat.UINT16: "uint16", IndexFormat.UINT32: "uint32"}
-    no_offsets = None
+    index_formats: Mapping[IndexFormat, Any] = {IndexFormat.UINT16: 0, IndexFormat.UINT32: 1}
+    no_offsets = ()
     maps_early = True
 
     release_render_pass: Callable[[Handle], object]
+    end_render_pass: Callable[[Handle], object]
+    set_compute_bind_group: Callable[[Handle, int, Handle, int, Any], object]
     multi_draw_indexed_indirect_count: Callable[[Handle, Handle, int, Handle, int, int], object]
-    write_timestamp: Callable[[Handle, Handle, int], object]
     write_pass_timestamp: Callable[[Handle, Handle, int], object]
 
     def __init__(self) -> None:
         functions = self.functions = get_functions()
         self.state: Any = None
         self.version = str(getattr(getattr(js, "navigator", None), "userAgent", "") or "a page")
-        self.set_pipeline = self.set_compute_pipeline = functions.set_pipeline
-        self.set_bind_group = self.set_compute_bind_group = functions.set_bind_group
-        self.set_vertex_buffer = functions.set_vertex_buffer
-        self.set_index_buffer = functions.set_index_buffer
-        self.draw = functions.draw
-        self.draw_indexed = functions.draw_indexed
-        self.multi_draw_indirect = functions.multi_draw_indirect
-        self.multi_draw_indexed_indirect = functions.multi_draw_indexed_indirect
-        self.set_viewport = functions.set_viewport
-        self.set_scissor_rect = functions.set_scissor_rect
-        self.set_stencil_reference = functions.set_stencil_reference
-        self.begin_occlusion_query = functions.begin_occlusion_query
-        self.end_occlusion_query = functions.end_occlusion_query
+        self._replay = run_js(REPLAY)
+        commands: Any = pass_commands
+        self.set_pipeline = commands.set_pipeline
+        self.set_bind_group = commands.set_bind_group
+        self.set_vertex_buffer = commands.set_vertex_buffer
+        self.set_index_buffer = commands.set_index_buffer
+        self.draw = commands.draw
+        self.draw_indexed = commands.draw_indexed
+        self.multi_draw_indirect = commands.multi_draw_indirect
+        self.multi_draw_indexed_indirect = commands.multi_draw_indexed_indirect
+        self.set_viewport = commands.set_viewport
+        self.set_scissor_rect = commands.set_scissor_rect
+        self.set_stencil_reference = commands.set_stencil_reference
+        self.set_blend_constant = commands.set_blend_constant
+        self.begin_occlusion_query = commands.begin_occlusion_query
+        self.end_occlusion_query = commands.end_occlusion_query
+        self.begin_render_pass = commands.PassCommands
+        self.end_render_pass = self._end_render_pass
+        self.release_render_pass = _leave_to_collector
+        self.set_compute_bind_group = self._set_compute_bind_group
+        self.multi_draw_indexed_indirect_count = _refuse_absent
+        self.write_pass_timestamp = _refuse_absent
+        self.set_compute_pipeline = functions.set_compute_pipeline
         self.dispatch_workgroups = functions.dispatch_workgroups
         self.dispatch_workgroups_indirect = functions.dispatch_workgroups_indirect
-        self.begin_render_pass = functions.begin_render_pass
-        self.end_render_pass = functions.end_render_pass
-        self.release_render_pass = _leave_to_collector
-        self.multi_draw_indexed_indirect_count = _refuse_absent
-        self.write_timestamp = self.write_pass_timestamp = _refuse_absent
+        self.write_timestamp = functions.write_timestamp
 
-    def set_blend_constant(self, render: Handle, color: tuple[float, float, float, float]) -> None:
-        """Set the blend constant of a pass."""
-        self.functions.set_blend_constant(render, *color)
+    def _set_compute_bind_group(
+        self, compute: Handle, index: int, group: Handle, count: int, offsets: Sequence[int]
+    ) -> None:
+        """Bind a group of a compute pass."""
+        self.functions.set_compute_bind_group(compute, index, group, *offsets)
+
+    def _end_render_pass(self, render: PassCommands) -> None:
+        """Begin a pass of the page, make its calls, and end it."""
+        with DeferredInterrupts():
+            self._replay(render.encoder, render.description, render, *render.objects)
+
+    def pack_draw(self, indexed: bool, count: int, first: int, base_vertex: int, base_instance: int) -> bytes:
+        """Return the record of a draw of one instance."""
+        return pass_commands.pack_draw(indexed, count, first, base_vertex, base_instance)
 
     def describe_render_pass(
         self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
@@ -254,9 +279,9 @@ class WebPage:
             )
         return functions.describe_render_pass(functions.array(*parts), target, query_set)
 
-    def offset_array(self, count: int) -> Any:
+    def offset_array(self, count: int) -> list[int]:
         """Return an array of this many dynamic offsets."""
-        return self.functions.offset_array(max(1, count))
+        return [0] * count
 
     def create_fence(self, device: GpuObject) -> PageFence:
         """Return the fence of a device."""

@@ -239,12 +239,15 @@ class CallRecorder:
             self.call(render.number, method, buffer, offset + stride * draw)
 
     def _set_bind_group(self, target: Handle, index: int, group: Handle, count: int, offsets: Any) -> None:
-        arguments = [[int(offset) for offset in offsets[:count]]] if count else []
+        arguments = [[int(offset) for offset in offsets]] if count else []
         self.call(target.number, "setBindGroup", index, group, *arguments)
 
     def set_blend_constant(self, render: Handle, color: tuple[float, float, float, float]) -> None:
         """Set the blend constant of a pass."""
         self.call(render.number, "setBlendConstant", list(color))
+
+    def pack_draw(self, indexed: bool, count: int, first: int, base_vertex: int, base_instance: int) -> None:
+        """Return None: calls are made at once."""
 
     def describe_render_pass(
         self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
@@ -282,7 +285,7 @@ class CallRecorder:
 
     def offset_array(self, count: int) -> list[int]:
         """Return an array of this many dynamic offsets."""
-        return [0] * max(1, count)
+        return [0] * count
 
     def create_fence(self, device: GpuObject) -> RecordedFence:
         """Return the fence of a device."""

@@ -199,13 +199,19 @@ class Implementation(Protocol):
     def set_blend_constant(self, render: Handle, color: tuple[float, float, float, float]) -> None:
         """Set the blend constant of a pass."""
 
+    def pack_draw(
+        self, indexed: bool, count: int, first: int, base_vertex: int, base_instance: int
+    ) -> bytes | None:
+        """Return the bytes of a draw of one instance, which are added to a pass's handle instead of a call of
+        `draw` or `draw_indexed`; None if calls are made at once."""
+
     def describe_render_pass(
         self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
     ) -> Any:
         """Return the description of a render pass, for `begin_render_pass`."""
 
     def offset_array(self, count: int) -> Any:
-        """Return an array of this many dynamic offsets."""
+        """Return an array of this many dynamic offsets, which a slice can be assigned to."""
 
     def create_fence(self, device: GpuObject) -> Fence:
         """Return the fence of a device."""

@@ -24,7 +24,6 @@ from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT
 
 MAX_GROUPS: Final = 8192
-_MAX_OFFSETS: Final = 33
 
 BindGroup = Callable[[Handle, int, Handle, int, Handle], object]
 """A function that binds a group: (pass, index, group, number of offsets, offsets)."""
@@ -61,8 +60,8 @@ class BoundResources:
         self._users: dict[Id, set[tuple[object, ...]]] = {}
         implementation = stream.implementation
         self._no_offsets = implementation.no_offsets
-        self._offset_arrays = [implementation.offset_array(count) for count in range(_MAX_OFFSETS)]
-        self._uniform_group: GpuObject | None = None
+        self.uniform_group: Handle = None
+        self._uniform_object: GpuObject | None = None
 
     # -- slots -------------------------------------------------------------------------------------------
 
@@ -155,7 +154,8 @@ class BoundResources:
         dirty = self.dirty
         if program.groups and (dirty[0] or self.moved):
             if dirty[0]:
-                self._uniform_group = self._get_group(program, layout, 0)
+                self._uniform_object = self._get_group(program, layout, 0)
+                self.uniform_group = self._uniform_object._internal
                 dirty[0] = False
             self.move(program, bind, encoder)
         for index in range(1, program.groups):
@@ -166,12 +166,9 @@ class BoundResources:
 
     def move(self, program: GpuProgram, bind: BindGroup, encoder: Handle) -> None:
         """Bind the group of uniforms with the current offsets."""
-        slots, offsets = program.uniforms, self.offsets
-        count = len(slots)
-        array = self._offset_arrays[count]
-        for number, slot in enumerate(slots):
-            array[number] = offsets[slot]
-        bind(encoder, 0, self._uniform_group._internal, count, array)  # type: ignore[union-attr]
+        array, count = program.offset_array, len(program.uniforms)
+        array[0:count] = program.select_offsets(self.offsets)
+        bind(encoder, 0, self.uniform_group, count, array)
         self.moved = False
 
     def copied(self, program: GpuProgram) -> dict[int, GpuObject]:

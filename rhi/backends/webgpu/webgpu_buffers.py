@@ -152,9 +152,13 @@ class Buffers:
     # -- writes ------------------------------------------------------------------------------------------
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
-        target, view = self.objects[buffer], memoryview(data)
-        size = view.nbytes
+        target = self.objects[buffer]
         target.version += 1
+        if data.__class__ is bytes and data and target.shadow is not None and not target.device_wrote:
+            self._write_shadow(target, offset, data)  # the usual case: constants
+            return
+        view = memoryview(data)
+        size = view.nbytes
         if not size:
             return
         if target.device_wrote:
@@ -179,11 +183,12 @@ class Buffers:
         with translate_errors("write_buffer"):
             self._write_queue(self._device, target.handle, offset, bytes_, 0, size)
 
-    def _write_shadow(self, target: GpuBuffer, offset: int, view: memoryview) -> None:
+    def _write_shadow(self, target: GpuBuffer, offset: int, view: memoryview | bytes) -> None:
         assert target.shadow is not None
         end, dirty = offset + len(view), target.dirty
         if dirty and dirty[-1][0] <= offset <= dirty[-1][1] + _GAP:
-            dirty[-1][1] = max(end, dirty[-1][1])
+            if end > dirty[-1][1]:
+                dirty[-1][1] = end
         else:
             self._dirty[id(target)] = target
             dirty.append([offset, end])

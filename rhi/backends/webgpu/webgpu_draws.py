@@ -213,12 +213,15 @@ class Draws:
         return render
 
     def _bind_array(self, render: Handle, array: GpuVertexArray) -> None:
-        descriptor, use = array.descriptor, self._buffers.use
+        descriptor, buffers, serial = array.descriptor, self._buffers.objects, self._stream.serial
+        set_vertices = self._set_vertices
         for number, stream in enumerate(descriptor.streams):
-            buffer = use(stream.buffer)
-            self._set_vertices(render, number, buffer.handle, stream.offset, buffer.size - stream.offset)
+            buffer = buffers[stream.buffer]
+            buffer.serial = serial
+            set_vertices(render, number, buffer.handle, stream.offset, buffer.size - stream.offset)
         if array.indexed:
-            buffer = use(descriptor.index_buffer)
+            buffer = buffers[descriptor.index_buffer]
+            buffer.serial = serial
             self._set_indices(
                 render, buffer.handle, self._index_formats[descriptor.index_format], 0, buffer.size
             )
@@ -279,27 +282,32 @@ class Draws:
         states = self._states
         bindings = self._bindings
         key, alike = (vertex_array, primitive), (array.key, primitive, array.restarts)
-        move = bindings.move
+        select_offsets, offset_array = program.select_offsets, program.offset_array
+        uniform_count = len(program.uniforms)
+        offset_slice = slice(0, uniform_count)
         bind_array = self._bind_array
         ready = self.ready
         set_group = self._set_group
         draw_vertices, draw_indices = self._draw_vertices, self._draw_indices
+        record = self._implementation.pack_draw(indexed, count, first, base_vertex, base_instance)
 
         def quick(instances: int) -> None:
             render = stream.render
             if render is None or states.changed or states.moved or bindings.changed or self._alone:
                 render = ready(vertex_array, primitive)
-            elif self._current != key:
+            elif self._current is not key and self._current != key:
                 if self._alike == alike and not bindings.retextured:
                     bind_array(render, array)
                     self._current = key
-                    if bindings.moved:
-                        move(program, set_group, render)
                 else:
                     render = ready(vertex_array, primitive)
-            elif bindings.moved:
-                move(program, set_group, render)
-            if indexed:
+            if bindings.moved:  # as `BoundResources.move` does, without its frame
+                offset_array[offset_slice] = select_offsets(bindings.offsets)
+                set_group(render, 0, bindings.uniform_group, uniform_count, offset_array)
+                bindings.moved = False
+            if record is not None and instances == 1 and not (array.may_restart and lists):
+                render += record
+            elif indexed:
                 if array.may_restart and lists:
                     draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
                 else:

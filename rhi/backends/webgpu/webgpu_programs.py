@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from operator import itemgetter
 from typing import Any, Final
 
 from rhi.backends.webgpu.implementation import GpuObject, Implementation, ModuleError
@@ -36,6 +38,16 @@ _FAULTY: Final = 3
 _ACCESS: Final = {"read": "read-only", "write": "write-only", "read_write": "read-write"}
 
 
+def _make_selection(slots: tuple[int, ...]) -> Callable[[Mapping[int, int]], tuple[int, ...]]:
+    """Return a function that selects the values of slots, in C where there are several."""
+    if len(slots) > 1:
+        return itemgetter(*slots)
+    if not slots:
+        return lambda values: ()
+    (slot,) = slots
+    return lambda values: (values[slot],)
+
+
 class PipelineLayout:
     """The layout of a program for one set of slots whose textures aren't filtered."""
 
@@ -58,6 +70,8 @@ class GpuProgram:
         pipelines: its cached pipelines.
         tests_alpha: whether its fragment stage outputs an alpha for the alpha test.
         pads: the bindings of its pads, by the stages that count them.
+        select_offsets: returns the offsets of its uniforms, in order, from those of all slots.
+        offset_array: an array for them.
     """
 
     def __init__(
@@ -88,6 +102,8 @@ class GpuProgram:
             kind: tuple(sorted(b.slot for b in descriptor.bindings if b.kind is kind)) for kind in BindingKind
         }
         self.uniforms, self.storages = slots[BindingKind.UNIFORM], slots[BindingKind.STORAGE]
+        self.select_offsets = _make_selection(self.uniforms)
+        self.offset_array = implementation.offset_array(len(self.uniforms))
         self.textures, self.images = slots[BindingKind.TEXTURE], slots[BindingKind.IMAGE]
         self.groups = (
             4 if self.images else 3 if self.textures else 2 if self.storages else 1 if self.uniforms else 0

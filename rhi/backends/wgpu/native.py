@@ -351,6 +351,9 @@ class WgpuNative:
         """Set the blend constant of a pass."""
         lib.wgpuRenderPassEncoderSetBlendConstant(render, ffi.new("WGPUColor *", color))
 
+    def pack_draw(self, indexed: bool, count: int, first: int, base_vertex: int, base_instance: int) -> None:
+        """Return None: calls are made at once."""
+
     def describe_render_pass(
         self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
     ) -> Any:

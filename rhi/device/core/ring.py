@@ -84,7 +84,13 @@ class Ring:
         Raises:
             ValidationError: `transient-size` if the frame needs more than the ring's limit.
         """
-        offset = self.allocate(size, alignment)
+        capacity, offset = self.capacity, self._head & (self.capacity - 1)
+        offset += -offset % alignment
+        end = (self._head & -capacity) + offset + size
+        if offset + size <= capacity and end - self._tail <= capacity and self.buffer:
+            self._head = end  # as `allocate` does, without its two frames
+        else:
+            offset = self.allocate(size, alignment)
         self._backend.write_buffer(self.buffer, offset, data)
         return offset
 

@@ -37,11 +37,12 @@ class UniformRing:
         memory: the ring or arena that the blocks lie in.
     """
 
-    __slots__ = ("_core", "_owner", "_owner_generation", "memory")
+    __slots__ = ("_alignment", "_core", "_owner", "_owner_generation", "memory")
 
     def __init__(self, core: Core, memory: Ring | Arena) -> None:
         self.memory: Final = memory
         self._core = core
+        self._alignment = core.capabilities.uniform_alignment
         self._owner: TransientOwner | None = None
         self._owner_generation = 0
 
@@ -51,11 +52,29 @@ class UniformRing:
         core, memory = self._core, self.memory
         size = len(data)
         core.upload_bytes += size
-        offset = memory.write(data, size, core.capabilities.uniform_alignment)
+        offset = memory.write(data, size, self._alignment)
         owner = self._owner
         if owner is None or memory.generation != self._owner_generation:
-            # The ring has moved to a larger buffer. Ranges of the old buffer stay valid for this frame.
-            # The new owner makes draws bind the new buffer.
-            owner = self._owner = TransientOwner(core, "transient constants", memory.buffer)
-            self._owner_generation = memory.generation
+            owner = self._renew_owner()
         return UniformRange(memory.buffer, offset, size, type, owner)
+
+    def bind(self, slot: int, data: bytes) -> None:
+        """Write the bytes of a uniform block and bind them, as with the range that `push` returns."""
+        memory = self.memory
+        size = len(data)
+        self._core.upload_bytes += size
+        offset = memory.write(data, size, self._alignment)
+        owner = self._owner
+        if owner is None or memory.generation != self._owner_generation:
+            owner = self._renew_owner()
+        owner.bind_uniform(slot, offset, size)
+
+    def _renew_owner(self) -> TransientOwner:
+        """Return a new owner: the ring has moved to a larger buffer.
+
+        Ranges of the old buffer stay valid for this frame. The new owner makes draws bind the new buffer.
+        """
+        memory = self.memory
+        owner = self._owner = TransientOwner(self._core, "transient constants", memory.buffer)
+        self._owner_generation = memory.generation
+        return owner

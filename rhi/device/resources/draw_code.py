@@ -14,7 +14,7 @@
   recording.
 - A uniform binding takes a value as well as a range. The class of the last range is kept, so that one
   comparison tells a range from a value. The checks pack a value into bytes. Once nothing is refused any more,
-  `UniformRing.push` writes the bytes, and their range is bound.
+  `UniformRing.bind` writes and binds the bytes; a command buffer binds their range.
 - `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the
   dictionary that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
 """
@@ -29,6 +29,7 @@ from typing import Any, Final
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import ValidationError
 from rhi.errors.named_tuples import NamedTuple
+from rhi.shading import Struct
 
 MISSING: Final = object()
 """The value of a binding that was not given."""
@@ -99,6 +100,7 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
             core.states,
             program,
             program.uniforms.push,
+            program.uniforms.bind,
             types,
             MISSING,
             object(),
@@ -116,7 +118,7 @@ def _write_source(
     """
     cells = [f"_{kind}_{i}" for kind in ("bound", "owner", "class") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings if not binding.table)
-    yield "def make(_core, _backend, _states, _program, _push, _types, _missing, _unbound, _refusal, _one=1):"
+    yield "def make(_core, _backend, _states, _program, _push, _bind, _types, _missing, _unbound, _refusal, _one=1):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len, _type = len, type  # a binding may have that name"
     if any(binding.table for binding in bindings):
@@ -231,6 +233,11 @@ def _write_bind(
             yield f"                    if {differs.removeprefix(' and ')}:"
             yield f"                        _program.check({i}, {name})"
             yield f"                        _owner_{i} = {name}.owner"
+            if isinstance(binding.type, type) and issubclass(
+                binding.type, Struct
+            ):  # as `take_uniform` does, without its two frames
+                yield f"                elif _type({name}) is _type_{i}:"
+                yield f"                    _data_{i} = {name}.to_bytes()"
             yield "                else:"
             yield f"                    _data_{i} = _program.take_uniform({i}, {name})"
             yield f"                    if _data_{i} is None:"
@@ -250,11 +257,22 @@ def _write_bind(
     yield "        try:"
     yield "            if _fresh:"
     yield "                _program.make_current()"
+    yield from _write_applications(bindings, recorded)
+
+
+def _write_applications(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
+    """Yield the lines that bind what changed, once nothing is refused any more."""
     for i, binding in enumerate(bindings):
-        yield f"            if {binding.name} is not _bound_{i}:"
-        if binding.kind is BindingKind.UNIFORM:
-            yield f"                if _data_{i} is not None:"
-            yield f"                    {binding.name} = _push(_data_{i}, _type_{i})"
+        condition = "if"
+        if binding.kind is BindingKind.UNIFORM and recorded:
+            yield f"            if _data_{i} is not None:"
+            yield f"                {binding.name} = _push(_data_{i}, _type_{i})"
+        elif binding.kind is BindingKind.UNIFORM:
+            yield f"            if _data_{i} is not None:"
+            yield f"                _bind({binding.slot}, _data_{i})"
+            yield f"                _bound_{i} = _unbound"
+            condition = "elif"
+        yield f"            {condition} {binding.name} is not _bound_{i}:"
         apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]
         yield "                " + apply.format(slot=binding.slot, name=binding.name)
         yield f"                _bound_{i} = {binding.name}"

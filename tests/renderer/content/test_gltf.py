@@ -13,11 +13,12 @@ from PIL import Image
 
 from renderer.cli import main
 from renderer.content import add_model, load_model, save_scene
+from renderer.content.material_shaders import Brushed
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Orthographic, SceneBuilder, ShadingModel
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import ALGORITHMS, make_visibility
-from rhi import Filter, Wrap, to_srgb
+from rhi import Filter, ValidationError, Wrap, to_srgb
 
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
 UP = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
@@ -287,6 +288,68 @@ def test_a_primitive_without_a_material_gets_the_default_one(tmp_path):
     scene = load(one_mesh(), tmp_path)
     assert scene.materials["base_color"].tolist() == [[1, 1, 1, 1]]
     assert (scene.materials["metallic"].item(), scene.materials["roughness"].item()) == (1, 1)
+
+
+BRUSHED = {
+    "anisotropyStrength": 0.75,
+    "anisotropyRotation": 0.5,
+    "anisotropyTexture": {"index": 0},
+}
+
+
+def test_an_anisotropic_material_gets_the_shader_of_brushed_metal(tmp_path):
+    scene = load(
+        with_image(**FULL_MATERIAL | {"extensions": {"KHR_materials_anisotropy": BRUSHED}}), tmp_path
+    )
+    assert [custom.shader for custom in scene.shaders] == [Brushed]
+    (values,) = scene.parameters
+    assert (values["anisotropy"][0], values["anisotropy_rotation"][0]) == (0.75, 0.5)
+    assert scene.textures["is_color"][values["anisotropy_texture"][0]] == 0
+    assert scene.materials["roughness"][0] == 0.5
+    assert "tangent" in scene.meshes.vertices.dtype.names
+    assert left_out(scene) == {}
+
+
+def test_a_material_without_anisotropy_has_no_shader_of_its_own(tmp_path):
+    scene = load(with_image(extensions={"KHR_materials_anisotropy": {"anisotropyStrength": 0}}), tmp_path)
+    assert (list(scene.shaders), left_out(scene)) == ([], {})
+
+
+@pytest.mark.parametrize("strength", [-0.1, 1.1])
+def test_anisotropy_beyond_its_range_is_refused(tmp_path, strength):
+    document = with_image(extensions={"KHR_materials_anisotropy": {"anisotropyStrength": strength}})
+    with pytest.raises(ValidationError, match="anisotropyStrength"):
+        load(document, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("use", "is_read"),
+    [
+        ({}, True),
+        ({"extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}, False),
+        ({"texCoord": 1}, False),
+    ],
+)
+def test_anisotropy_is_left_out_beside_textures_that_are_transformed(tmp_path, use, is_read):
+    document = with_image(
+        pbrMetallicRoughness={"baseColorTexture": {"index": 0, **use}},
+        extensions={"KHR_materials_anisotropy": BRUSHED},
+    )
+    scene = load(document, tmp_path)
+    assert bool(scene.shaders) is is_read
+    assert any("anisotropy" in omission for omission in left_out(scene)) is not is_read
+
+
+def test_anisotropy_is_saved_and_read_again(tmp_path):
+    scene = load(
+        with_image(**FULL_MATERIAL | {"extensions": {"KHR_materials_anisotropy": BRUSHED}}), tmp_path
+    )
+    path = tmp_path / "saved.glb"
+    assert not save_scene(scene, path)
+    again = load_model(path)
+    assert [custom.shader for custom in again.shaders] == [Brushed]
+    for name in ("anisotropy", "anisotropy_rotation"):
+        assert again.parameters[0][name][0] == scene.parameters[0][name][0]
 
 
 def test_an_unlit_material_only_emits(tmp_path):

@@ -1,4 +1,4 @@
-"""Options of model files: scale, centre, parts left out, merged meshes."""
+"""Options of model files: scale, centre, parts left out, merged meshes, levels of detail."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,10 @@ from renderer.content import (
     load_scene,
     save_scene,
 )
+from renderer.content.shapes import bumpy_sphere
 from renderer.renderer import Renderer
 from renderer.scene import Orthographic, SceneBuilder
+from renderer.scene.simplification import simplify
 from tests.renderer.refusals import refused_rule
 
 SIZE = (64, 48)
@@ -192,12 +194,16 @@ def test_a_refusal_after_meshes_were_added_undoes_them(room):
         {"without": ("",)},
         {"without": (3,)},
         {"without": 3},
+        {"levels": -1},
+        {"levels": 13},
+        {"levels": 1.5},
+        {"levels": True},
     ],
     ids=str,
 )
 def test_bad_options_are_refused(values):
     assert refused_rule(lambda: ImportOptions(**values)) == "scene-bad-import"
-    ImportOptions(scale=np.float32(2.0), without=["wall"], centre=np.True_)
+    ImportOptions(scale=np.float32(2.0), without=["wall"], centre=np.True_, levels=12)
 
 
 def test_merging_draws_the_same_triangles_in_fewer_objects(room):
@@ -331,3 +337,29 @@ def test_objects_of_an_obj_file_are_left_out_by_name(tmp_path):
         lambda: load_model(tmp_path / "two.obj", options=ImportOptions(without=("window",)))
     )
     assert refused == "scene-unknown-part"
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_meshes_of_files_get_levels(tmp_path, scale):
+    builder, geometry = SceneBuilder("ball"), bumpy_sphere(16)
+    builder.add_objects(builder.add_node(), builder.add_mesh(geometry), builder.add_material())
+    path = tmp_path / "ball.glb"
+    save_scene(builder.build(), path)
+    assert not len(load_model(path, options=ImportOptions(scale=scale)).meshes.level_ranges)
+    scene = load_scene(f"{path}:scale={scale},levels=3")
+    expected = simplify(geometry, 3)
+    assert len(expected) > 1
+    assert scene.meshes.level_ranges["index_count"].tolist() == [len(level.indices) for level in expected]
+    assert scene.meshes.level_errors[0] == pytest.approx([level.error for level in expected], rel=1e-5)
+
+
+def test_levels_beside_other_options(room, tmp_path):
+    merged = load_model(room, options=ImportOptions(merge=True, levels=2))
+    assert len(merged.objects) == 3
+    assert not len(merged.meshes.level_ranges)  # its quads have nothing to leave out
+    for make in (make_skinned, make_morphing):  # what may change has none
+        path = tmp_path / f"{make.__name__}.glb"
+        make().write(path)
+        assert load_model(path, options=ImportOptions(levels=2)).meshes.level_begins[-1] == 0
+    assert refused_rule(lambda: load_scene(f"{room}:levels=many")) == "scene-bad-import"
+    assert refused_rule(lambda: load_scene(f"{room}:levels")) == "scene-spec-syntax"

@@ -7,18 +7,18 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from dense_meshes import make_bumpy_sphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nightly_reasons import ONLY_KERNELS
 
 import rhi
+from renderer.content.shapes import bumpy_sphere
 from renderer.frame import SceneResources
-from renderer.frame.detail import DetailLimit
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder, StereoRig, translation
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo
+from renderer.visibility.detail import DetailLimit
 from rhi import ValidationError
 
 SIZE = 320, 180
@@ -27,7 +27,7 @@ SIZE = 320, 180
 def make_field(shadows: bool = False, levels: int = 5, material: dict[str, float] | None = None) -> Scene:
     """Make spheres in a row that leads away from the eye, turned and stretched, under a directional light."""
     builder = SceneBuilder("field")
-    mesh = builder.add_mesh(make_bumpy_sphere(24), levels=levels)
+    mesh = builder.add_mesh(bumpy_sphere(24), levels=levels)
     row = builder.add_material(**(material or {}))
     for number in range(12):
         transform = translation((1.6 * (number % 2), 0.0, -1.5 * number**1.5))

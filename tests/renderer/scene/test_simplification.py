@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from dense_meshes import make_bumpy_sphere, make_grid
+from dense_meshes import make_grid
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN
-from renderer.content.shapes import torus
+from renderer.content.shapes import bumpy_sphere, torus
 from renderer.scene import MeshGeometry, MeshLevel, SceneBuilder, simplify
 from renderer.scene.meshes import join, make_geometry
 from rhi import ValidationError
@@ -66,7 +66,7 @@ def measure_hausdorff(geometry: MeshGeometry, level: MeshLevel, count: int = 150
 @given(st.integers(12, 18), st.floats(0.0, 0.4), st.integers(0, 99))
 @example(20, 0.0, 0)
 def test_no_point_is_farther_than_the_bound(side: int, height: float, seed: int) -> None:
-    geometry = make_bumpy_sphere(side, height, seed)
+    geometry = bumpy_sphere(side, height, seed)
     levels = simplify(geometry, 4)
     assert levels
     for level in levels:
@@ -85,7 +85,7 @@ def test_a_torus_and_parts_far_from_each_other_keep_their_bounds() -> None:
 
 
 def test_each_level_has_half_the_triangles_and_a_larger_bound() -> None:
-    geometry = make_bumpy_sphere(32)
+    geometry = bumpy_sphere(32)
     counts = [geometry.triangle_count, *(len(level.indices) // 3 for level in simplify(geometry, 4))]
     errors = [level.error for level in simplify(geometry, 4)]
     assert all(0.4 * before <= after <= 0.52 * before for before, after in pairwise(counts))
@@ -94,7 +94,7 @@ def test_each_level_has_half_the_triangles_and_a_larger_bound() -> None:
 
 
 def test_a_closed_surface_stays_closed_and_keeps_its_winding() -> None:
-    geometry = make_bumpy_sphere(28)
+    geometry = bumpy_sphere(28)
     for level in simplify(geometry, 4):
         triangles = level.indices.reshape(-1, 3).astype(np.int64)
         edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -140,7 +140,7 @@ def test_borders_and_seams_stay() -> None:
 
 def test_few_triangles_and_hard_edges_are_left_alone() -> None:
     assert simplify(BUILT_IN["box"](), 3) == ()
-    sphere = make_bumpy_sphere(16)
+    sphere = bumpy_sphere(16)
     assert simplify(sphere, 0) == ()
     flat = make_geometry(sphere.vertices["position"][sphere.indices], np.arange(len(sphere.indices)))
     assert simplify(sphere, 1)
@@ -149,7 +149,7 @@ def test_few_triangles_and_hard_edges_are_left_alone() -> None:
 
 
 def test_degenerate_triangles_are_kept() -> None:
-    sphere = make_bumpy_sphere(16)
+    sphere = bumpy_sphere(16)
     indices = np.concatenate([sphere.indices, np.array([0, 0, 5], np.uint32)])
     (level,) = simplify(MeshGeometry(sphere.vertices, indices), 1)
     assert [0, 0, 5] in level.indices.reshape(-1, 3).tolist()
@@ -158,11 +158,11 @@ def test_degenerate_triangles_are_kept() -> None:
 @pytest.mark.parametrize("levels", [-1, 1.5, "2"])
 def test_numbers_of_levels_are_checked(levels: object) -> None:
     with pytest.raises(ValidationError, match=r"^\[scene-bad-mesh\]"):
-        SceneBuilder("x").add_mesh(make_bumpy_sphere(16), levels=levels)  # type: ignore[arg-type]
+        SceneBuilder("x").add_mesh(bumpy_sphere(16), levels=levels)  # type: ignore[arg-type]
 
 
 def test_a_mesh_that_may_change_has_no_levels() -> None:
-    sphere = make_bumpy_sphere(16)
+    sphere = bumpy_sphere(16)
     builder = SceneBuilder("x")
     with pytest.raises(ValidationError, match=r"^\[scene-bad-mesh\]"):
         builder.add_mesh(sphere, bounds=sphere.bounds, levels=2)
@@ -172,12 +172,32 @@ def test_a_mesh_that_may_change_has_no_levels() -> None:
 def test_a_scene_has_the_levels_of_its_meshes() -> None:
     builder = SceneBuilder("x")
     material = builder.add_material()
-    for levels, geometry in ((2, make_bumpy_sphere(16)), (0, BUILT_IN["box"]()), (3, make_bumpy_sphere(20))):
+    for levels, geometry in ((2, bumpy_sphere(16)), (0, BUILT_IN["box"]()), (3, bumpy_sphere(20))):
         builder.add_objects(builder.add_node(), builder.add_mesh(geometry, levels=levels), material)
     meshes = builder.build().meshes
     assert meshes.level_begins.tolist() == [0, 2, 2, 5]
     assert np.isinf(meshes.level_errors).tolist() == [[False, False, True], [True] * 3, [False] * 3]
-    expected = [*simplify(make_bumpy_sphere(16), 2), *simplify(make_bumpy_sphere(20), 3)]
+    expected = [*simplify(bumpy_sphere(16), 2), *simplify(bumpy_sphere(20), 3)]
     for row, level in zip(meshes.level_ranges, expected, strict=True):
         part = meshes.level_indices[row["first_index"] :][: row["index_count"]]
         assert part.tolist() == level.indices.tolist()
+
+
+def test_all_meshes_but_those_that_change_are_simplified_at_once() -> None:
+    builder = SceneBuilder("x")
+    material = builder.add_material()
+    geometries = [bumpy_sphere(12, seed=seed) for seed in range(3)]
+    meshes = [builder.add_mesh(geometries[0]), builder.add_mesh(geometries[1])]
+    meshes.append(builder.add_mesh(geometries[2], bounds=geometries[2].bounds))
+    builder.add_objects(builder.add_nodes(np.eye(4)[None].repeat(3, axis=0)), meshes, material)
+    builder.simplify_meshes(1, 2)
+    counts = np.diff(builder.build().meshes.level_begins)
+    assert counts[0] == counts[2] == 0 < counts[1] <= 2
+
+
+def test_a_mesh_that_is_added_again_has_the_most_levels() -> None:
+    builder, geometry = SceneBuilder("x"), bumpy_sphere(12)
+    mesh = builder.add_mesh(geometry)
+    assert builder.add_mesh(geometry, levels=2) == builder.add_mesh(geometry) == mesh
+    builder.add_objects(builder.add_node(), mesh, builder.add_material())
+    assert builder.build().meshes.level_begins[-1] > 0

@@ -18,7 +18,16 @@ from renderer.frame import Effect, collect_frame_effects
 from renderer.lab.accuracy.float64 import shade_in_float64
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, scaling, translation
 from renderer.shaders import MaterialShader, SurfaceInput, SurfaceParameters
-from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique
+from renderer.techniques import (
+    TECHNIQUES,
+    Deferred,
+    DeferredPlus,
+    Forward,
+    Inferred,
+    LightPrePass,
+    ResourceCapture,
+    Technique,
+)
 from rhi import Op
 from rhi.commands.ops import DRAWS
 from rhi.shading import run_compute
@@ -313,6 +322,25 @@ class NoiseProbe(sl.Shader):
     def compute(self) -> None:
         i = sl.global_id().x
         self.results[i] = material_shaders.value_noise(self.positions[i].xyz)
+
+
+@pytest.mark.parametrize("name", ["light_pre_pass", "inferred"])
+def test_a_pre_pass_stores_the_normals_of_relief(gl: rhi.Device, name: str) -> None:
+    # Lights are added up by them before materials are known, so the ray must be followed there already.
+    def read_surface(technique: str, depth: float) -> NDArray[Any]:
+        scene = load_scene("yard")
+        for parameters in scene.parameters:
+            if "steps" in (parameters.dtype.names or ()):
+                parameters["depth"] = depth
+        capture = ResourceCapture(TECHNIQUES[technique](), "surface")
+        with frames.open_renderer(gl, scene, capture, visibility="frustum", size=(96, 54)) as renderer:
+            renderer.render(frames.first_view_camera(scene))
+        assert capture.texels is not None
+        return capture.texels[..., 1]
+
+    stored = read_surface(name, 0.05)
+    np.testing.assert_array_equal(stored, read_surface("deferred", 0.05))
+    assert np.count_nonzero(stored != read_surface(name, 0.0)) > 500  # the control
 
 
 def test_noise_is_smooth_within_its_bounds_and_has_no_direction() -> None:

@@ -57,6 +57,13 @@ class PlainMaterial(MaterialShader):
     """A shader of a material that changes nothing."""
 
 
+class BrushedMaterial(MaterialShader):
+    """A shader of a material that is anisotropic, which not all buffers can store."""
+
+    reads_tangents = True
+    has_anisotropy = True
+
+
 def build_scene(
     *,
     has_lights: bool = True,
@@ -85,6 +92,7 @@ def build_scene(
     opaque: dict[str, Any] = {"emission": 2.0} if shader is None else {"emission": 2.0, "shader": shader}
     if has_details:
         opaque = {"texture": image, "emissive_texture": image, "emissive": (2.0, 2.0, 2.0), "metallic": 1.0}
+        opaque |= {} if shader is None else {"shader": shader}
     if mixes_coordinates:
         opaque |= {"texture": image, "normal_texture": TextureMap(image, scale=(2.0, 2.0))}
     materials: list[dict[str, Any]] = [
@@ -123,6 +131,9 @@ def build_scenes() -> tuple[Scene, ...]:
         build_scene(has_lights=False, mixes_coordinates=True),
         build_scene(mixes_coordinates=True),
         build_scene(shader=PlainMaterial),
+        build_scene(shader=BrushedMaterial),
+        build_scene(shader=BrushedMaterial, has_occlusion=True),
+        build_scene(shader=BrushedMaterial, has_details=True, has_occlusion=True),
         build_scene(has_occlusion=True),
         build_scene(has_details=True, has_occlusion=True),
         build_scene(has_focus=True),

@@ -15,6 +15,7 @@ import pytest
 
 import rhi
 from renderer.content import load_scene
+from renderer.frame import COMPONENTS
 from renderer.techniques.inspection import INSPECTIONS
 from renderer.viewer import Viewer
 from renderer.viewer.commands import NEXT
@@ -153,7 +154,7 @@ class Coverage:
         self._drawn: set[tuple[str, str]] = set()
         choices = {(name, word) for name in SWITCHES for word in viewer.commands.complete(f"{name} ")}
         self._choices = {choice for choice in choices if choice[1] != NEXT} | {
-            ("show", name) for name in (LIT_IMAGE, *INSPECTIONS)
+            ("show", name) for name in (LIT_IMAGE, *COMPONENTS, *INSPECTIONS)
         }
 
     def note(self) -> None:

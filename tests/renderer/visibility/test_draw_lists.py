@@ -209,7 +209,9 @@ def check_on_device(device: rhi.Device, case: Case, parts: int = DRAW_LISTS) -> 
         readings.append((lists.read_object_indices_async(), listed))
         case.marks = after["marks"]
     assert all(wait().tolist() == listed for wait, listed in readings)
-    buffers = [getattr(arrays, field.name).owner for field in fields(arrays) if field.name != "view"]
+    buffers = [
+        getattr(arrays, field.name).owner for field in fields(arrays) if field.name not in ("view", "detail")
+    ]
     for resource in (occludees, lists, resources, view, *buffers):
         resource.destroy()
 

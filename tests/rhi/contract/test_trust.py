@@ -23,3 +23,17 @@ def test_a_relative_folder_of_caches_is_ignored(
 def test_an_absolute_folder_of_caches_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert trust.user_cache() == tmp_path / "rhi"
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_the_user_s_key_is_made_once_also_where_files_have_no_links(
+    has_links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv(trust.ENVIRONMENT, raising=False)
+    if not has_links:  # as in a page
+        monkeypatch.delattr("os.link")
+    key = trust.read_key()
+    assert len(key) > 8
+    assert trust.read_key() == key
+    assert [path.name for path in (tmp_path / "rhi").iterdir()] == ["key"]

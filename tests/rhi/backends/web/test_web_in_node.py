@@ -15,6 +15,7 @@ import pytest
 from web_kit import ROOT, require_node, run_in_node, run_kit, run_program
 
 import rhi
+from renderer.content import load_scene, save_scene
 from rhi.errors.rules import DEVICE_DRIVER
 
 pytestmark = pytest.mark.nightly
@@ -300,6 +301,67 @@ def test_the_city_is_drawn_as_by_wgpu_on_the_same_driver_and_nearly_as_by_gl(tmp
         assert (np.abs(web - gl).max(axis=-1) <= 2).mean() > 0.93, name
     lit, shadowed = (np.load(tmp_path / f"forward-{length}-web.npy").astype(int) for length in (8, 18))
     assert (np.abs(lit - shadowed).max(axis=-1) > 8).mean() > 0.05  # the shadows are seen
+
+
+VISIBILITY = ("none", "frustum", "stop_and_wait", "chc", "chc_plus_plus", "depth_pyramid", "auto")
+"""The visibility algorithms, but for those that need what this backend lacks."""
+_SAVED = """
+import json, sys
+import numpy as np
+import rhi
+from renderer.content import load_scene, parse_camera
+from renderer.renderer import Renderer
+
+scene = load_scene(sys.argv[1])
+camera = next(iter(scene.views.values()))
+draws = {}
+with rhi.create_device("web") as device:
+    for visibility in sys.argv[2:]:
+        with Renderer(device, scene, visibility=visibility, size=(160, 90)) as renderer:
+            for _ in range(2):
+                result = renderer.render(camera)
+            image = result.image.read()[..., :3].astype(int)
+        draws.setdefault("image", image)
+        draws[visibility] = int(np.abs(image - draws["image"]).max())
+print(json.dumps([float(draws.pop("image").std()), draws]))
+"""
+
+
+def test_a_saved_city_is_loaded_and_drawn_alike_with_all_visibility_algorithms(tmp_path: Path) -> None:
+    """Images of files are decoded without threads, and indices of 64 bits are taken where pointers have 32."""
+    path = tmp_path / "city.glb"
+    save_scene(load_scene("city:blocks=4"), path)
+    deviation, differences = last_line(  # type: ignore[misc]
+        run_program(_SAVED, tmp_path, f"/host{path}", *VISIBILITY, packages=("numpy", "pillow"))
+    )
+    assert deviation > 20.0
+    assert differences == dict.fromkeys(VISIBILITY, 0)
+
+
+_TIMES = """
+import json
+import rhi
+device = rhi.create_device("web", timing=True)
+image = device.texture((512, 512), rhi.Format.RGBA8)
+for _ in range(2):
+    with device.event("frame"):
+        for _ in range(4):
+            with device.render_pass(image, clear=(0, 0, 0, 1)):
+                pass
+    with device.event("nothing"):
+        pass
+    device.present()
+device.finish()
+print(json.dumps([device.capabilities.timestamps, [[n.name, n.gpu_milliseconds] for n in device.timers]]))
+"""
+
+
+def test_events_have_times_of_the_gpu(tmp_path: Path) -> None:
+    has_timestamps, times = last_line(run_program(_TIMES, tmp_path))  # type: ignore[misc]
+    assert has_timestamps
+    (frame, duration), (nothing, least) = times
+    assert (frame, nothing) == ("frame", "nothing")
+    assert 0.0 <= least < duration
 
 
 # -- the conformance kit -----------------------------------------------------------------------------------
