@@ -19,7 +19,8 @@ from renderer.scene.arrays import Floats, Indices
 from renderer.scene.materials import TextureMap
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 ROOM: Final = 7.0

@@ -40,7 +40,8 @@ from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, pain
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 PITCH: Final = 34.0

@@ -15,7 +15,8 @@ from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import SEED, Generator, Option
 from renderer.scene.materials import AlphaMode
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _TINTS: Final = np.array(

@@ -42,7 +42,8 @@ from renderer.scene.cloth import ClothGrid, ClothSimulation, Fabric, Gust, Wind,
 from renderer.scene.cloth.cloth_grid import INTERVAL, SUB_STEPS
 from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 from rhi.math.indexing import repeat_each
 

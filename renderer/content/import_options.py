@@ -19,7 +19,7 @@ from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
 from renderer.scene.paths import CameraPath
-from renderer.scene.scene import SceneBuilder
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.errors import describe_value, refuse
 from rhi.math import Camera, Orthographic, Perspective, Projection
 

@@ -28,7 +28,8 @@ from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, join, make_geometry
 from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi import ValidationError, decode_colors, from_srgb, open_image
 from rhi.errors import RhiError, refuse
 from rhi.math import Perspective, is_affine, translation

@@ -35,7 +35,8 @@ from renderer.content.specs import (
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.lights import Lights
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _STREET_LIGHT, _WINDOW, _CAR = range(3)

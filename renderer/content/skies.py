@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.environment import Environment, texel_directions
 from renderer.scene.files import read_file
-from renderer.scene.scene import SceneBuilder
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.errors import refuse
 
 _MAX_BYTES: Final = 1 << 30

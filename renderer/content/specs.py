@@ -16,7 +16,8 @@ from renderer import rules
 from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.depth_of_field import DepthOfField
 from renderer.scene.fog_and_bloom import Bloom, Fog
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.errors import refuse
 
 OptionValue = int | float | str

@@ -20,7 +20,8 @@ from renderer.scene.height_fields import HeightField, make_height_field
 from renderer.scene.materials import ImagePixels, make_opaque
 from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from rhi import to_srgb
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 

@@ -14,7 +14,8 @@ from renderer.content.skies import add_sky
 from renderer.content.specs import ENVIRONMENT, SEED, Generator, Option
 from renderer.content.surfaces import paint_surface
 from renderer.scene.paths import make_path
-from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.scene import Scene
+from renderer.scene.scene_builder import SceneBuilder
 from renderer.scene.water import WaterPool, WaterSimulation
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 

@@ -59,7 +59,7 @@ from renderer.scene.rigs import StereoRig as StereoRig
 from renderer.scene.rigs import measure_parallax as measure_parallax
 from renderer.scene.scene import ObjectHandle as ObjectHandle
 from renderer.scene.scene import Scene as Scene
-from renderer.scene.scene import SceneBuilder as SceneBuilder
+from renderer.scene.scene_builder import SceneBuilder as SceneBuilder
 from renderer.scene.simplification import simplify as simplify
 from renderer.scene.simulation import AdvanceResult as AdvanceResult
 from renderer.scene.simulation import DeformedObjects as DeformedObjects

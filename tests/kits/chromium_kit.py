@@ -62,7 +62,7 @@ class Page:
         while True:
             message = json.loads(self._socket.recv(timeout=self.timeout))
             if message.get("id") == self._latest:
-                assert "error" not in message, message
+                assert "error" not in message or message["error"] is None, message
                 return message["result"]
             self.messages.append(message)
 
@@ -92,10 +92,14 @@ class Page:
         thrown = [each for each in self.messages if each.get("method") == "Runtime.exceptionThrown"]
         return [json.dumps(each["params"]["exceptionDetails"])[-1500:] for each in thrown]
 
+    def read_png(self) -> bytes:
+        """The visible part of the page as a PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+
     def screenshot(self, path: Path | None = None) -> NDArray[np.uint8]:
         """The visible part of the page, (height, width, 3); `path`: also write it there, as PNG."""
         image = pytest.importorskip("PIL.Image")
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        data = self.read_png()
         if path is not None:
             path.write_bytes(data)
         return np.asarray(image.open(io.BytesIO(data)).convert("RGB"))

@@ -20,7 +20,7 @@ from renderer.content.gltf.extras import SPECULAR, get_extras
 from renderer.content.material_shaders import Brushed
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
 from renderer.scene.omissions import Omissions
-from renderer.scene.scene import SceneBuilder
+from renderer.scene.scene_builder import SceneBuilder
 from rhi import Filter, SamplerDescriptor, Wrap
 from rhi.errors import RhiError
 

@@ -20,7 +20,7 @@ from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.attachments import orthonormalize_axes
 from renderer.scene.omissions import Omissions
-from renderer.scene.scene import SceneBuilder
+from renderer.scene.scene_builder import SceneBuilder
 from rhi.math import Camera, Orthographic, Perspective, multiply
 
 CANDELA: Final = 1.0 / np.pi

@@ -40,7 +40,7 @@ from renderer.content.progress import report
 from renderer.scene.arrays import Floats
 from renderer.scene.attachments import orthonormalize_axes
 from renderer.scene.meshes import MeshGeometry
-from renderer.scene.scene import SceneBuilder
+from renderer.scene.scene_builder import SceneBuilder
 from renderer.scene.unique_names import UniqueNames
 from rhi.errors import ValidationError, refuse
 

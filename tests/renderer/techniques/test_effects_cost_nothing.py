@@ -133,7 +133,7 @@ images."""
 def make_material(effects: set[Effect]) -> Scene:
     """Make a box of a material with these effects, and with a base map."""
     builder = SceneBuilder("box")
-    texels = np.full((4, 4, 4), 255, np.uint8)
+    texels = np.full((4, 4, 4), 250, np.uint8)
     texels[:2, :, 3] = 0  # what masks cut
     image = builder.add_image(texels)
     values: dict[Effect, dict[str, object]] = {

@@ -144,5 +144,6 @@ def test_rows_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest.CaptureFixt
     )
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:4] == ["technique", "objects", "lights", "ms"]
-    assert [line.split()[0] for line in lines[2:]] == ["forward", "deferred"] * 4
+    assert [line.split()[0] for line in lines[2:-2]] == ["forward", "deferred"] * 4
+    assert lines[-1].startswith("Measured on ")
     assert chart.read_bytes().startswith(b"\x89PNG")
