@@ -69,7 +69,7 @@ FEW: Final = {
     },
     "hall:columns=4,rows=2,shadows=1,lights=8": {
         "scale": ("0.5", "1.0", "2.0"),
-        "local_shadow_size": ("64", "256", "512"),
+        "local_shadow_size": ("32", "64", "128"),
     },
     "night:blocks=2,shadows=1,lights=8": {
         "scale": ("0.5", "1.0", "2.0"),
