@@ -216,9 +216,8 @@ def _add_lights(
     positions = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
     colors = _hues(rng.random(count))
     reach = float(np.clip(2.2 * side * ROOM / np.sqrt(count), 2.5, 9.0))
-    in_node = np.where(
-        np.arange(count)[:, None] < moving, 0.0, positions
-    )  # those that move are where their node is
+    # Those that move are where their nodes are.
+    in_node = np.where(np.arange(count)[:, None] < moving, 0.0, positions)
     rows = lights.add_points(in_node, reach, colors, 0.16 * reach**2, source_radius=radius)
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
     bulb_colors = _hues(np.arange(8) / 8.0)
@@ -227,11 +226,11 @@ def _add_lights(
     ]
     size = 2.0 * radius or 0.12
     transforms = multiply(translation(positions), scaling(np.full(3, size)))
-    still = builder.add_nodes(transforms[moving:])
-    circling = _add_circling_nodes(builder, positions[:moving], size) if moving else still[:0]
+    nodes = builder.add_nodes(transforms[moving:])
     if moving:
+        circling = _add_circling_nodes(builder, positions[:moving], size)
         builder.attach_lights("point", rows[:moving], circling)
-    nodes = np.concatenate([circling, still])
+        nodes = np.concatenate([circling, nodes])
     nearest = np.abs(colors[:, None] - bulb_colors).sum(-1).argmin(1)
     builder.add_objects(nodes, bulb, np.array(bulb_materials)[nearest], casts_shadow=False)
 

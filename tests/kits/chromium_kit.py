@@ -52,6 +52,10 @@ class Page:
         self._socket = socket
         self._latest = 0
         self.messages: list[dict[str, Any]] = []
+        self.begin()
+
+    def begin(self) -> None:
+        """Ask the browser to report what happens in the page."""
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
@@ -62,7 +66,7 @@ class Page:
         while True:
             message = json.loads(self._socket.recv(timeout=self.timeout))
             if message.get("id") == self._latest:
-                assert "error" not in message or message["error"] is None, message
+                assert "error" not in message, message
                 return message["result"]
             self.messages.append(message)
 
@@ -142,11 +146,16 @@ def open_page(profile: Path, *flags: str) -> Iterator[Page]:
             with suppress(Exception):
                 page.call("Browser.close")
     finally:
-        with suppress(subprocess.TimeoutExpired):
-            browser.wait(10)
-        if browser.poll() is None:
-            browser.kill()
-            browser.wait()
+        end_browser(browser)
+
+
+def end_browser(browser: subprocess.Popen[bytes]) -> None:
+    """Wait for a browser that has been closed; kill it if it stays."""
+    with suppress(subprocess.TimeoutExpired):
+        browser.wait(10)
+    if browser.poll() is None:
+        browser.kill()
+        browser.wait()
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):

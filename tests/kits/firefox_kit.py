@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from chromium_kit import TIMEOUT, Page
+from chromium_kit import TIMEOUT, Page, end_browser
 
 PREFERENCES: Final = {
     "dom.webgpu.enabled": True,
@@ -30,11 +30,8 @@ PREFERENCES: Final = {
 class FirefoxPage(Page):
     """A page of Firefox. It has no `move_mouse`."""
 
-    def __init__(self, socket: Any) -> None:
-        self.timeout = TIMEOUT
-        self._socket = socket
-        self._latest = 0
-        self.messages: list[dict[str, Any]] = []
+    def begin(self) -> None:
+        """Begin a session, and ask the browser to report what happens in the page."""
         self.call("session.new", capabilities={})
         self.call("session.subscribe", events=["log.entryAdded"])
         tree = self.call("browsingContext.getTree")
@@ -115,8 +112,4 @@ def open_firefox(profile: Path) -> Iterator[FirefoxPage]:
             with suppress(Exception):
                 page.call("browser.close")
     finally:
-        with suppress(subprocess.TimeoutExpired):
-            browser.wait(10)
-        if browser.poll() is None:
-            browser.kill()
-            browser.wait()
+        end_browser(browser)

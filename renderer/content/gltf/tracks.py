@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats, Indices, list_ranges
 from renderer.scene.catch_up import Recompute
 from renderer.scene.clips import Clips
-from rhi.math.indexing import repeat_each
+from rhi.math.indexing import reduce_runs, repeat_each
 
 STEP, LINEAR, CUBIC = range(3)
 """The ways of interpolating between two keys."""
@@ -124,8 +124,8 @@ class PropertyTracks:
         if self._is_rotation:
             first = repeat_each(starts, counts)
             sampled *= np.where((sampled * sampled[first]).sum(1) < 0.0, -1.0, 1.0)[:, None]
-        share = weights / repeat_each(np.add.reduceat(weights, starts), counts)
-        blended = np.add.reduceat(share[:, None] * sampled, starts)
+        share = weights / repeat_each(reduce_runs(np.add, weights, starts), counts)
+        blended = reduce_runs(np.add, share[:, None] * sampled, starts)
         several = counts > 1
         if self._is_rotation:
             blended[several] = _unit(blended[several])

@@ -219,7 +219,6 @@ ALL_SIMULATED: Final = Reference("everything simulated in each frame", {"simulat
 LAST_VALUE: Final = Reference("the scene with the last value")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
-_FINEST_ENVIRONMENT: Final = {"environment.samples": 4096, "environment.size": 512}
 _LARGE_ATLAS: Final = {**_FORWARD, "shadows.max_atlas_size": 8192}
 _RANDOM_QUERIES: Final = (
     "CHC++ picks at random when an object is queried again, so neighbouring settings may swap ranks"
@@ -247,6 +246,14 @@ _penumbras: Final = partial(
     reference=PENUMBRAS,
     base_settings={**_LARGE_ATLAS, "shadows.filter": ShadowFilter.PCSS},
     requirement=Requirement.PENUMBRAS,
+)
+_occlusion: Final = partial(_image_quality, reference=PIXEL_CENTRE_RAY, requirement=Requirement.AMBIENT_LIGHT)
+_environment: Final = partial(
+    _image_quality,
+    reference=Reference(
+        "4,096 directions, 512 texels", {"environment.samples": 4096, "environment.size": 512}
+    ),
+    requirement=Requirement.ENVIRONMENT,
 )
 _inferred: Final = partial(
     QualitySetting, unit=ErrorUnit.LEVELS, reference=FORWARD_SHADING, base_settings=_INFERRED
@@ -558,65 +565,47 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             reference=Reference("light of 32 bits", {"bloom.bits": 32}),
             requirement=Requirement.BLOOM,
         ),
-        _image_quality(
+        _occlusion(
             "occlusion_slices",
             "slices in which a pixel looks for what takes ambient light",
             "occlusion.slices",
             _same(1, 2, 3, 4, 8),
             "more of them change less than what the screen doesn't show",
-            reference=PIXEL_CENTRE_RAY,
-            requirement=Requirement.AMBIENT_LIGHT,
-            base_settings=_FORWARD,
         ),
-        _image_quality(
+        _occlusion(
             "occlusion_steps",
             "samples of depth on each side of a slice",
             "occlusion.steps",
             _same(1, 2, 4, 6, 8, 16),
             "thin occluders are between the samples if there are fewer",
-            reference=PIXEL_CENTRE_RAY,
-            requirement=Requirement.AMBIENT_LIGHT,
-            base_settings=_FORWARD,
         ),
-        _image_quality(
+        _occlusion(
             "occlusion_smoothing",
             "whether a pixel takes the mean of what 4 × 4 pixels of its surface have found",
             "occlusion.is_smooth",
             {"off": False, "on": True},
             "16 pixels together look along 16 times as many slices",
-            reference=PIXEL_CENTRE_RAY,
-            requirement=Requirement.AMBIENT_LIGHT,
-            base_settings=_FORWARD,
         ),
-        _image_quality(
+        _occlusion(
             "occlusion_bits",
             "bits of the share of ambient light that is left",
             "occlusion.bits",
             _same(8, 16),
             "a level of it is at most a level of the image",
-            reference=PIXEL_CENTRE_RAY,
-            requirement=Requirement.AMBIENT_LIGHT,
-            base_settings=_FORWARD,
         ),
-        _image_quality(
+        _environment(
             "environment_samples",
             "directions that a texel of narrow mirrored lobes is the mean of",
             "environment.samples",
             _same(16, 32, 64, 128, 256, 512),
             "with fewer, the highlights of small bright things have spots",
-            reference=Reference("4,096 directions, 512 texels", _FINEST_ENVIRONMENT),
-            requirement=Requirement.ENVIRONMENT,
-            base_settings=_FORWARD,
         ),
-        _image_quality(
+        _environment(
             "environment_size",
             "width of the map of mirrored light in texels",
             "environment.size",
             _same(64, 128, 256, 512),
             "a texel of 256 is as wide as the narrowest lobe",
-            reference=Reference("4,096 directions, 512 texels", _FINEST_ENVIRONMENT),
-            requirement=Requirement.ENVIRONMENT,
-            base_settings=_FORWARD,
         ),
         _image_quality(
             "focus_samples",
@@ -626,7 +615,6 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "more of them change less than what the image doesn't show",
             reference=PIXEL_CENTRE_RAY,
             requirement=Requirement.FOCUS,
-            base_settings=_FORWARD,
         ),
         _image_quality(
             "focus_radius",
@@ -636,7 +624,6 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "larger discs are rare, and take more samples",
             reference=PIXEL_CENTRE_RAY,
             requirement=Requirement.FOCUS,
-            base_settings=_FORWARD,
         ),
         _image_quality(
             "focus_bits",

@@ -28,7 +28,7 @@ from renderer.scene.deformation.deformation_kernels import (
     RestVertex,
 )
 from rhi import Device, StorageBuffer
-from rhi.math.indexing import repeat_each
+from rhi.math.indexing import reduce_runs, repeat_each
 from rhi.shading import vec4
 
 _GROUPS: Final = 65_535  # of a dispatch
@@ -252,8 +252,7 @@ def _pack_influences(mesh: DeformableMesh) -> NDArray[Any]:
 def _count_influences(influences: NDArray[Any]) -> Indices:
     """Return the most influences of a vertex in each group of vertices."""
     counts = (influences["weight"] > 0.0).sum(axis=1)
-    most: Indices = np.maximum.reduceat(counts, np.arange(0, len(counts), LANES))
-    return most
+    return reduce_runs(np.maximum, counts, np.arange(0, len(counts), LANES))
 
 
 def _pack_offsets(mesh: DeformableMesh) -> NDArray[np.float32]:
