@@ -25,7 +25,7 @@ install_packages() {
     fi
     say "installing system packages: ${missing[*]}"
     $sudo apt-get update -qq || true
-    DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
+    DEBIAN_FRONTEND=noninteractive $sudo apt-get install -o DPkg::Lock::Timeout=300 -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
         say "apt-get could not install: ${missing[*]} (continuing without them)"
 }
 
