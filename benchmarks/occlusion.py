@@ -104,9 +104,9 @@ def measure_walk(text: str) -> Record:
     algorithm._queries = oracle = OracleQueries(len(forest))
     begin, spent = algorithm._begin, [0.0, 0.0]
 
-    def timed_begin(camera: Camera) -> None:
+    def timed_begin(camera: Camera, size: tuple[int, int]) -> None:
         began = perf_counter()
-        begin(camera)
+        begin(camera, size)
         spent[0] = perf_counter() - began
         away = np.maximum(np.maximum(forest.lower - camera.position, camera.position - forest.upper), 0.0)
         oracle.nodes = (np.linalg.norm(away, axis=1) < VISIBLE_DISTANCE).tolist()

@@ -28,8 +28,8 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN, load_scene, parse_camera
 from renderer.inspection import settle
-from renderer.lab import technique_comparison as lab
 from renderer.lab.comparison import Record, compare, ratio
+from renderer.lab.comparisons import technique_comparison as lab
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
 from renderer.techniques import TECHNIQUES, AutoTechnique, Deferred, LightPrePass, Technique

@@ -1,10 +1,10 @@
 """Exactness of triangles: coverage, depth and varyings of random triangles against float64.
 
 Run `python benchmarks/triangles.py`; `--triangles 1000000` takes some minutes. The families are those of
-`rhi.conformance.triangles`, drawn in the whole view and, where they are cut, in the middle of a viewport of
-16,384 texels. For each family: the triangles, the texels drawn, the texels that are wrong (farther than 1/256
-texel from every edge and cut), and the worst errors: of depth against float64 and beyond the corners' depths,
-of weights likewise.
+`rhi.conformance.triangles`, drawn in the whole view and, where they are cut, in the middle of a viewport as large
+as the device's textures may be, at most 16,384 texels. For each family: the triangles, the texels drawn, the texels
+that are wrong (farther than 1/256 texel from every edge and cut), and the worst errors: of depth against float64 and
+beyond the corners' depths, of weights likewise.
 """
 
 from __future__ import annotations
@@ -21,12 +21,15 @@ from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record
 from rhi.conformance.triangles import BATCH, CELL, CUT, WHOLE, examine
 
+_MAX_VIEWPORT: Final = 16384
+
 
 def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the row of each family in each viewport."""
-    cases = [(family, float(CELL)) for family in (*CUT, *WHOLE)] + [(family, 16384.0) for family in CUT]
-    batches = -(-arguments.triangles // (BATCH * len(cases)))
     with rhi.create_device(arguments.backend) as device:
+        largest = float(min(_MAX_VIEWPORT, device.capabilities.max_texture_size))
+        cases = [(family, float(CELL)) for family in (*CUT, *WHOLE)] + [(family, largest) for family in CUT]
+        batches = -(-arguments.triangles // (BATCH * len(cases)))
         for family, wide in cases:
             results = [examine(device, family, arguments.seed + number, wide) for number in range(batches)]
             errors = ("depth_error", "depth_beyond", "weight_error", "weight_beyond")

@@ -65,6 +65,7 @@ from renderer.stereo import EyePair, Stereo, eye_image_size
 from renderer.techniques import AutoTechnique, Technique, to_technique
 from renderer.techniques.inspection import Inspection
 from renderer.techniques.parts.ambient_occlusion import occlusion_passes
+from renderer.techniques.parts.contact_shadows import contact_passes
 from renderer.techniques.parts.depth import bind_depth_programs
 from renderer.techniques.parts.environment import environment_passes
 from renderer.techniques.parts.scaling import scale_image
@@ -143,7 +144,8 @@ class FrameResult:
     the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
 
     With two eyes, `image` shows both, and `eye_images` and `frames` are the left and the right one's;
-    `depth`, `targets` and `visibility` are the left one's, and `statistics` are those of both together.
+    `depth`, `targets` and `visibility` are the left one's, and `statistics` are those of both together. If the eyes
+    take turns, there is one, and `eye` is the index of the eye that the frame is shown to: 0 is the left one.
     """
 
     image: Texture
@@ -152,6 +154,7 @@ class FrameResult:
     visibility: VisibilityStatistics | None
     frames: tuple[Frame, ...]
     _counters: dict[str, int]
+    eye: int | None = None
 
     @property
     def eye_images(self) -> tuple[Texture, ...]:
@@ -282,6 +285,7 @@ class Renderer:
             stack.callback(self._destroy_algorithms)
             self._view = View(device, "eye", self._to_visibility("Renderer(visibility=...)", visibility))
             stack.callback(self._view.destroy)
+            self._last_view = self._view
             self._resources = SceneResources(device, scene, textures, uploads)
             self._resources.detail_error = DETAIL_ERROR
             self._validation = self.simulator.validation = validation
@@ -421,6 +425,7 @@ class Renderer:
         if self._pair is not None:
             self._pair.destroy()
         self._size, self._pair, self._scale, self._steady = size, pair, scale, None
+        self._last_view = self._view
 
     @property
     def shadows(self) -> ShadowMaps:
@@ -510,11 +515,13 @@ class Renderer:
             check_time("render", seconds)
         steady = self._begin_steady(camera, seconds) or self._begin(camera, seconds)
         effects, plan, values = steady.effects, steady.plan, steady.values
+        eyes = self._list_eyes()
+        view, targets = eyes[0]
         left = Frame(
             device,
-            self._view,
+            view,
             resources,
-            self._targets,
+            targets,
             effects,
             precision=self.precision,
             values=values,
@@ -526,7 +533,8 @@ class Renderer:
         self._run(plan, left, steady.events)
         if resources.may_simulate and resources.hidden.is_tracking and left.statistics is not None:
             left.draw_result.record_hidden()
-        if pair is not None:
+        takes_turns = pair is not None and pair.stereo.takes_turns
+        if pair is not None and not takes_turns:
             right = Frame(device, pair.view, resources, pair.targets, effects, left, self.precision)
             right.scene_layers = left.scene_layers
             frames.append(right)
@@ -548,7 +556,7 @@ class Renderer:
                 if not isinstance(layer, SceneLayer):
                     layer.render(device, frame)
         image = left.targets.image
-        if pair is not None:
+        if pair is not None and not takes_turns:
             with device.event("both eyes"):
                 image = pair.show(*frames)
         self.show(image)
@@ -561,10 +569,22 @@ class Renderer:
             "simulation_steps": simulator.steps,
             "skipped_simulations": len(simulator) - simulator.drawn_count if len(simulator.objects) else 0,
         }
+        turn = None
+        if pair is not None and takes_turns:
+            turn, pair.turn = pair.turn, 1 - pair.turn
         result = FrameResult(
-            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
+            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters, turn
         )
         return result, effects
+
+    def _list_eyes(self) -> list[tuple[View, Targets]]:
+        """The views that a frame draws, each with its targets: one, or the left and the right eye's."""
+        pair = self._pair
+        eyes = [(self._view, self._targets)]
+        if pair is None or pair.stereo.is_reprojected:
+            return eyes
+        eyes.append((pair.view, pair.targets))
+        return [eyes[pair.camera_index]] if pair.stereo.takes_turns else eyes
 
     def _begin_steady(self, camera: Camera, seconds: float) -> _SteadyFrame | None:
         """Begin a frame in which only the camera differs from the last one's, so that most of what `_begin`
@@ -618,14 +638,16 @@ class Renderer:
         simulator = resources.simulator
         if self._is_temporal:
             around = self._aim_samples(camera, seconds)
-            resources.workspace(SceneMotion).begin_frame(resources)
+            # What the last frame's view has seen, for its next frame: that isn't this one, if eyes take turns.
+            self._last_view.workspace(SceneMotion).begin_frame(resources)
+            self._last_view = self._list_eyes()[0][0]
         else:
             around = self._aim(camera)
         expected = simulator.drawn_objects
         simulator.begin_frame(self._set_time(seconds))
         self.scene.refresh()
         simulator.slow_down(around, self._targets.size[1], self._animation_lag)
-        eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
+        eyes = [view for view, _ in self._list_eyes()]
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
         if resources.uses_levels:
             self._limit_detail()
@@ -639,7 +661,8 @@ class Renderer:
             if not effects.has_shadow_casters:
                 resources.release(ShadowMaps)
             if not effects.temporal.is_on:
-                resources.release(SceneMotion)
+                for view in [self._view] if pair is None else [self._view, pair.view]:
+                    view.release(SceneMotion)
             if self.scene.environment is None:
                 resources.release(EnvironmentMaps)
             if resources.source_shapes is None:
@@ -688,17 +711,17 @@ class Renderer:
         if self._pair is None:
             self._view.aim(camera)
             return camera
-        rig, right = self._pair.stereo.rig, self._pair.view
-        around = rig.enclose(camera)
+        stereo, right = self._pair.stereo, self._pair.view
+        around = stereo.rig.enclose(camera)
         right.visibility = self._view.visibility
-        for view, eye in zip((self._view, right), rig.place_eyes(camera), strict=True):
+        eyes = list(zip((self._view, right), stereo.rig.place_eyes(camera), strict=True))
+        for view, eye in [eyes[self._pair.camera_index]] if stereo.takes_turns else eyes:
             view.aim(eye, around)
         return around
 
     def _limit_detail(self) -> None:
         """Set the limit of levels of detail: that of all eyes."""
-        resources, pair = self._resources, self._pair
-        cameras = [view.camera for view in ([self._view] if pair is None else [self._view, pair.view])]
+        resources, cameras = self._resources, [view.camera for view, _ in self._list_eyes()]
         resources.detail_limit = DetailLimit.compute(cameras, self._targets.size, resources.detail_error)
 
     @property
@@ -722,6 +745,8 @@ class Renderer:
             around, (left, right) = pair.stereo.rig.enclose(camera), pair.stereo.rig.place_eyes(camera)
             pair.view.visibility = self._view.visibility
             eyes = [(self._view, self._targets, left), (pair.view, pair.targets, right)]
+            if pair.stereo.takes_turns:  # the other one's history is that of its last frame
+                eyes = [eyes[pair.camera_index]]
         plan = self._last_plan
         # Several samples of a pixel are spread over all of it: only the gaps between them are left.
         samples = 1 if plan is None else max(texture.samples for texture in plan.textures)
@@ -806,6 +831,7 @@ class Renderer:
             environment=self.environment,
             component=self.light_component,
             filters_penumbras=maps is not None and maps.settings.filter is ShadowFilter.PCSS,
+            follows_contacts=maps is not None and maps.settings.contact_length > 0.0,
             visible_features=recent_features,
             shows_objects=shows_objects,
             lights=resources.lights,
@@ -830,6 +856,7 @@ class Renderer:
                 *(shadow_passes(effects, bind_depth_programs) if is_lit else ()),
                 *(environment_passes(effects) if is_lit else ()),
                 *(occlusion_passes(effects) if is_lit else ()),
+                *(contact_passes(effects) if is_lit else ()),
             ]
             passes = technique.declare(effects)
             after = temporal_passes(effects, last_version(passes, "image"))

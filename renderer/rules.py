@@ -83,8 +83,15 @@ BAD_TRANSFORM: Final = Rule(
 )
 BAD_INDEX: Final = Rule("scene-bad-index", "an id must name something that was added before")
 BAD_MATERIAL: Final = Rule("scene-bad-material", "a material's value is out of its range")
+BAD_LIGHTING_MODEL: Final = Rule(
+    "shader-bad-lighting-model",
+    "a lighting model is a function of the shading language: of a SurfacePoint, an Incidence and, if the shader has "
+    "any, its parameters, to a vec3",
+    "@sl.function, def model(surface: SurfacePoint, light: Incidence, own: MyParameters) -> sl.vec3",
+)
 BAD_IMAGE: Final = Rule(
-    "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
+    "scene-bad-image",
+    "an image is a uint8 array of shape (height, width, 4), or float16 or float32 with finite texels, not empty",
 )
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
 BAD_EFFECT: Final = Rule(

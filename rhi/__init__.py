@@ -26,6 +26,7 @@ from rhi.commands.stream import Refusal as Refusal
 from rhi.contract.backend import Backend as Backend
 from rhi.contract.backend import Capabilities as Capabilities
 from rhi.contract.blocks import CompressedFormat as CompressedFormat
+from rhi.contract.blocks import decode_blocks as decode_blocks
 from rhi.contract.clip_space import convert_projection as convert_projection
 from rhi.contract.descriptors import DRAW as DRAW
 from rhi.contract.descriptors import DRAW_UNINDEXED as DRAW_UNINDEXED

@@ -32,8 +32,8 @@ sys.path.insert(0, str(ROOT))
 
 import rhi  # noqa: E402
 from renderer.content import load_scene, parse_camera  # noqa: E402
+from renderer.lab.comparisons.visibility_comparison import Contender, compare_algorithms, list_frames  # noqa: E402
 from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING  # noqa: E402
-from renderer.lab.visibility_comparison import Contender, compare_algorithms, list_frames  # noqa: E402
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS  # noqa: E402
 from renderer.lights.object_lists import list_lights  # noqa: E402
 from renderer.renderer import Renderer  # noqa: E402

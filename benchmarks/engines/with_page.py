@@ -81,5 +81,6 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     return device, draw
 
 
-with _opened:
-    serve(load)
+if __name__ == "__main__":
+    with _opened:
+        serve(load)

@@ -54,4 +54,5 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     return base.win.getGsg().getDriverRenderer() or "its own rasteriser", draw
 
 
-serve(load)
+if __name__ == "__main__":
+    serve(load)

@@ -37,4 +37,5 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     return renderer.device.adapter.info["device"], draw
 
 
-serve(load)
+if __name__ == "__main__":
+    serve(load)

@@ -27,4 +27,5 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     return device.capabilities.device, lambda: renderer.render(camera).image.read()
 
 
-serve(load)
+if __name__ == "__main__":
+    serve(load)

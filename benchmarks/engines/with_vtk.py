@@ -41,4 +41,5 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     return lines[0].partition(":")[2].strip() if lines else window.GetClassName(), draw
 
 
-serve(load)
+if __name__ == "__main__":
+    serve(load)

@@ -17,6 +17,7 @@ from renderer.cli import (
     assets,
     capture,
     compare_backends,
+    compare_buffers,
     compare_deferred_plus,
     compare_encodings,
     compare_light_culling,
@@ -24,6 +25,7 @@ from renderer.cli import (
     compare_techniques,
     compare_visibility,
     convert,
+    debug_reprojection,
     debug_visibility,
     demo,
     effect_costs,
@@ -48,14 +50,15 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     film.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare techniques, visibility algorithms, tests of light culling, one eye and two, encodings, or "
-        "backends",
+        "compare techniques, visibility algorithms, tests of light culling, one eye and two, geometry buffers, "
+        "encodings, or backends",
         (
             compare_techniques.COMMAND,
             compare_visibility.COMMAND,
             compare_light_culling.COMMAND,
             compare_deferred_plus.COMMAND,
             compare_stereo.COMMAND,
+            compare_buffers.COMMAND,
             compare_encodings.COMMAND,
             compare_backends.COMMAND,
         ),
@@ -66,7 +69,9 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     accuracy.COMMAND,
     tune.COMMAND,
     exam.COMMAND,
-    SubcommandGroup("debug", "draw what the renderer does", (debug_visibility.COMMAND,)),
+    SubcommandGroup(
+        "debug", "draw what the renderer does", (debug_visibility.COMMAND, debug_reprojection.COMMAND)
+    ),
     convert.COMMAND,
     assets.COMMAND,
     scenes.COMMAND,

@@ -25,8 +25,8 @@ from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, repeat
 from renderer.cli.output import show_progress
 from renderer.content import parse_camera_path
-from renderer.lab.backend_comparison import compare_backends
 from renderer.lab.comparison import Record
+from renderer.lab.comparisons.backend_comparison import compare_backends
 from renderer.lab.measure.backend_passes import PASSES
 
 _BASE = "gl"

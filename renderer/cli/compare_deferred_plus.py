@@ -27,7 +27,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import note, prepare_image, show_progress, write_image
 from renderer.content import parse_camera_path
 from renderer.lab.comparison import Record
-from renderer.lab.deferred_plus_comparison import STEPS, compare_deferred_plus
+from renderer.lab.comparisons.deferred_plus_comparison import STEPS, compare_deferred_plus
 from renderer.lab.measure import format_table
 from renderer.lab.measure.geometry_buffer_image import render_geometry_buffer_image
 

@@ -3,6 +3,7 @@
   python -m renderer compare encodings
   python -m renderer compare encodings --backend cl --json
   python -m renderer compare encodings --plot encodings.png
+  python -m renderer compare encodings --image patches.png
 
 Each device stores and reads random values. Errors are those against the values in float64: for directions the
 angle, for derivatives the difference of the vectors in percent of their length, for texture coordinates
@@ -21,21 +22,27 @@ from typing import Any, Final
 from renderer.cli import options
 from renderer.cli.comparison import ComparisonProgram, Report, repeat
 from renderer.cli.options import option
-from renderer.cli.output import open_available_devices, show_progress
+from renderer.cli.output import note, open_available_devices, prepare_image, show_progress, write_image
 from renderer.lab.comparison import Record
-from renderer.lab.encoding_comparison import compare_encodings
+from renderer.lab.comparisons.encoding_comparison import compare_encodings
 from renderer.lab.measure.encoding_errors import ENCODINGS
+from renderer.lab.measure.normal_patches import draw_patches
 
 _OPTIONS: Final = (
     option("--backend", "gl or cl", None, "all devices here that run shaders", metavar="NAME"),
     options.count("--count", "number of values", 1 << 14),
     options.rounds("times each is timed"),
     options.output_file("--plot", "write a chart of errors and times", "FILE"),
+    options.output_file(
+        "--image", "write a highlight drawn from normals of 8 bits, of 16, and from none that are stored"
+    ),
     *options.form(),
 )
 
 
 def _measure(arguments: argparse.Namespace) -> Report:
+    if arguments.image is not None:
+        prepare_image(arguments.image, "--image")
     with ExitStack() as stack:
         devices = open_available_devices(
             stack, ("gl", "cl") if arguments.backend is None else (arguments.backend,)
@@ -48,6 +55,13 @@ def _measure(arguments: argparse.Namespace) -> Report:
             progress=partial(show_progress, task="store"),
         )
         names = {device.backend_name: device.capabilities.device for device in devices}
+        if arguments.image is not None:
+            patches = draw_patches(devices[0])
+            write_image(arguments.image, patches.join())
+            errors = [
+                f"{levels} of 255 with {bits} bits" for bits, levels in patches.measure_errors().items()
+            ]
+            note(f"wrote {arguments.image}: at most {', '.join(errors)} from the exact image")
     return Report({"devices": names} | repeat(arguments, "count"), rows, "Encodings of a geometry buffer")
 
 

@@ -31,7 +31,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import parse_camera
 from renderer.lab.comparison import Record
-from renderer.lab.light_culling_comparison import compare_light_culling
+from renderer.lab.comparisons.light_culling_comparison import compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
 

@@ -26,7 +26,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import load_scene, parse_camera_path
 from renderer.lab.comparison import Record
-from renderer.lab.stereo_comparison import compare_stereo, list_stereos
+from renderer.lab.comparisons.stereo_comparison import compare_stereo, list_stereos
 from renderer.scene import Scene
 from renderer.stereo import compute_rig
 from renderer.techniques import TECHNIQUES

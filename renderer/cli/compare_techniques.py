@@ -35,7 +35,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
 from renderer.lab.comparison import Record
-from renderer.lab.technique_comparison import compare_techniques, vary_scene
+from renderer.lab.comparisons.technique_comparison import compare_techniques, vary_scene
 from renderer.techniques import TECHNIQUES
 
 COMPARED_TECHNIQUES: Final[dict[str, tuple[str, dict[str, Any]]]] = {

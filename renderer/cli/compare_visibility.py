@@ -36,7 +36,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import OutputError, show_progress
 from renderer.content import parse_camera_path
 from renderer.lab.comparison import Record
-from renderer.lab.visibility_comparison import compare_algorithms, list_contenders, list_frames
+from renderer.lab.comparisons.visibility_comparison import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, list_algorithms
 

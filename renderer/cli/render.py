@@ -32,8 +32,16 @@ from typing import Any, Final
 import rhi
 from renderer.cli import options
 from renderer.cli.arguments import explain_technique, make_stereo, merge_settings, open_scene
+from renderer.cli.eye_images import prepare_eye_images, write_glasses, write_holes
 from renderer.cli.options import option
-from renderer.cli.output import note, prepare_image, report_omissions, short_name, show_progress, write_image
+from renderer.cli.output import (
+    note,
+    prepare_image,
+    report_omissions,
+    short_name,
+    show_progress,
+    write_image,
+)
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_path_frames
 from renderer.frame import COMPONENTS
@@ -41,18 +49,15 @@ from renderer.inspection import FrameCost, measure_frame
 from renderer.inspection.texture_images import texture_to_image
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
-from renderer.renderer import FrameResult, Renderer
+from renderer.renderer import Renderer
 from renderer.scene import CameraPath, Scene
 from renderer.settings import RenderSettings
-from renderer.stereo import Stereo, read_hole_mask
+from renderer.stereo import Stereo
 from renderer.techniques import AutoTechnique, Forward, ResourceCapture, Technique
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from rhi.errors.output_paths import check_output_file
 from rhi.trace import save
-
-_MAGENTA: Final = (255, 0, 255, 255)
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -68,6 +73,10 @@ _OPTIONS: Final = (
     *options.STEREO,
     options.output_file(
         "--holes", "as --reproject, and write the right eye's image with its holes in magenta"
+    ),
+    options.output_file(
+        "--glasses",
+        "with an anaglyph: write what each eye sees through its glass, in color and as brightness",
     ),
     options.DEPTH,
     options.BLENDING,
@@ -106,8 +115,7 @@ _OPTIONS: Final = (
 def _run(arguments: argparse.Namespace) -> None:
     if arguments.output is not None:
         prepare_image(arguments.output)
-    if arguments.holes is not None:
-        prepare_image(arguments.holes, "--holes")
+    prepare_eye_images(arguments)
     arguments.reproject = arguments.reproject or arguments.holes is not None
     settings = merge_settings(arguments)
     arguments.reproject = arguments.reproject or (settings.reprojects and arguments.stereo is not None)
@@ -153,7 +161,7 @@ def _run(arguments: argparse.Namespace) -> None:
             arguments.trace.parent.mkdir(parents=True, exist_ok=True)
             save(device, arguments.trace)
             note(f"wrote {arguments.trace}: {len(device.stream):,} commands")
-        image, overflowing, holes = None, None, None
+        image, overflowing, holes, rivalry = None, None, None, None
         if device.capabilities.shading:
             overflowing = count_overflowing(result.targets)
             image = prepare_image(arguments.output or Path(f"{short_name(scene)}.png"))
@@ -163,11 +171,13 @@ def _run(arguments: argparse.Namespace) -> None:
             else:
                 write_image(image, result.image.read())
             if arguments.reproject and arguments.stereo is not None:
-                holes = _write_holes(result, arguments.holes)
+                holes = write_holes(result, arguments.holes)
+            if arguments.glasses is not None:
+                rivalry = write_glasses(result.image.read(), arguments.glasses)
         else:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
         technique = explain_technique(renderer.technique, arguments)
-        report = describe_run(renderer, costs, image, overflowing, technique, holes)
+        report = describe_run(renderer, costs, image, overflowing, technique, holes, rivalry)
     print(json.dumps(report) if arguments.json else format_report(report))
 
 
@@ -199,6 +209,7 @@ def describe_run(
     overflowing: int | None,
     technique: dict[str, str],
     holes: int | None = None,
+    rivalry: float | None = None,
 ) -> dict[str, Any]:
     """The report that `--json` prints."""
     summary = FrameCost.summarize(costs)
@@ -220,6 +231,7 @@ def describe_run(
         ),
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
+        **({} if rivalry is None else {"rivalry": rivalry}),
         "image": None if image is None else str(image),
         **report_omissions(renderer.scene),
     }
@@ -228,18 +240,6 @@ def describe_run(
 def _describe_stereo(stereo: Stereo) -> dict[str, Any]:
     rig = stereo.rig
     return {"stereo": stereo.output, "eye_distance": rig.eye_distance, "convergence": rig.convergence}
-
-
-def _write_holes(result: FrameResult, path: Path | None) -> int:
-    """Count the holes in a reprojected image; write it with them to `path`."""
-    _, right = result.frames
-    holes = read_hole_mask(right)
-    if path is not None:
-        pixels = right.targets.image.read()
-        pixels[holes] = _MAGENTA
-        write_image(path, pixels)
-        note(f"wrote {path}: holes are magenta")
-    return int(holes.sum())
 
 
 def format_report(report: dict[str, Any]) -> str:

@@ -16,9 +16,11 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.content import ktx2
 from renderer.content.progress import report
+from renderer.content.radiance import SIGNATURES, decode_radiance
 from renderer.content.thread_maps import map_in_threads
-from renderer.scene.materials import ImagePixels
+from renderer.scene.images import ImageBlocks, ImagePixels, check_image
 from renderer.scene.meshes import MeshGeometry
 from rhi import ValidationError, decode_colors, open_image
 from rhi.errors.shared_caches import SHARED
@@ -29,15 +31,14 @@ _images: Final[WeakValueDictionary[bytes, Any]] = WeakValueDictionary()
 _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
 
 
-def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | str]:
-    """Return the pixels of images (of `rhi.open_image`), or the reason why one can't be
-    read.
+def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | ImageBlocks | str]:
+    """Return the pixels of images (of `rhi.open_image`) or their blocks, or the reason why one can't be read.
 
     Each content is decoded once, in threads where Python has them.
     """
     contents = list(encoded)
     ids = [hash_content(content) for content in contents]
-    decoded: dict[bytes, ImagePixels | str] = {
+    decoded: dict[bytes, ImagePixels | ImageBlocks | str] = {
         key: pixels for key in ids if (pixels := _images.get(key)) is not None
     }
     missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in decoded}
@@ -78,9 +79,15 @@ def hash_content(*parts: bytes | NDArray[np.uint8]) -> bytes:
     return digest.digest()
 
 
-def _decode(content: NDArray[np.uint8]) -> ImagePixels | str:
+def _decode(content: NDArray[np.uint8]) -> ImagePixels | ImageBlocks | str:
     try:
+        if content[: len(ktx2.SIGNATURE)].tobytes() == ktx2.SIGNATURE:
+            return ktx2.decode_ktx2(content.tobytes())
+        if content[: len(SIGNATURES[0])].tobytes().startswith(SIGNATURES):
+            return check_image(decode_radiance(content.tobytes()))
         with open_image(content.data, max_pixels=inf) as image:  # `Budget` has counted its pixels
             return decode_colors(image)
     except ValidationError as error:
-        return error.given.partition(": ")[2]  # without the number of bytes
+        return error.given.partition(": ")[2] or error.given  # without the number of bytes
+    except (ValueError, IndexError) as error:
+        return str(error)

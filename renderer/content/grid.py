@@ -34,14 +34,17 @@ _STRIDES: Final = np.array([0.7548776662466927, 0.5698402909980532])
 2018)."""
 
 
-def make_grid(mesh: str, count: int, spacing: float, lights: int, levels: int, seed: int) -> Scene:
+def make_grid(
+    mesh: str, count: int, spacing: float, lights: int, levels: int, meshlet_size: int, seed: int
+) -> Scene:
     """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0. They
     are lit by the sun, or by `lights` coloured lights above them. Far copies are drawn as one of up to `levels`
-    simplified versions."""
+    simplified versions, and the mesh is cut into meshlets of at most `meshlet_size` triangles."""
     rng = np.random.default_rng([seed, 3])
     geometry = _unit(BUILT_IN[mesh]() if mesh in BUILT_IN else read_geometry(mesh))
     options = f"mesh={mesh},count={count},spacing={spacing:g},seed={seed}"
     options += f",levels={levels}" if levels else ""
+    options += f",meshlet_size={meshlet_size}" if meshlet_size else ""
     builder = SceneBuilder(f"grid:lights={lights},{options}" if lights else f"grid:{options}")
     materials = np.array(
         [
@@ -61,7 +64,7 @@ def make_grid(mesh: str, count: int, spacing: float, lights: int, levels: int, s
     )
     builder.add_objects(
         nodes,
-        builder.add_mesh(geometry, mesh, levels=levels),
+        builder.add_mesh(geometry, mesh, levels=levels, meshlet_size=meshlet_size),
         materials[rng.integers(0, len(_COLORS), count)],
     )
 
@@ -99,6 +102,9 @@ GRID: Final = Generator(
         Option("spacing", 1.5, "metres between copies", 0.1, 1e4),
         Option("lights", 0, "coloured lights above the copies; 0: the sun", 0, 65_536),
         Option("levels", 0, "simplified versions of the mesh at most, for far copies", 0, 12),
+        Option(
+            "meshlet_size", 0, "the most triangles of a meshlet, 8 or more; 0: the mesh is whole", 0, 4096
+        ),
         SEED,
     ),
     make_grid,

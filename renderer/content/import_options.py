@@ -1,4 +1,5 @@
-"""Options of a model file: its scale, its position, the parts that are left out, merged meshes, levels of detail.
+"""Options of a model file: scale and position, parts left out, merged meshes, levels of detail, meshlets, compressed
+images.
 
 They are said by `load_model(…, options=…)`, or in a scene's text: `model.glb:scale=0.01,centre`. All are checked
 before anything is added to a scene.
@@ -14,10 +15,13 @@ from typing import Final
 import numpy as np
 
 from renderer import rules
+from renderer.content.compression import check_compression, compress_images
 from renderer.content.limits import Budget, ModelLimits
 from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
+from renderer.scene.images import Compression
+from renderer.scene.meshlets import check_meshlet_size
 from renderer.scene.paths import CameraPath
 from renderer.scene.scene_builder import SceneBuilder
 from rhi.errors import describe_value, refuse
@@ -27,7 +31,8 @@ _SCALES: Final = (1e-6, 1e6)
 _SEPARATOR: Final = "|"
 _LIMIT_WORDS: Final = ("outside", "unlimited")
 _FLAGS: Final = ("centre", "merge")
-_KEYS: Final = ("scale", "without", "levels")
+_KEYS: Final = ("scale", "without", "levels", "meshlet_size", "compress")
+_COUNTS: Final = ("levels", "meshlet_size")
 _MOST_LEVELS: Final = 12
 
 
@@ -46,6 +51,10 @@ class ImportOptions:
             but they are culled together. Blended ones stay apart: they are sorted by distance.
         levels: up to so many simplified versions of each mesh are made, 0 to 12, with bounds of their errors
             (`simplify`). Meshes with skins or morph targets have none.
+        meshlet_size: the most triangles of a meshlet, 8 to 4,096 (`SceneBuilder.add_mesh`), 0 for whole meshes. Those
+            with skins or morph targets stay whole.
+        compress: the format in which images of 8 bits get blocks, with mip levels, for devices that store it; normal
+            maps have BC5. It needs the package etcpak.
     """
 
     scale: float = 1.0
@@ -53,6 +62,8 @@ class ImportOptions:
     without: tuple[str, ...] = ()
     merge: bool = False
     levels: int = 0
+    meshlet_size: int = 0
+    compress: Compression = Compression.NONE
 
     def __post_init__(self) -> None:
         call = "ImportOptions"
@@ -64,6 +75,9 @@ class ImportOptions:
             if not isinstance(getattr(self, name), bool | np.bool_):
                 value = describe_value(getattr(self, name))
                 refuse(rules.BAD_IMPORT, f"{call}({name}=...)", value, "True or False")
+        if not isinstance(self.compress, Compression):
+            refuse(rules.BAD_IMPORT, f"{call}(compress=...)", describe_value(self.compress), "a Compression")
+        check_compression(rules.BAD_IMPORT, f"{call}(compress=...)", self.compress)
         patterns = self.without
         is_list = isinstance(patterns, Sequence) and not isinstance(patterns, str | bytes)
         if not is_list or not all(isinstance(pattern, str) and pattern for pattern in patterns):
@@ -73,6 +87,8 @@ class ImportOptions:
         if levels > _MOST_LEVELS:
             refuse(rules.BAD_IMPORT, f"{call}(levels=...)", levels, f"0 to {_MOST_LEVELS}")
         object.__setattr__(self, "levels", levels)
+        size = check_meshlet_size(rules.BAD_IMPORT, call, self.meshlet_size)
+        object.__setattr__(self, "meshlet_size", size)
         object.__setattr__(self, "scale", scale)
         object.__setattr__(self, "without", tuple(patterns))
 
@@ -108,8 +124,8 @@ class ImportOptions:
 def parse_model_options(call: str, text: str) -> tuple[ModelLimits, ImportOptions]:
     """Parse the options of a model file in a scene's text: words and `key=value`, with commas between them.
 
-    The words are `outside`, `unlimited`, `centre` and `merge`, the keys `scale`, `levels` and `without`, whose
-    patterns have `|` between them.
+    The words are `outside`, `unlimited`, `centre` and `merge`, the keys `scale`, `levels`, `meshlet_size`, `compress`
+    and `without`, whose patterns have `|` between them.
 
     Raises:
         ValidationError: `scene-spec-syntax`, `scene-unknown-key`, `scene-bad-import`.
@@ -129,12 +145,20 @@ def parse_model_options(call: str, text: str) -> tuple[ModelLimits, ImportOption
         scale = float(words.get("scale", "1"))
     except ValueError:
         refuse(rules.BAD_IMPORT, call, f"scale={words['scale']}", "a number")
-    try:
-        levels = int(words.get("levels", "0"))
-    except ValueError:
-        refuse(rules.BAD_IMPORT, call, f"levels={words['levels']}", "a whole number")
+    counts = {}
+    for name in _COUNTS:
+        try:
+            counts[name] = int(words.get(name, "0"))
+        except ValueError:
+            refuse(rules.BAD_IMPORT, call, f"{name}={words[name]}", "a whole number")
+    compress = words.get("compress", Compression.NONE.value)
+    if compress not in [compression.value for compression in Compression]:
+        allowed = ", ".join(compression.value for compression in Compression)
+        refuse(rules.BAD_IMPORT, call, f"compress={compress}", allowed)
     without = tuple(words["without"].split(_SEPARATOR)) if "without" in words else ()
-    options = ImportOptions(scale, "centre" in words, without, "merge" in words, levels)
+    options = ImportOptions(
+        scale, "centre" in words, without, "merge" in words, **counts, compress=Compression(compress)
+    )
     return replace(limits, outside="outside" in words), options
 
 
@@ -150,6 +174,7 @@ class ModelPlacement:
         self._first_object, self._first_mesh = builder.object_count, builder.mesh_count
         self._first_lights = [len(builder.lights.of_kind(kind)) for kind in LIGHT_KINDS]
         self._views = frozenset(builder.views)
+        self._first_image = builder.image_count
         self._offset = np.zeros(3)
         self.root = builder.add_node(name="import") if options.moves else -1
 
@@ -173,6 +198,10 @@ class ModelPlacement:
             )
         if self._options.levels:
             builder.simplify_meshes(self._first_mesh, self._options.levels)
+        if self._options.meshlet_size:
+            builder.cut_meshes(self._first_mesh, self._options.meshlet_size)
+        if self._options.compress is not Compression.NONE:
+            compress_images(builder, self._first_image, self._options.compress)
 
     def move_path(self, path: CameraPath) -> CameraPath:
         """Return a camera path of the file with these options."""

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from renderer import rules
+from renderer.content import ktx2
 from renderer.content.file_index import FileIndex
 from renderer.content.progress import report
+from renderer.content.radiance import SIGNATURES, count_texels
 from renderer.scene.files import read_file
 from rhi import ValidationError, open_image
 from rhi.errors import refuse
@@ -83,10 +85,19 @@ class Budget:
     def spend_image(self, content: bytes) -> None:
         """Count the pixels of an encoded image, which is decoded only then."""
         try:
-            with open_image(content, max_pixels=inf) as image:
-                pixels = image.width * image.height
-        except ValidationError:  # decoding says what is wrong
+            if content.startswith(SIGNATURES):
+                pixels = count_texels(content)
+            elif content.startswith(ktx2.SIGNATURE):
+                pixels = ktx2.count_texels(content)
+            else:
+                with open_image(content, max_pixels=inf) as image:
+                    pixels = image.width * image.height
+        except (ValidationError, ValueError):  # decoding says what is wrong
             return
+        self.spend_pixels(pixels)
+
+    def spend_pixels(self, pixels: int) -> None:
+        """Count the pixels of an image before it is decoded."""
         if pixels > self.limits.pixels / _IMAGE_PART:
             self._refuse(f"an image of {pixels:,} pixels", f"{self.limits.pixels / _IMAGE_PART:,.0f}")
         self.spend("pixels", pixels)

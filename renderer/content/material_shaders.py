@@ -1,14 +1,17 @@
-"""Shaders of materials: parallax, brushed metal, marble, and a checkerboard. They show how materials get shaders
-of their own, and the scene `yard` has all but brushed metal."""
+"""Shaders of materials: parallax, brushed metal, marble, a checkerboard, and three with lighting models of their own:
+toon, cloth and skin. They show how materials get shaders of their own, and the scene `yard` has the first but brushed
+metal."""
 
 from __future__ import annotations
 
 from typing import ClassVar, Final
 
 import rhi.shading as sl
+from renderer.light_kinds.incidence import Incidence
 from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.lighting_models import surface_roughness
 from renderer.shaders.materials import MaterialShader
-from renderer.shaders.structs import SurfaceInput, SurfaceParameters
+from renderer.shaders.structs import SurfaceInput, SurfaceParameters, SurfacePoint
 
 _FLAT: Final = 0.05
 """The least cosine to a surface's normal with which parallax reckons: below it, rays would go on and on."""
@@ -190,3 +193,86 @@ class Checker(MaterialShader):
         described = super().describe(at)
         described.color = described.color * sl.vec4(sl.mix(sl.vec3(1.0), board.second_color, share), 1.0)
         return described
+
+
+class ToonParameters(sl.Struct):
+    """Parameters of `Toon`: the number of steps of light below the brightest one, and the part of a step, from 0 to 1,
+    in which one turns into the next."""
+
+    steps: float
+    softness: float
+
+
+@sl.function
+def toon(surface: SurfacePoint, light: Incidence, own: ToonParameters) -> sl.vec3:
+    """Return light that falls off in steps, and no highlight."""
+    facing = sl.saturate(sl.dot(surface.normal, light.direction)) * own.steps
+    step = sl.floor(facing)
+    width = sl.max(own.softness, 1e-4)
+    level = step + sl.smoothstep(1.0 - width, 1.0, facing - step)
+    return surface.base_color * light.irradiance * (level / own.steps)
+
+
+class Toon(MaterialShader):
+    """Surfaces that are lit in steps, as in drawn cartoons."""
+
+    parameter_defaults: ClassVar = {"steps": 3.0, "softness": 0.1}
+    lighting_model: ClassVar = toon
+
+    parameters: sl.Storage[ToonParameters]
+
+
+class ClothParameters(sl.Struct):
+    """Parameters of `Cloth`: the colour of the fibres that stand out of it."""
+
+    sheen_color: sl.vec3
+
+
+@sl.function
+def cloth(surface: SurfacePoint, light: Incidence, own: ClothParameters) -> sl.vec3:
+    """Return scattered light and the sheen of fibres: the "Charlie" lobe (Estevez and Kulla 2017), with the masking of
+    Neubelt and Pettineo (2013)."""
+    facing = sl.dot(surface.normal, light.direction)
+    if facing <= 0.0:
+        return sl.vec3(0.0)
+    roughness = surface_roughness(surface)
+    halfway = safe_normalize(light.direction + surface.to_eye)
+    along = sl.dot(surface.normal, halfway)
+    inverse = 1.0 / sl.max(roughness * roughness, 1e-2)
+    lobe = (2.0 + inverse) * 0.5 * sl.pow(sl.max(1.0 - along * along, 1e-6), 0.5 * inverse)  # times π
+    seen = sl.abs(sl.dot(surface.normal, surface.to_eye))
+    masked = 4.0 * (facing + seen - facing * seen)
+    return (surface.base_color + own.sheen_color * (lobe / masked)) * light.irradiance * facing
+
+
+class Cloth(MaterialShader):
+    """Velvet and other cloth: bright where fibres stand against the light."""
+
+    parameter_defaults: ClassVar = {"sheen_color": (0.3, 0.3, 0.3)}
+    lighting_model: ClassVar = cloth
+
+    parameters: sl.Storage[ClothParameters]
+
+
+class SkinParameters(sl.Struct):
+    """Parameters of `Skin`: how far light wraps around it, from 0 to 1, for red, green and blue."""
+
+    wrap: sl.vec3
+
+
+@sl.function
+def skin(surface: SurfacePoint, light: Incidence, own: SkinParameters) -> sl.vec3:
+    """Return light that wraps around the surface, as if it were scattered below it; all of it together stays as much
+    (wrapped diffuse lighting, d'Eon and Luebke 2007)."""
+    wrap = sl.saturate(own.wrap)
+    facing = (sl.dot(surface.normal, light.direction) + wrap) / ((1.0 + wrap) * (1.0 + wrap))
+    return surface.base_color * light.irradiance * sl.max(facing, 0.0)
+
+
+class Skin(MaterialShader):
+    """Skin, wax or leaves: light reaches round into the shade, red the farthest."""
+
+    parameter_defaults: ClassVar = {"wrap": (0.5, 0.25, 0.15)}
+    lighting_model: ClassVar = skin
+
+    parameters: sl.Storage[SkinParameters]

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.content.radiance import decode_radiance
 from renderer.scene.environment import Environment, texel_directions
 from renderer.scene.files import read_file
 from renderer.scene.scene_builder import SceneBuilder
 from rhi.errors import refuse
 
 _MAX_BYTES: Final = 1 << 30
-_MAX_TEXELS: Final = 1 << 26
 _HEIGHT: Final = 256
 _ZENITH, _HORIZON, _GROUND = (0.13, 0.27, 0.60), (0.72, 0.80, 0.90), (0.20, 0.18, 0.15)
 _HALO: Final = (1.0, 0.86, 0.66)
@@ -63,7 +63,7 @@ def read_environment(path: str | Path) -> NDArray[Any]:
         refuse(rules.BAD_ENVIRONMENT_FILE, call, suffix or "a name without an ending", ".hdr or .exr")
     try:
         content = read_file(path, _MAX_BYTES)
-        return _decode_radiance(content) if suffix == ".hdr" else _read_exr(path, call)
+        return decode_radiance(content) if suffix == ".hdr" else _read_exr(path, call)
     except (OSError, ValueError, IndexError) as error:
         refuse(rules.BAD_ENVIRONMENT_FILE, call, str(error), "a whole file of this format")
 
@@ -80,62 +80,3 @@ def _read_exr(path: str | Path, call: str) -> NDArray[Any]:
         if pixels is None:
             raise ValueError(f"it has the channels {', '.join(channels)}, not R, G and B")
         return np.array(pixels[..., :3], np.float32)
-
-
-def _decode_radiance(content: bytes) -> NDArray[Any]:
-    """Decode a file of Radiance: red, green, blue and a shared exponent, plain or in runs.
-
-    Source: Ward, Real Pixels, in Graphics Gems II, 1991; Radiance's file formats.
-    """
-    if not content.startswith((b"#?RADIANCE", b"#?RGBE")):
-        raise ValueError("it doesn't begin with #?RADIANCE")
-    header, _, rest = content.partition(b"\n\n")
-    if b"32-bit_rle_xyze" in header:
-        raise ValueError("its colors are XYZ, not RGB")
-    size, _, data = rest.partition(b"\n")
-    words = size.decode("ascii", "replace").split()
-    if len(words) != 4 or words[0] != "-Y" or words[2] != "+X":
-        raise ValueError(f"its rows are {size[:40]!r}, not -Y height +X width")
-    height, width = int(words[1]), int(words[3])
-    if not (height > 0 and width > 0 and height * width <= _MAX_TEXELS):
-        raise ValueError(f"it has {width} × {height} texels, of at most {_MAX_TEXELS:,}")
-    exposure = 1.0
-    for line in header.split(b"\n"):
-        if line.startswith(b"EXPOSURE="):
-            exposure *= float(line.partition(b"=")[2])
-    if not (np.isfinite(exposure) and exposure > 0.0):
-        raise ValueError(f"its exposure is {exposure}")
-    encoded = np.empty((height, width, 4), np.uint8)
-    at = 0
-    for row in encoded:
-        has_runs = 8 <= width < 32768 and data[at : at + 2] == b"\x02\x02"
-        if not has_runs:
-            plain = np.frombuffer(data, np.uint8, 4 * width, at).reshape(width, 4)
-            if (plain[:, :3] == 1).all(axis=1).any():
-                raise ValueError("its rows are in runs of the old kind")
-            row[:] = plain
-            at += 4 * width
-            continue
-        if int.from_bytes(data[at + 2 : at + 4], "big") != width:
-            raise ValueError("a row has another width")
-        at = _decode_row(data, at + 4, row)
-    exponent = encoded[..., 3].astype(np.int32)
-    scale = np.ldexp(1.0, exponent - 136) * (exponent > 0) / exposure
-    return ((encoded[..., :3] + 0.5) * scale[..., None]).astype(np.float32)
-
-
-def _decode_row(data: bytes, at: int, row: NDArray[np.uint8]) -> int:
-    """Decode the runs of a row's four channels (width, 4) from a position on; return where they end."""
-    for channel in range(4):
-        column = 0
-        while column < len(row):
-            count = data[at]
-            is_run = count > 128
-            count = count - 128 if is_run else count
-            if not 0 < count <= len(row) - column or at + 1 + (1 if is_run else count) > len(data):
-                raise ValueError("a run is longer than its row, or than the file")
-            values = data[at + 1] if is_run else np.frombuffer(data, np.uint8, count, at + 1)
-            row[column : column + count, channel] = values
-            at += 2 if is_run else 1 + count
-            column += count
-    return at

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from renderer.scene.arrays import Floats
-from renderer.scene.materials import ImagePixels, make_opaque
+from renderer.scene.images import ImagePixels, make_opaque
 
 KINDS: Final = ("bricks", "planks", "tiles", "plaster", "cloth", "studs", "stone", "grooves")
 """The kinds of surfaces."""

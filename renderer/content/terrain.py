@@ -17,7 +17,7 @@ from renderer.content.shapes import cone, plane
 from renderer.content.specs import SEED, Generator, Option
 from renderer.scene.arrays import Floats
 from renderer.scene.height_fields import HeightField, make_height_field
-from renderer.scene.materials import ImagePixels, make_opaque
+from renderer.scene.images import ImagePixels, make_opaque
 from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from renderer.scene.materials import ImagePixels, make_opaque
+from renderer.scene.images import ImagePixels, make_opaque
 from rhi.math.indexing import repeat_each
 
 IMAGE_SIZE: Final = 256

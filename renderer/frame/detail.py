@@ -68,17 +68,24 @@ class DetailLevels:
 
 
 def make_mesh_parts(meshes: Meshes) -> NDArray[Any]:
-    """Return the parts of meshes, and behind them those of their levels, (meshes + levels,) of `MeshPart`."""
-    counts = np.diff(meshes.level_begins)
-    mesh = np.concatenate([np.arange(len(meshes)), repeat_each(np.arange(len(meshes)), counts)])
+    """Return the parts of meshes, behind them those of their levels and then those of their meshlets, (meshes + levels
+    + meshlets,) of `MeshPart`."""
+    counts, every = np.diff(meshes.level_begins), np.arange(len(meshes))
+    cut = repeat_each(every, np.diff(meshes.meshlet_begins))
+    mesh = np.concatenate([every, repeat_each(every, counts), cut])
     parts = np.zeros(len(mesh), MeshPart.dtype)
     parts["lower"], parts["upper"] = meshes.lower[mesh], meshes.upper[mesh]
     parts["base_vertex"] = meshes.ranges["base_vertex"][mesh]
-    own, levels = parts[: len(meshes)], parts[len(meshes) :]
+    own, levels = parts[: len(meshes)], parts[len(meshes) : len(meshes) + len(meshes.level_ranges)]
     own["first"], own["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
     own["first_level"], own["level_count"] = len(meshes) + meshes.level_begins[:-1], counts
     levels["first"] = meshes.level_ranges["first_index"] + len(meshes.indices)
     levels["count"] = meshes.level_ranges["index_count"]
     errors = meshes.level_errors[np.isfinite(meshes.level_errors)]
     levels["error"] = np.nextafter(errors.astype(np.float32), np.float32(np.inf))
+    meshlets = parts[len(parts) - len(cut) :]
+    meshlets["first"], meshlets["count"] = (
+        meshes.meshlet_ranges["first_index"],
+        meshes.meshlet_ranges["index_count"],
+    )
     return parts

@@ -117,6 +117,9 @@ class DrawResult:
     def opaque(self) -> NDArray[np.int64]:
         """Indices of the opaque objects drawn, in the order of their batches."""
         lists = self._read_lists() if self._being_read is None else [wait() for wait in self._being_read]
+        if lists and self._resources.uses_meshlets:  # of one object, both lists may have some
+            listed, first = np.unique(np.concatenate(lists), return_index=True)
+            lists = [listed[np.argsort(first)]]
         object_indices = [step if isinstance(step, np.ndarray) else step[0] for step in self._steps]
         return np.concatenate([np.zeros(0, np.int64), *object_indices, *lists])
 
@@ -190,6 +193,7 @@ class TechniqueDrawer:
         clear: tuple[float, float, float, float] | None = None,
         states: tuple[State, ...] = (),
         clears: bool = True,
+        has_meshlets: bool = True,
     ) -> None:
         """Describe a pass without issuing any command.
 
@@ -200,6 +204,8 @@ class TechniqueDrawer:
             states: states of the pass, besides the faces to cull, which each group has, and a depth test that
                 passes and writes what isn't behind (`NOT_BEHIND`) unless they say otherwise.
             clears: whether the depth is cleared.
+            has_meshlets: whether meshes that are cut may be culled in parts. A later pass that samples other points
+                of the pixels would miss parts that are seen only there.
         """
         self.depth = depth
         self.draw_result = DrawResult(resources)
@@ -213,6 +219,7 @@ class TechniqueDrawer:
         merged: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, not_behind, *states)
         self._states = tuple(dict(zip(map(type, merged), merged, strict=True)).values())
         self._clears = clears
+        self._has_meshlets = has_meshlets
         self.was_opened = False
         self._has_all_in_view = False
         self._has_transparent = len(resources.transparent_indices) > 0
@@ -236,6 +243,17 @@ class TechniqueDrawer:
         if self._resources.may_simulate:
             self._simulate_in_view()
         return self._resources.scene_arrays(self._view.buffer)
+
+    @property
+    def meshlet_arrays(self) -> SceneArrays | None:
+        """The same with meshlets in place of the meshes that are cut; None if none of them is shown, or the pass draws
+        them whole."""
+        resources = self._resources
+        if not (resources.uses_meshlets and self._has_meshlets):
+            return None
+        if resources.may_simulate:
+            self._simulate_in_view()
+        return resources.scene_arrays(self._view.buffer, has_meshlets=True)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -18,7 +18,13 @@ from renderer import rules
 from renderer.frame.depth_of_field import DEFAULT_FOCUS, DepthOfFieldSettings, is_blur_seen
 from renderer.frame.environment import DEFAULT_ENVIRONMENT, EnvironmentSettings
 from renderer.frame.light_components import LightComponent
-from renderer.frame.occlusion import DEFAULT_OCCLUSION, OCCLUSION, OcclusionSettings, is_occlusion_seen
+from renderer.frame.occlusion import (
+    CONTACTS,
+    DEFAULT_OCCLUSION,
+    OCCLUSION,
+    OcclusionSettings,
+    is_occlusion_seen,
+)
 from renderer.frame.plan import Target
 from renderer.frame.targets import IMAGE_FORMAT
 from renderer.frame.temporal import NO_HISTORY, TemporalSettings
@@ -36,6 +42,7 @@ from renderer.scene.negligible import LEAST_LIGHT
 from renderer.visibility.boxes.volumes import select_in_view
 from rhi import Format, refuse
 from rhi.errors.choices import Choice
+from rhi.shading import find_element
 
 
 class Effect(Choice):
@@ -79,6 +86,7 @@ class Effect(Choice):
         vars()[f"{shadow_kind.name.upper()}_SHADOWS"] = f"shadows of {shadow_kind.noun}s"
     DIRECTIONAL_PENUMBRAS = "penumbras of directional lights"
     LOCAL_PENUMBRAS = "penumbras of local lights"
+    CONTACT_SHADOWS = "contact shadows"
     TRANSPARENCY = "transparency"
     HEIGHT_FIELDS = "height fields"
 
@@ -133,7 +141,12 @@ _SURROUNDINGS: Final = frozenset((Effect.HAZE, Effect.FOG, Effect.SKY_BOX))
 _AMBIENT: Final = frozenset((Effect.AMBIENT_OCCLUSION, Effect.ENVIRONMENT, Effect.OCCLUSION_MAPS))
 _EMITTED: Final = frozenset((Effect.EMISSION, Effect.EMISSIVE_COLORS, Effect.EMISSIVE_MAPS))
 _OF_THE_SUN: Final = frozenset(
-    (Effect.DIRECTIONAL_LIGHTS, Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS)
+    (
+        Effect.DIRECTIONAL_LIGHTS,
+        Effect.DIRECTIONAL_SHADOWS,
+        Effect.DIRECTIONAL_PENUMBRAS,
+        Effect.CONTACT_SHADOWS,
+    )
 )
 _OF_LOCAL_LIGHTS: Final = frozenset(
     (
@@ -203,6 +216,9 @@ class BloomSettings:
 
 
 _MAX_LEVELS: Final = 12
+_MAX_BOUND_MODELS: Final = 2
+"""The lighting models with parameters that a pass over a geometry buffer binds: with its other buffers, as many as each
+device of WebGPU binds (8)."""
 _NONE: Final[Indices] = np.zeros(0, np.int64)
 EXACT_BLOOM: Final = BloomSettings()
 """Bloom that has all of the light that is scattered."""
@@ -246,6 +262,10 @@ _NOUNS: Final = {
         "directional light with a size that casts shadows",
         "directional lights with a size that cast shadows",
     ),
+    Effect.CONTACT_SHADOWS: (
+        "directional light that casts shadows",
+        "directional lights that cast shadows",
+    ),
     Effect.LOCAL_PENUMBRAS: (
         "local light with a radius that casts shadows",
         "local lights with a radius that cast shadows",
@@ -275,6 +295,7 @@ class EffectSources:
         height_fields: the object indices of the height fields.
         shaders: those that materials have of their own.
         layers: those of transparent objects.
+        contact_light: the index of the first directional light that casts shadows; 0 without any.
     """
 
     state: tuple[object, ...]
@@ -284,6 +305,7 @@ class EffectSources:
     height_fields: Indices
     shaders: tuple[type[Any], ...]
     layers: TransparentLayers
+    contact_light: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,6 +330,7 @@ class FrameEffects:
         environment: how exactly light from an environment is computed.
         component: the part of the light that is drawn.
         filters_penumbras: whether shadows are as soft as the sizes of sources make them.
+        follows_contacts: whether rays are followed in the depth buffer towards the sun.
         shaders: those that the scene's materials have of their own.
         layers_format: the format that transparent objects are added up in; None if they are blended to the
             image itself.
@@ -332,6 +355,7 @@ class FrameEffects:
     environment: EnvironmentSettings
     component: LightComponent
     filters_penumbras: bool
+    follows_contacts: bool
     shaders: tuple[type[Any], ...]
     sources: EffectSources
     visible_features: frozenset[str]
@@ -355,7 +379,19 @@ class FrameEffects:
     @property
     def shading_reads(self) -> tuple[str, ...]:
         """The resources that a pass reads which shades opaque surfaces, whatever the technique."""
-        return (OCCLUSION,) if Effect.AMBIENT_OCCLUSION in self.enabled else ()
+        occlusion = (OCCLUSION,) if Effect.AMBIENT_OCCLUSION in self.enabled else ()
+        return (*occlusion, CONTACTS) if Effect.CONTACT_SHADOWS in self.enabled else occlusion
+
+    @property
+    def depth_reason(self) -> str:
+        """Why depth is drawn before what has `shading_reads` is shaded."""
+        has_occlusion = Effect.AMBIENT_OCCLUSION in self.enabled
+        return f"{'ambient occlusion is' if has_occlusion else 'contact shadows are'} found from depth"
+
+    @property
+    def contact_light(self) -> int:
+        """The index of the directional light whose contact shadows are drawn; 0 without any."""
+        return self.sources.contact_light if Effect.CONTACT_SHADOWS in self.enabled else 0
 
     @property
     def local_lights_in_view(self) -> int:
@@ -378,6 +414,23 @@ class FrameEffects:
         return Effect.MATERIAL_SHADERS in self.enabled and any(
             shader.has_anisotropy for shader in self.shaders
         )
+
+    @cached_property
+    def lighting_models(self) -> tuple[tuple[int, type[Any]], ...]:
+        """The shaders of materials with lighting models of their own, by number."""
+        if Effect.MATERIAL_SHADERS not in self.enabled:
+            return ()
+        return tuple(
+            (number, shader)
+            for number, shader in enumerate(self.shaders, 1)
+            if getattr(shader, "lighting_model", None) is not None
+        )
+
+    @property
+    def needs_forward(self) -> bool:
+        """True if a material needs what geometry buffers don't store, or what a pass over one has no room for."""
+        bound = sum(find_element(shader, "parameters") is not None for _, shader in self.lighting_models)
+        return self.has_anisotropy or bound > _MAX_BOUND_MODELS
 
     @property
     def has_geometric_normals(self) -> bool:
@@ -409,6 +462,8 @@ class FrameEffects:
             self.component,
             self.has_fogged_sky,
             self.layers_format,
+            self.has_anisotropy,
+            self.lighting_models,
         )
 
     def explain(self, effect: Effect) -> str:
@@ -427,6 +482,8 @@ class FrameEffects:
             return self._explain_environment(effect, count)
         if effect is Effect.DEPTH_OF_FIELD:
             return self._explain_depth_of_field(count)
+        if effect is Effect.CONTACT_SHADOWS and not self.follows_contacts:
+            return "the length of contact shadows is 0"
         if effect in PENUMBRA_EFFECTS and not self.filters_penumbras:
             return "the filter of shadows isn't PCSS"
         noun, plural = _NOUNS[effect]
@@ -495,6 +552,7 @@ def collect_frame_effects(
     environment: EnvironmentSettings = DEFAULT_ENVIRONMENT,
     component: LightComponent = LightComponent.ALL,
     filters_penumbras: bool = False,
+    follows_contacts: bool = False,
     visible_features: frozenset[str] | None = None,
     shows_objects: bool | None = None,
     lights: Lights | None = None,
@@ -513,6 +571,7 @@ def collect_frame_effects(
         environment: how light from an environment is to be computed.
         component: the part of the light that is to be drawn.
         filters_penumbras: whether shadows are to be as soft as the sizes of sources make them.
+        follows_contacts: whether rays are to be followed in the depth buffer towards the sun.
         visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are
             in view.
         shows_objects: whether any object is in view, on which shadows of the sun could fall; None to look.
@@ -543,6 +602,7 @@ def collect_frame_effects(
             environment,
             component,
             filters_penumbras,
+            follows_contacts,
             visible_features,
             shows_objects,
         )
@@ -556,6 +616,7 @@ def collect_frame_effects(
             last.environment,
             last.component,
             last.filters_penumbras,
+            last.follows_contacts,
             last.visible_features,
             last.shows_objects,
         )
@@ -583,9 +644,11 @@ def collect_frame_effects(
     hidden |= _LEFT_OUT[component]
     if not filters_penumbras:
         hidden |= {*PENUMBRA_EFFECTS}
+    if not follows_contacts:
+        hidden |= {Effect.CONTACT_SHADOWS}
     if not shows_objects:
         hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS, Effect.AMBIENT_OCCLUSION}
-        hidden |= {Effect.ENVIRONMENT}
+        hidden |= {Effect.ENVIRONMENT, Effect.CONTACT_SHADOWS}
     if not (shows_objects or has_fogged_sky or sources.counts[Effect.SKY_BOX]):
         hidden |= {Effect.DEPTH_OF_FIELD}
     hidden |= {
@@ -612,6 +675,7 @@ def collect_frame_effects(
         environment,
         component,
         filters_penumbras,
+        follows_contacts,
         sources.shaders,
         sources,
         visible_features,
@@ -775,6 +839,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
             scene, lights.directional[flag_discs(lights.directional)]
         ),
         Effect.LOCAL_PENUMBRAS: 0,
+        Effect.CONTACT_SHADOWS: _count_casting(scene, lights.directional),
         **{_EFFECTS[name]: count for name, count in features.items()},
     }
     local_lights = []
@@ -793,7 +858,11 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         local_lights.append((centers.copy(), radii))
     shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)
     layers = TransparentLayers.count(scene)
-    return EffectSources(state, counts, tuple(features), tuple(local_lights), height_fields, shaders, layers)
+    casts = lights.directional["casts_shadow"]
+    contact_light = int(np.argmax(casts)) if len(casts) else 0
+    return EffectSources(
+        state, counts, tuple(features), tuple(local_lights), height_fields, shaders, layers, contact_light
+    )
 
 
 def _has_ambient_light(scene: Scene) -> bool:

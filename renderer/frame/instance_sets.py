@@ -22,10 +22,17 @@ class InstanceSets:
         meshes: the mesh (n,) of each object, as of the last `follow`.
     """
 
-    def __init__(self, device: Device, meshes: NDArray[np.int32], level_begins: NDArray[np.int64]) -> None:
-        """`level_begins` are those of `Meshes`."""
+    def __init__(
+        self,
+        device: Device,
+        meshes: NDArray[np.int32],
+        level_begins: NDArray[np.int64],
+        meshlet_begins: NDArray[np.int64] | None = None,
+    ) -> None:
+        """`level_begins` and `meshlet_begins` are those of `Meshes`; without the latter, meshes are drawn whole."""
         self.meshes = meshes.copy()
         self._level_begins = level_begins
+        self._meshlet_begins = meshlet_begins
         self._object_meshes = MirroredArray(device, int, "meshes of objects")
         self._entries = MirroredArray(device, ListEntry, "list entries")
         self._begins = MirroredArray(device, uint, "instance sets")
@@ -51,7 +58,10 @@ class InstanceSets:
         if not self._is_current or has_levels != self._has_levels:
             self._has_levels = has_levels
             level_begins = self._level_begins if has_levels else None
-            entries, begins = make_instance_sets(self.meshes, groups, level_begins)
+            first = len(self._level_begins) - 1 + int(self._level_begins[-1])
+            entries, begins = make_instance_sets(
+                self.meshes, groups, level_begins, self._meshlet_begins, first
+            )
             self._object_meshes.write(self.meshes)
             self._entries.write(entries)
             self._begins.write(begins)

@@ -181,6 +181,12 @@ class Workspaces:
         workspace: R | None = self._workspaces.get(kind)
         return workspace
 
+    def release(self, kind: Callable[[Device], Releasable]) -> None:
+        """Release the object of `kind`, if it was created: it destroys what it can create again."""
+        workspace = self._workspaces.get(kind)
+        if workspace is not None:
+            workspace.release()
+
     def destroy(self) -> None:
         """Destroy all objects."""
         for workspace in self._workspaces.values():

@@ -12,6 +12,8 @@ from rhi.math import Depth, distance_at_depth, is_parallel
 
 OCCLUSION: Final = "ambient_occlusion"
 """The resource that has the share of ambient light that reaches each pixel's surface."""
+CONTACTS: Final = "contact_shadows"
+"""The resource that has the share of the sun's light that what is near each pixel's surface lets through."""
 MOST_PIXELS: Final = 32_768
 """The height of the largest image that any device draws."""
 NEAREST_DEPTH: Final = {Depth.REVERSED: 1.0, Depth.STANDARD: 0.0}

@@ -27,6 +27,7 @@ from renderer.frame.detail import DetailLevels, make_mesh_parts
 from renderer.frame.hidden_objects import HiddenObjects
 from renderer.frame.instance_sets import InstanceSets
 from renderer.frame.local_lights import LocalLightBuffers, Views
+from renderer.frame.meshlets import make_meshlets
 from renderer.frame.mirrors import (
     MirroredArray,
     MirroredValue,
@@ -99,6 +100,7 @@ class SceneResources:
         draws: (n,) of `rhi.DRAW`, one for each object, and behind them those of levels of detail.
         levels: these levels; None if no mesh has any.
         uses_levels: whether any object that is shown has levels.
+        uses_meshlets: whether any object that is shown has a mesh that is cut into meshlets.
         detail_limit: the limit of their error in this frame, None for full meshes.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its
             triangles.
@@ -128,6 +130,7 @@ class SceneResources:
     light_cutoff = 0.0
     detail_error = 0.0
     uses_levels = False
+    uses_meshlets = False
     detail_limit: DetailLimit | None = None
 
     def __init__(
@@ -208,7 +211,7 @@ class SceneResources:
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._object_positions: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
-        self._instance_sets = keep(InstanceSets(device, objects.mesh, scene.meshes.level_begins))
+        self._instance_sets, self._meshlet_sets = self._make_instance_sets(device, scene)
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.transparent_indices: NDArray[np.int64] = np.zeros(0, np.int64)
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
@@ -219,6 +222,14 @@ class SceneResources:
         self._shader: NDArray[np.int32] = np.zeros(len(objects), np.int32)
         self._follow_materials()
         self._transform(np.arange(len(objects)))
+
+    def _make_instance_sets(self, device: Device, scene: Scene) -> tuple[InstanceSets, InstanceSets | None]:
+        """Create the instance sets of whole meshes, and those with meshlets if any mesh is cut."""
+        mesh, level_begins = scene.objects.mesh, scene.meshes.level_begins
+        whole = self._keep(InstanceSets(device, mesh, level_begins))
+        if not len(scene.meshes.meshlet_ranges):
+            return whole, None
+        return whole, self._keep(InstanceSets(device, mesh, level_begins, scene.meshes.meshlet_begins))
 
     def _make_images(self, device: Device, scene: Scene, textures: TextureSettings) -> SceneImages | None:
         """Create the scene's images, and prepare the uploads of later frames if there are any."""
@@ -345,19 +356,33 @@ class SceneResources:
 
     def release(self, kind: Callable[[Device], Releasable]) -> None:
         """Release a workspace, if it exists: it destroys what it can create again."""
-        workspace = self._workspaces.get(kind)
-        if workspace is not None:
-            workspace.release()
+        self._workspaces.release(kind)
 
-    def scene_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
+    @cached_property
+    def _meshlets(self) -> StorageBuffer[shaders.Meshlet]:
+        """Bounds of the mesh parts, for shaders that cull meshlets; created on first use."""
+        bounds = make_meshlets(self.scene.meshes)
+        return self._keep(self._device.storage(shaders.Meshlet, bounds, label="meshlets"))
+
+    def scene_arrays(
+        self, view: UniformRange[shaders.ViewConstants], *, has_meshlets: bool = False
+    ) -> SceneArrays:
         """Buffers of objects and meshes for visibility algorithms on the device, and the constants of a
-        view. What they say of levels of detail is this frame's."""
+        view. What they say of levels of detail is this frame's.
+
+        Args:
+            has_meshlets: whether lists have meshlets, where meshes are cut, in place of whole meshes.
+        """
         objects, object_positions = self.objects.buffer, self.object_positions.buffer
         assert objects is not None, "a scene has at least one object"
         assert object_positions is not None
-        sets = self._instance_sets.update(self.group, has_levels=self.uses_levels)
+        instance_sets = self._instance_sets
+        if has_meshlets and self._meshlet_sets is not None:
+            instance_sets = self._meshlet_sets
+        sets = instance_sets.update(self.group, has_levels=self.uses_levels)
         detail = self.mirror(make_constants(self.detail_limit)) if self.uses_levels else None
-        return SceneArrays(view, objects, object_positions, self.mesh_parts, *sets, detail)
+        meshlets = None if instance_sets is self._instance_sets else self._meshlets
+        return SceneArrays(view, objects, object_positions, self.mesh_parts, *sets, detail, meshlets)
 
     def simulate(
         self,
@@ -568,6 +593,8 @@ class SceneResources:
         )
         shader = scene.materials["shader"][objects.material]
         has_others = self._instance_sets.follow(objects.mesh)
+        if self._meshlet_sets is not None:
+            self._meshlet_sets.follow(objects.mesh)
         if has_others:
             self.draws = self._make_draws()
         if not has_others and all(
@@ -586,6 +613,8 @@ class SceneResources:
         self._has_two_sides = two_sided
         self._is_shown = objects.is_shown.copy()
         self.uses_levels = self.levels is not None and self.levels.has_any(self._is_shown)
+        is_cut = np.diff(scene.meshes.meshlet_begins)[objects.mesh] > 0
+        self.uses_meshlets = bool((is_cut & self._is_shown).any())
         self._shader = shader
         self.is_transparent[:] = False
         self.is_transparent[object_indices] = True
@@ -605,6 +634,8 @@ class SceneResources:
         )
         self.groups = tuple(np.unique(self.group).tolist())
         self._instance_sets.forget()
+        if self._meshlet_sets is not None:
+            self._meshlet_sets.forget()
 
     def _transform(self, object_indices: NDArray[np.int64]) -> None:
         """Update the elements of the arrays that hold the transforms of the objects `object_indices`."""

@@ -1,29 +1,34 @@
 """The images of a scene on a device: arrays of textures, or two texture tables.
 
 A shader reads all images of a scene in one draw. Where they have few sizes, images are layers of arrays, one
-for each size; colours (sRGB) and data (linear) have arrays of their own. So they take the memory of their
-texels and mip levels, and no more, and the device's own samplers read them.
+for each size; colours (sRGB), data (linear) and images of high range (RGBA16F) have arrays of their own. So they
+take the memory of their texels and mip levels, and no more, and the device's own samplers read them.
 
 A shader binds each array once for each sampler that reads it, at most `MAX_ARRAYS` in all. If a scene has
 more sizes or samplers, colours and data are in a `TextureTable` each. There too each image keeps its own
-size, mip levels and sampler.
+size, mip levels and sampler. All images of a table have one format: one of high range makes all of them RGBA16F.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import inf
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.content.compression import check_compression, choose_format, compress_image
 from renderer.scene import Scene
+from renderer.scene.images import Compression, ImageBlocks, ImagePixels, has_high_range, read_values
+from renderer.scene.material_instances import collect_normal_images
 from renderer.shaders.structs import TextureUse
 from rhi import (
+    CompressedFormat,
     Device,
     Filter,
     Format,
@@ -39,12 +44,13 @@ from rhi.shading import TextureBinding
 MAX_ARRAYS: Final = 8
 """The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own, and
 one more of an environment."""
-TEXEL_BYTES: Final = 4
+_BLOCK: Final = 4
 _MAX_BIAS: Final = 16.0
 """The most levels of a bias: there are no more levels."""
 
 Size = tuple[int, int]
 """Width and height in texels."""
+ImageFormat = Format | CompressedFormat
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +65,15 @@ class TextureSettings:
             `capabilities.max_anisotropy`.
         mip_bias: what is added to the mip level, −16 to 16: a pixel is taken to cover 2^bias times as many
             texels in each direction. Below 0 textures are sharper, and flicker.
+        compression: the format in which images of 8 bits are compressed, where the device stores it as it is. It
+            needs the package etcpak. Images that have blocks keep these.
     """
 
     filter: Filter = Filter.LINEAR
     mip: Filter | None = Filter.LINEAR
     anisotropy: float = 1.0
     mip_bias: float = 0.0
+    compression: Compression = Compression.NONE
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_TEXTURES)
@@ -93,10 +102,12 @@ SAMPLER_DEFAULTS: Final = TextureSettings()
 
 @dataclass(frozen=True, slots=True)
 class ImageArray:
-    """An array texture: the size of its layers, whether they are colours, the images in its layers, and
-    the samplers that read it, as indices of the scene."""
+    """An array texture: the size, format and mip levels of its layers, whether they are colours, the images in
+    them, and the samplers that read it, as indices of the scene."""
 
     size: Size
+    format: ImageFormat
+    levels: int
     is_color: bool
     images: tuple[int, ...]
     samplers: frozenset[int]
@@ -104,7 +115,7 @@ class ImageArray:
     @property
     def bytes(self) -> int:
         """The memory of all layers with their levels."""
-        return len(self.images) * count_bytes(self.size)
+        return len(self.images) * count_bytes(self.size, self.format, self.levels)
 
 
 @dataclass(slots=True)
@@ -114,52 +125,90 @@ class ImageUpload:
     Attributes:
         image: its index in the scene.
         is_color: whether it is uploaded as colours.
+        format: the format on the device.
         size: in texels, on the device.
-        read: returns its texels (height, width, 4) of uint8.
+        read: returns its texels (height, width, 4) as the format has them; its blocks if that is compressed.
         copies: copy a texture with all levels to where shaders read them.
+        target: the texture and the layer to which blocks are written; they can't be copied.
         textures: (k,) the indices of the scene's textures that are complete then.
     """
 
     image: int
     is_color: bool
+    format: ImageFormat
     size: Size
-    read: Callable[[], NDArray[np.uint8]]
+    read: Callable[[], ImagePixels | ImageBlocks]
     copies: tuple[Callable[[Texture], None], ...]
+    target: tuple[Texture, int] | None = None
     textures: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
+    @property
+    def bytes(self) -> int:
+        """The bytes that are written: those of the largest level, from which others are made, or of all blocks."""
+        if isinstance(self.format, CompressedFormat):
+            return count_bytes(self.size, self.format)
+        return self.size[0] * self.size[1] * self.format.transfer_bytes
 
-def count_bytes(size: Size) -> int:
-    """Bytes of an image with its mip levels."""
+
+def image_format(image: ImagePixels, *, is_color: bool) -> Format:
+    """The texel format of an image on a device."""
+    if has_high_range(image):
+        return Format.RGBA16F
+    return Format.RGBA8_SRGB if is_color else Format.RGBA8
+
+
+def count_bytes(size: Size, format: ImageFormat = Format.RGBA8, levels: int = 0) -> int:
+    """Bytes of an image with so many mip levels; with all of them for 0."""
     width, height = size
     total = 0
-    while True:
-        total += width * height * TEXEL_BYTES
-        if width == height == 1:
-            return total
+    for _ in range(levels or count_levels(size)):
+        if isinstance(format, CompressedFormat):
+            total += -(-width // _BLOCK) * -(-height // _BLOCK) * format.block_bytes
+        else:
+            total += width * height * format.transfer_bytes
         width, height = max(width // 2, 1), max(height // 2, 1)
+    return total
 
 
-def plan_arrays(sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]]) -> list[ImageArray]:
+def count_levels(size: Size) -> int:
+    """The number of mip levels down to a texel."""
+    return max(size).bit_length()
+
+
+def plan_arrays(
+    sizes: Sequence[Size],
+    uses: Sequence[tuple[int, bool, int]],
+    formats: Sequence[ImageFormat],
+    levels: Mapping[int, int] = MappingProxyType({}),
+) -> list[ImageArray]:
     """The array textures that hold images of these sizes.
 
     Args:
         uses: image, whether it holds colours, and sampler, of each texture.
+        formats: the format of each use's image.
+        levels: the mip levels of images that haven't all.
     """
-    groups: dict[tuple[Size, bool], tuple[dict[int, None], set[int]]] = {}
-    for image, is_color, sampler in uses:
-        images, samplers = groups.setdefault((sizes[image], is_color), ({}, set()))
+    groups: dict[tuple[Size, ImageFormat, int, bool], tuple[dict[int, None], set[int]]] = {}
+    for (image, is_color, sampler), format in zip(uses, formats, strict=True):
+        count = count_levels(sizes[image])
+        if isinstance(format, CompressedFormat):
+            count = levels.get(image, count)
+        images, samplers = groups.setdefault((sizes[image], format, count, is_color), ({}, set()))
         images[image] = None
         samplers.add(sampler)
     return [
-        ImageArray(size, is_color, tuple(images), frozenset(samplers))
-        for (size, is_color), (images, samplers) in groups.items()
+        ImageArray(size, format, count, is_color, tuple(images), frozenset(samplers))
+        for (size, format, count, is_color), (images, samplers) in groups.items()
     ]
 
 
-def count_bindings(sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]]) -> int:
-    """The number of arrays with their samplers that hold images of these sizes; `uses` are those of
-    `plan_arrays`."""
-    return len({(sizes[image], is_color, sampler) for image, is_color, sampler in uses})
+def count_bindings(
+    sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]], formats: Sequence[ImageFormat]
+) -> int:
+    """The number of arrays with their samplers that hold images of these sizes; `uses` and `formats` are those
+    of `plan_arrays`."""
+    used = zip(uses, formats, strict=True)
+    return len({(sizes[image], format, is_color, sampler) for (image, is_color, sampler), format in used})
 
 
 class SceneImages:
@@ -176,6 +225,8 @@ class SceneImages:
         table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is
             its layer, and texture coordinates are read as they are.
         gradient_scale: the factor of texture gradients, 2^`mip_bias`.
+        has_bright_texels: whether any texel is above 1.
+        has_two_channels: whether a normal map has two channels, and its third is that of a unit normal.
         bytes: the memory of the arrays or tables.
         image_bytes: that of the images, each by itself.
     """
@@ -198,11 +249,26 @@ class SceneImages:
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
         self.tables: tuple[TextureTable | None, TextureTable | None] | None = None
-        if count_bindings(sizes, uses) > MAX_ARRAYS - (scene.environment is not None):
+        formats: list[ImageFormat] = [
+            image_format(scene.images[image], is_color=is_color) for image, is_color, _ in uses
+        ]
+        used = {use[0] for use, format in zip(uses, formats, strict=True) if format is Format.RGBA16F}
+        self.has_bright_texels = any(float(scene.images[image].max()) > 1.0 for image in used)
+        self._levels = {image: len(blocks.levels) for image, blocks in scene.blocks.items()}
+        self.has_two_channels = False
+        if settings.compression is not Compression.NONE or scene.blocks:
+            compressed = _choose_formats(device, scene, settings.compression, uses, formats)
+            if count_bindings(sizes, uses, compressed) <= MAX_ARRAYS - (scene.environment is not None):
+                formats = compressed
+                self.has_two_channels = CompressedFormat.BC5 in formats
+        if count_bindings(sizes, uses, formats) > MAX_ARRAYS - (scene.environment is not None):
             self._make_tables(device, scene, settings, uses, table)
         else:
-            self._make_arrays(device, scene, settings, sizes, uses, table)
-        self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
+            self._make_arrays(device, scene, settings, sizes, uses, formats, table)
+        self.image_bytes = sum(
+            count_bytes(sizes[image], format, self._count_levels(image, format))
+            for image, _, format in {(*use[:2], format) for use, format in zip(uses, formats, strict=True)}
+        )
         table["u"], table["v"] = textures["transform"][:, 0], textures["transform"][:, 1]
         table["uv_set"] = textures["uv_set"]
         is_plain = (
@@ -222,15 +288,18 @@ class SceneImages:
         settings: TextureSettings,
         sizes: Sequence[Size],
         uses: Sequence[tuple[int, bool, int]],
+        formats: Sequence[ImageFormat],
         table: NDArray[Any],
     ) -> None:
         """Make an array for each size, and write where each texture is into the table."""
-        planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
+        planned = sorted(
+            plan_arrays(sizes, uses, formats, self._levels), key=lambda array: not array.is_color
+        )
         self.bytes = sum(array.bytes for array in planned)
         self.textures: tuple[Texture, ...] = tuple(
             self._make_streamed_array(device, scene, array)
             if self._is_streamed
-            else _make_array(device, scene, array)
+            else self._make_array(device, scene, array)
             for array in planned
         )
         self._list_textures(uses)
@@ -247,11 +316,12 @@ class SceneImages:
         )
         color_count = sum(planned[array].is_color for array, _ in bound)
         self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]
-        for row, (image, is_color, sampler) in enumerate(uses):
+        for row, ((image, is_color, sampler), format) in enumerate(zip(uses, formats, strict=True)):
+            key = is_color, format
             array = next(
                 number
                 for number, plan in enumerate(planned)
-                if plan.is_color == is_color and image in plan.images and sampler in plan.samplers
+                if (plan.is_color, plan.format) == key and image in plan.images and sampler in plan.samplers
             )
             table["array"][row] = bound.index((array, sampler)) - (0 if is_color else color_count)
             table["layer"][row] = planned[array].images.index(image)
@@ -279,16 +349,19 @@ class SceneImages:
                 (min(scene.images[image].shape[1], limit), min(scene.images[image].shape[0], limit))
                 for image, _ in entries
             ]
-            images: Sequence[Size | NDArray[np.uint8]] = sizes
+            format = Format.RGBA8_SRGB if of_colors else Format.RGBA8
+            if any(has_high_range(scene.images[image]) for image, _ in entries):
+                format = Format.RGBA16F
+            images: Sequence[Size | ImagePixels] = sizes
             if not self._is_streamed:
                 images = [
-                    _resize(scene.images[image], size, nearest=False)
+                    _read_as(scene.images[image], format, size, is_color=of_colors)
                     for (image, _), size in zip(entries, sizes, strict=True)
                 ]
             tables.append(
                 device.texture_table(
                     images,
-                    Format.RGBA8_SRGB if of_colors else Format.RGBA8,
+                    format,
                     samplers=[settings.adjust(scene.samplers[sampler], most) for _, sampler in entries],
                     label="images" if of_colors else "maps",
                 )
@@ -303,22 +376,56 @@ class SceneImages:
         self.samplers = ()
         self.bytes = sum(texture_table.bytes for texture_table in existing)
 
-    def _make_streamed_array(self, device: Device, scene: Scene, array: ImageArray) -> Texture:
-        """Create an array without texels, and list the uploads of its layers."""
-        format = Format.RGBA8_SRGB if array.is_color else Format.RGBA8
-        texture = device.texture(
-            array.size,
-            format,
+    def _count_levels(self, image: int, format: ImageFormat) -> int:
+        """The number of mip levels of an image in a format, 0 for all."""
+        return self._levels.get(image, 0) if isinstance(format, CompressedFormat) else 0
+
+    def _make_array(self, device: Device, scene: Scene, array: ImageArray) -> Texture:
+        """Create an array with its texels."""
+        if isinstance(array.format, CompressedFormat):
+            texture = self._create_array(device, array)
+            for layer, image in enumerate(array.images):
+                for level, blocks in enumerate(_read_blocks(scene, image, array.format).levels):
+                    texture.write(blocks, level, layer)
+            return texture
+        nearest = _is_nearest(scene, array)
+        layers = np.stack(
+            [_resize(scene.images[image], array.size, nearest=nearest) for image in array.images]
+        )
+        return device.texture(
+            layers,
+            array.format,
             kind=TextureKind.D2_ARRAY,
-            layers=len(array.images),
             levels=None,
             label="images" if array.is_color else "maps",
         )
+
+    def _create_array(self, device: Device, array: ImageArray) -> Texture:
+        """Create an array without texels."""
+        return device.texture(
+            array.size,
+            array.format,
+            kind=TextureKind.D2_ARRAY,
+            layers=len(array.images),
+            levels=array.levels,
+            label="images" if array.is_color else "maps",
+        )
+
+    def _make_streamed_array(self, device: Device, scene: Scene, array: ImageArray) -> Texture:
+        """Create an array without texels, and list the uploads of its layers."""
+        texture = self._create_array(device, array)
+        if isinstance(array.format, CompressedFormat):
+            for layer, image in enumerate(array.images):
+                blocks = partial(_read_blocks, scene, image, array.format)
+                self.uploads.append(
+                    ImageUpload(image, array.is_color, array.format, array.size, blocks, (), (texture, layer))
+                )
+            return texture
         nearest = _is_nearest(scene, array)
         for layer, image in enumerate(array.images):
             read = partial(_resize, scene.images[image], array.size, nearest=nearest)
             copy = partial(_copy_levels, texture, layer)
-            self.uploads.append(ImageUpload(image, array.is_color, array.size, read, (copy,)))
+            self.uploads.append(ImageUpload(image, array.is_color, array.format, array.size, read, (copy,)))
         return texture
 
     def _stream_table(
@@ -337,8 +444,8 @@ class SceneImages:
                 for index, (entry_image, _) in enumerate(entries)
                 if entry_image == image
             ]
-            read = partial(_resize, scene.images[image], size, nearest=False)
-            self.uploads.append(ImageUpload(image, is_color, size, read, tuple(copies)))
+            read = partial(_read_as, scene.images[image], table.format, size, is_color=is_color)
+            self.uploads.append(ImageUpload(image, is_color, table.format, size, read, tuple(copies)))
 
     def _list_textures(self, uses: Sequence[tuple[int, bool, int]]) -> None:
         """Note which textures of the scene each upload completes."""
@@ -371,22 +478,59 @@ def _copy_to_table(table: TextureTable, index: int, source: Texture) -> None:
     table.copy_from(source, index)
 
 
-def _make_array(device: Device, scene: Scene, array: ImageArray) -> Texture:
-    nearest = _is_nearest(scene, array)
-    layers = np.stack([_resize(scene.images[image], array.size, nearest=nearest) for image in array.images])
-    return device.texture(
-        layers,
-        Format.RGBA8_SRGB if array.is_color else Format.RGBA8,
-        kind=TextureKind.D2_ARRAY,
-        levels=None,
-        label="images" if array.is_color else "maps",
-    )
+def _choose_formats(
+    device: Device,
+    scene: Scene,
+    compression: Compression,
+    uses: Sequence[tuple[int, bool, int]],
+    formats: Sequence[ImageFormat],
+) -> list[ImageFormat]:
+    """The format of each use's image, compressed where the device stores that as it is."""
+    stored, limit = device.capabilities.compressed_formats, device.capabilities.max_texture_size
+    if CompressedFormat.BC7 not in stored:
+        compression = Compression.NONE
+    check_compression(rules.BAD_TEXTURES, "TextureSettings(compression=...)", compression)
+    normals = collect_normal_images(scene.textures, scene.materials, scene.shaders, scene.parameters)
+    choices: dict[tuple[int, bool], ImageFormat | None] = {}
+    for image, is_color, _ in uses:
+        if (image, is_color) not in choices and max(scene.images[image].shape[:2]) <= limit:
+            blocks, is_normal = scene.blocks.get(image), not is_color and image in normals
+            if blocks is None:
+                pixels = scene.images[image]
+                format = choose_format(pixels, compression, is_color=is_color, is_normal=is_normal)
+            else:
+                format = blocks.choose_view(is_color=is_color)
+                if format is CompressedFormat.BC5 and not is_normal:
+                    format = None  # another map reads the third channel
+            choices[image, is_color] = format if format in stored else None
+    return [choices.get(use[:2]) or format for use, format in zip(uses, formats, strict=True)]
 
 
-def _resize(image: NDArray[np.uint8], size: Size, *, nearest: bool) -> NDArray[np.uint8]:
+def _read_blocks(scene: Scene, image: int, format: CompressedFormat) -> ImageBlocks:
+    return scene.blocks.get(image) or compress_image(scene.images[image], format)
+
+
+def _read_as(image: ImagePixels, format: Format, size: Size, *, is_color: bool) -> ImagePixels:
+    """An image of this size in the format of a table."""
+    resized = _resize(image, size, nearest=False)
+    if format is not Format.RGBA16F or has_high_range(resized):
+        return resized
+    return read_values(resized, is_color=is_color).astype(np.float16)
+
+
+def _resize(image: ImagePixels, size: Size, *, nearest: bool) -> ImagePixels:
     if (image.shape[1], image.shape[0]) == size:
         return image
     from PIL import Image  # optional
 
+    if has_high_range(image):  # means: other filters fall below 0 beside bright texels
+        filter = Image.Resampling.NEAREST if nearest else Image.Resampling.BOX
+        channels = [Image.fromarray(channel).resize(size, filter) for channel in _split(image)]
+        return np.stack([np.asarray(channel) for channel in channels], axis=-1).astype(np.float16)
     filter = Image.Resampling.NEAREST if nearest else Image.Resampling.LANCZOS
     return np.asarray(Image.fromarray(image).resize(size, filter))
+
+
+def _split(image: ImagePixels) -> list[NDArray[np.float32]]:
+    """The channels (height, width) of an image of high range."""
+    return [np.ascontiguousarray(image[..., channel], np.float32) for channel in range(image.shape[2])]

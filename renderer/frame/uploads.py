@@ -19,10 +19,11 @@ from renderer import rules
 from renderer.frame.scene_images import ImageUpload, SceneImages
 from renderer.scene import AlphaMode, Camera, Scene
 from renderer.scene.arrays import Floats, Indices
+from renderer.scene.images import ImageBlocks, ImagePixels, read_values
 from renderer.scene.material_instances import list_textures
 from renderer.scene.materials import TEXTURES
 from renderer.visibility.boxes.volumes import Containment, classify
-from rhi import Buffer, Device, Format, Texture, from_srgb
+from rhi import Buffer, Device, Texture
 from rhi.errors import refuse
 
 _LEAST: Final = 1 << 18
@@ -72,7 +73,8 @@ class _Item:
     mesh: int = -1
     image: ImageUpload | None = None
     done: int = 0
-    texels: NDArray[np.uint8] | None = None
+    texels: ImagePixels | None = None
+    blocks: ImageBlocks | None = None
     staging: Texture | None = None
 
 
@@ -173,9 +175,8 @@ class SceneUploads:
     def _list_images(self, images: SceneImages) -> list[_Item]:
         scene, items = self._scene, []
         for upload in images.uploads:
-            width, height = upload.size
             users = np.flatnonzero(self._flag_readers(upload.textures)[scene.objects.material])
-            items.append(_Item(f"image {upload.image}", 4 * width * height, users, image=upload))
+            items.append(_Item(f"image {upload.image}", upload.bytes, users, image=upload))
             self._means[upload.textures] = _compute_mean(scene.images[upload.image], upload.is_color)
         return items
 
@@ -268,17 +269,21 @@ class SceneUploads:
         """Write rows of an image of at most so many bytes, and copy it where it is read once it is whole."""
         upload = item.image
         assert upload is not None
-        width, height = upload.size
-        first = item.done // (4 * width)
-        count = min(height - first, most // (4 * width))
+        if upload.target is not None:
+            return self._write_blocks(item, upload, *upload.target, most)
+        height = upload.size[1]
+        pitch = upload.bytes // height
+        first = item.done // pitch
+        count = min(height - first, most // pitch)
         if not count:
             return 0
         if item.staging is None or item.texels is None:
-            format = Format.RGBA8_SRGB if upload.is_color else Format.RGBA8
-            item.texels = upload.read()
-            item.staging = self._device.texture(upload.size, format, levels=None, label=item.name)
+            texels = upload.read()
+            assert isinstance(texels, np.ndarray)
+            item.texels = texels
+            item.staging = self._device.texture(upload.size, upload.format, levels=None, label=item.name)
         item.staging.write(item.texels[first : first + count], y=first)
-        item.done += count * 4 * width
+        item.done += count * pitch
         if item.done == item.bytes:
             item.staging.generate_mipmaps()
             for copy in upload.copies:
@@ -286,19 +291,46 @@ class SceneUploads:
             item.staging.destroy()
             item.staging = item.texels = None
             self._texture_ready[upload.textures] = True
-        return count * 4 * width
+        return count * pitch
+
+    def _write_blocks(self, item: _Item, upload: ImageUpload, target: Texture, layer: int, most: int) -> int:
+        """Write rows of blocks of at most so many bytes, level after level."""
+        if item.blocks is None:
+            blocks = upload.read()
+            assert isinstance(blocks, ImageBlocks)
+            item.blocks, item.bytes = blocks, blocks.bytes
+        written = 0
+        while item.done < item.bytes:
+            level, row = _locate_row(item.blocks, item.done)
+            rows = item.blocks.levels[level]
+            count = min(len(rows) - row, (most - written) // rows[0].nbytes)
+            if not count:
+                break
+            target.write(rows[row : row + count], level, layer, y=4 * row)
+            item.done += count * rows[0].nbytes
+            written += count * rows[0].nbytes
+        if item.done == item.bytes:
+            item.blocks = None
+            self._texture_ready[upload.textures] = True
+        return written
 
 
-def _compute_mean(image: NDArray[np.uint8], is_color: bool) -> Floats:
+def _locate_row(blocks: ImageBlocks, done: int) -> tuple[int, int]:
+    """Return the level and the row of blocks at which so many bytes are written."""
+    for level, rows in enumerate(blocks.levels):
+        if done < rows.nbytes:
+            return level, done // rows[0].nbytes
+        done -= rows.nbytes
+    return len(blocks.levels), 0
+
+
+def _compute_mean(image: ImagePixels, is_color: bool) -> Floats:
     """Return the mean (4,) of an image's texels, of colours in linear light, from a part of them."""
     texels, width = image.reshape(-1, 4), image.shape[1]
     step = max(len(texels) // _MEAN_TEXELS, 1)
     while gcd(step, width) > 1:  # else only some columns are read
         step += 1
-    part = texels[::step] / 255.0
-    if is_color:
-        part[:, :3] = from_srgb(part[:, :3])
-    mean: Floats = part.mean(axis=0)
+    mean: Floats = read_values(texels[::step], is_color=is_color).mean(axis=0)
     return mean
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
-from renderer.frame.mirrors import MirroredValue, R, S, Workspaces, split_doubles
+from renderer.frame.mirrors import MirroredValue, R, Releasable, S, Workspaces, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
 from rhi import Device, UniformBuffer
@@ -60,6 +60,10 @@ class View:
         destroyed with the view."""
         return self._workspaces.get_or_create(kind)
 
+    def release(self, kind: Callable[[Device], Releasable]) -> None:
+        """Release a workspace, if it exists: it destroys what it can create again."""
+        self._workspaces.release(kind)
+
     def aim(self, camera: Camera, around: Camera | None = None) -> None:
         """Set the camera of the next frame; its constants are uploaded if they have changed.
 
@@ -70,8 +74,7 @@ class View:
         self.camera = camera
         self.around = around or camera
         self.commands.pass_index = 0
-        if self._owns_batch:
-            self.batch.last_order = None
+        self.batch.last_order = None
         high, low = split_doubles(camera.position)
         matrix = camera.relative_view_projection
         self._constants.write(

@@ -26,11 +26,13 @@ from renderer.scene.fog_and_bloom import Bloom as Bloom
 from renderer.scene.fog_and_bloom import Fog as Fog
 from renderer.scene.height_fields import HeightField as HeightField
 from renderer.scene.height_fields import make_height_field as make_height_field
+from renderer.scene.images import Compression as Compression
+from renderer.scene.images import ImageBlocks as ImageBlocks
+from renderer.scene.images import ImagePixels as ImagePixels
 from renderer.scene.lights import Lights as Lights
 from renderer.scene.materials import MATERIAL as MATERIAL
 from renderer.scene.materials import TEXTURE as TEXTURE
 from renderer.scene.materials import AlphaMode as AlphaMode
-from renderer.scene.materials import ImagePixels as ImagePixels
 from renderer.scene.materials import ShadingModel as ShadingModel
 from renderer.scene.materials import TextureMap as TextureMap
 from renderer.scene.materials import make_material as make_material

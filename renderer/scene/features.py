@@ -130,7 +130,8 @@ class MaterialFeatures:
         """Return which of the materials (k,) have which of `_FEATURES`, (k, features)."""
         is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
         emitted = materials["base_color"][:, :3].max(axis=1) * materials["emission"].astype(np.float64)
-        emits = (materials["emissive"] > LEAST_LIGHT).any(axis=1)
+        peaks = self._bounds.peaks[materials["emissive_texture"]]
+        emits = materials["emissive"].max(axis=1) * peaks > LEAST_LIGHT
         has = {name: self._flag_changing(materials, name, channels) for name, channels in _CHANNELS.items()}
         tells_metal = (materials["metallic"] > 0.0) | (materials["roughness"] > 0.0)
         columns = {

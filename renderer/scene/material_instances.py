@@ -95,6 +95,8 @@ def read_custom_shader(shader: object, call: str) -> CustomShader:
     allowed = "a class derived from renderer.shaders.MaterialShader"
     if not (isinstance(shader, type) and issubclass(shader, sl.Shader) and hasattr(shader, "describe")):
         refuse(rules.BAD_MATERIAL, f"{call}(shader=...)", shader, allowed)
+    if check := getattr(shader, "check", None):
+        check()
     custom = CustomShader(shader, sl.find_element(shader, "parameters") or int)
     declared: Any = shader
     wrong = [
@@ -272,3 +274,26 @@ def needs_tangents(materials: NDArray[Any], shaders: Sequence[CustomShader]) -> 
 def list_textures(custom: CustomShader | None) -> dict[str, bool]:
     """Return the values of a material that are textures, and whether these hold colours."""
     return TEXTURES | dict(custom.textures if custom is not None else {})
+
+
+def collect_normal_images(
+    textures: NDArray[Any],
+    materials: NDArray[Any],
+    shaders: Sequence[CustomShader],
+    parameters: Sequence[NDArray[Any]],
+) -> frozenset[int]:
+    """Return the images that normal maps read, and no other map that holds data."""
+    rows: dict[bool, list[NDArray[Any]]] = {False: [], True: []}  # of other maps, and of normal maps
+    for name, is_color in TEXTURES.items():
+        if not is_color:
+            rows[name == "normal_texture"].append(materials[name])
+    for shader, values in zip(shaders, parameters, strict=True):
+        for name, is_color in shader.textures.items():
+            if not is_color and len(values):
+                rows[False].append(values[name])
+    others, normals = (
+        {int(row) for column in rows[is_normal] for row in np.unique(column) if row >= 0}
+        for is_normal in (False, True)
+    )
+    images = textures["image"]
+    return frozenset(images[sorted(normals)].tolist()) - frozenset(images[sorted(others)].tolist())

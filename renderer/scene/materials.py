@@ -71,10 +71,6 @@ TEXTURE: Final = np.dtype(
 )
 """A texture that materials refer to by its row."""
 
-ImagePixels = NDArray[np.uint8]
-"""A texture's pixels: (height, width, 4), colours in sRGB with linear alpha, or linear data; top row
-first."""
-
 TEXTURES: Final = {
     "texture": True,
     "emissive_texture": True,
@@ -265,17 +261,3 @@ class TextureList:
                 texture.transform,
             )
         return textures
-
-
-def check_image(image: NDArray[Any]) -> ImagePixels:
-    """Return `image` as the scene keeps it; refuse arrays that aren't images."""
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4 or not image.size:
-        refuse(rules.BAD_IMAGE, "add_image", f"{image.dtype}, shape {image.shape}")
-    return np.ascontiguousarray(image)
-
-
-def make_opaque(values: NDArray[np.float64]) -> ImagePixels:
-    """Return values (height, width, 3) from 0 to 1 as the pixels of an image without transparency."""
-    opaque = np.full((*values.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = np.clip(np.round(values * 255.0), 0, 255)
-    return opaque

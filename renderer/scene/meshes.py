@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, Indices
 from rhi.errors import refuse
 from rhi.errors.arguments import to_little_endian
 from rhi.math import normal_matrices
 from rhi.math.arguments import read_floats
-from rhi.math.indexing import count_indices
+from rhi.math.indexing import count_indices, repeat_each
 
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
 """The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""
@@ -302,6 +302,8 @@ class Meshes:
             to `level_begins[i + 1]`, ever coarser.
         level_errors: (m, most levels) float64, the bound of each level's distance from its mesh, infinite
             where there is none.
+        meshlet_ranges: (k,) of `RANGE`, the parts of `indices` that are the meshlets of meshes that are cut; those
+            of mesh i are from `meshlet_begins[i]` to `meshlet_begins[i + 1]`.
         with_tangents: the meshes that had tangents, which normal maps need; others have the same for all
             vertices.
     """
@@ -312,9 +314,10 @@ class Meshes:
         names: Sequence[str],
         bounds: Sequence[MeshBounds | None] = (),
         levels: Sequence[Sequence[MeshLevel]] = (),
+        meshlets: Sequence[Indices] = (),
     ) -> None:
         """`bounds` that aren't None replace those of the geometries, for meshes that change; `levels` are the
-        simplified versions of each mesh."""
+        simplified versions of each mesh, `meshlets` the numbers of triangles of its meshlets, none if it is whole."""
         count = len(geometries)
         attributes: frozenset[str] = frozenset().union(*(g.attributes for g in geometries))
         self.with_tangents = frozenset(i for i, g in enumerate(geometries) if "tangent" in g.attributes)
@@ -339,6 +342,7 @@ class Meshes:
         self.upper: Floats = corners[:, 1]
         self.names: tuple[str, ...] = tuple(names)
         self._list_levels(levels or [()] * count)
+        self._list_meshlets(meshlets or [np.zeros(0, np.int64)] * count)
         self._layers: dict[int, int] = {}  # of meshes whose layers were counted
         self._flat: dict[int, bool] = {}  # of meshes that were asked about
         for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
@@ -359,6 +363,19 @@ class Meshes:
         self.level_ranges["index_count"] = [len(level.indices) for level in every]
         ends = np.cumsum(self.level_ranges["index_count"], dtype=np.uint32)
         self.level_ranges["first_index"] = ends - self.level_ranges["index_count"]
+
+    def _list_meshlets(self, meshlets: Sequence[Indices]) -> None:
+        """List the ranges of the meshlets of all meshes."""
+        counts = [len(of_mesh) for of_mesh in meshlets]
+        self.meshlet_begins: NDArray[np.int64] = np.cumsum([0, *counts])
+        mesh = repeat_each(np.arange(len(meshlets)), counts)
+        self.meshlet_ranges: NDArray[Any] = np.zeros(len(mesh), RANGE)
+        sizes = 3 * np.concatenate([np.zeros(0, np.int64), *meshlets])
+        ends = np.cumsum(sizes)
+        before = np.append(0, ends)[self.meshlet_begins[:-1]]  # what the meshlets of earlier meshes have
+        self.meshlet_ranges["index_count"] = sizes
+        self.meshlet_ranges["first_index"] = ends - sizes - before[mesh] + self.ranges["first_index"][mesh]
+        self.meshlet_ranges["base_vertex"] = self.ranges["base_vertex"][mesh]
 
     def __len__(self) -> int:
         return len(self.ranges)

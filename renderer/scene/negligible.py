@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Indices
-from renderer.scene.materials import AlphaMode, ImagePixels, ShadingModel
+from renderer.scene.images import ImagePixels, has_high_range, read_values
+from renderer.scene.materials import AlphaMode, ShadingModel
 from renderer.scene.objects import Objects
 
 _ROUNDING: Final = 2.0**-15
@@ -40,6 +41,7 @@ class SurfaceBounds:
     Attributes:
         min_alpha, max_alpha: those of the vertices of all meshes.
         max_color: the largest channel of a vertex color.
+        peaks: (t + 1,) the largest color of each texture, at least 1; 1 in the last row, which -1 selects.
     """
 
     def __init__(
@@ -52,6 +54,12 @@ class SurfaceBounds:
         self.min_alpha = float(colors[:, 3].min(initial=1.0))
         self.max_alpha = float(colors[:, 3].max(initial=1.0))
         self.max_color = float(colors[:, :3].max(initial=1.0))
+        self.peaks = np.ones(len(textures) + 1)
+        for texture, image in enumerate(textures["image"].tolist()):
+            if image < len(images) and has_high_range(images[image]):
+                self.peaks[texture] = max(
+                    1.0, *(self._find_range(texture, channel)[1] for channel in range(3))
+                )
 
     def texel_minimum(self, texture: int, channel: int) -> float:
         """Return the least value, 0 to 1, of a channel of all texels of a texture."""
@@ -63,18 +71,20 @@ class SurfaceBounds:
         ones = np.zeros((len(self._textures) + 1, 4), bool)
         for texture, image in enumerate(self._textures["image"].tolist()):
             if image < len(self._images):
-                first_texel = np.resize(self._images[image][0, 0], 4)
-                for channel in np.flatnonzero(first_texel == 255).tolist():  # mostly none: no image is read
-                    ones[texture, channel] = self.texel_minimum(texture, channel) == 1.0
+                first_texel = np.resize(read_values(self._images[image][0, 0], is_color=False), 4)
+                for channel in np.flatnonzero(first_texel == 1.0).tolist():  # mostly none: no image is read
+                    ones[texture, channel] = self._find_range(texture, channel) == (1.0, 1.0)
         return ones
 
     def _find_range(self, texture: int, channel: int) -> tuple[float, float]:
-        """Return the least and the largest value, 0 to 1, of a channel of a texture; each image is read once."""
+        """Return the least and the largest value of a channel of a texture; each image is read once."""
         image = int(self._textures["image"][texture])
         if (image, channel) not in self._ranges:
             pixels = self._images[image] if image < len(self._images) else np.array([[[0], [255]]], np.uint8)
             values = pixels[..., min(channel, pixels.shape[-1] - 1)]
-            self._ranges[image, channel] = float(values.min()) / 255.0, float(values.max()) / 255.0
+            ends = np.array((values.min(), values.max()))
+            least, largest = read_values(ends, is_color=False).tolist()
+            self._ranges[image, channel] = least, largest
         return self._ranges[image, channel]
 
     def least_alphas(self, materials: NDArray[Any]) -> Floats:

@@ -28,6 +28,7 @@ from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.height_fields import HeightField
+from renderer.scene.images import ImageBlocks, ImagePixels
 from renderer.scene.lights import KIND_NAMES, Lights
 from renderer.scene.material_instances import (
     CustomShader,
@@ -35,10 +36,7 @@ from renderer.scene.material_instances import (
     list_textures,
     needs_tangents,
 )
-from renderer.scene.materials import (
-    TEXTURE,
-    ImagePixels,
-)
+from renderer.scene.materials import TEXTURE
 from renderer.scene.meshes import Meshes
 from renderer.scene.negligible import (
     SurfaceBounds,
@@ -85,6 +83,7 @@ class Scene:
         parameters: of each of them, its values for all materials (k,), (0,) if it has none; they may be
             written to between frames.
         images, samplers: what textures refer to by index.
+        blocks: by the indices of images, the same in a compressed format.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the
             background.
@@ -105,6 +104,7 @@ class Scene:
     """
 
     environment: Environment | None = None
+    blocks: Mapping[int, ImageBlocks] = MappingProxyType({})
     _response: tuple[bytes | None, float] = (None, 0.0)  # the strongest, and the materials that have it
 
     def __init__(
@@ -547,8 +547,9 @@ class Scene:
         """Return the indices of objects that may emit more than a white surface reflects of light of strength
         1, as of the last `refresh`."""
         if self._emitters[0] != self.material_version:
-            materials = self.materials
-            emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + materials["emissive"]
+            materials, peaks = self.materials, self._bounds.peaks
+            emissive = materials["emissive"] * peaks[materials["emissive_texture"]][:, None]
+            emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + emissive
             emits = (emitted > 1.0).any(axis=1)
             self._emitters = (
                 self.material_version,

@@ -27,9 +27,11 @@ from renderer.scene.environment import Environment
 from renderer.scene.finite import check_finite
 from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.height_fields import HeightField
+from renderer.scene.images import ImageBlocks, ImagePixels, check_image, has_high_range
 from renderer.scene.lights import Lights
 from renderer.scene.material_instances import (
     MaterialTable,
+    collect_normal_images,
     list_textures,
     needs_tangents,
     read_custom_shader,
@@ -37,13 +39,12 @@ from renderer.scene.material_instances import (
 from renderer.scene.materials import (
     TEXTURES,
     AlphaMode,
-    ImagePixels,
     TextureList,
     TextureMap,
-    check_image,
 )
 from renderer.scene.merging import NodeAnchors, group_equal, merge_group
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
+from renderer.scene.meshlets import check_meshlet_size, cut_into_meshlets
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import make_objects
 from renderer.scene.omissions import Omissions
@@ -84,11 +85,13 @@ class SceneBuilder:
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
         self._level_counts: list[int] = []
+        self._meshlet_sizes: list[int] = []
         self._height_fields: dict[int, HeightField] = {}  # by mesh
         self._mesh_names: list[str] = []
         self._table = MaterialTable()
         self._mesh_ids: dict[int, int] = {}
         self._images: list[ImagePixels] = []
+        self.blocks: dict[int, ImageBlocks] = {}
         self._image_ids: dict[int, int] = {}
         self._keep_alive: list[object] = []
         self._textures = TextureList()
@@ -107,7 +110,13 @@ class SceneBuilder:
         self._attached_views: dict[str, int] = {}
 
     def add_mesh(
-        self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None, *, levels: int = 0
+        self,
+        geometry: MeshGeometry,
+        name: str = "",
+        bounds: MeshBounds | None = None,
+        *,
+        levels: int = 0,
+        meshlet_size: int = 0,
     ) -> int:
         """Add a mesh and return its id: the same as before for a mesh without `bounds` that was added before.
 
@@ -115,14 +124,22 @@ class SceneBuilder:
             bounds: the vertices of a simulated mesh must never leave them.
             levels: up to so many simplified versions are made (`simplify`), which renderers draw where
                 their error is small enough (`Renderer.detail_error`). A mesh with `bounds` has none.
+            meshlet_size: a mesh of more triangles is cut into meshlets of at most so many, 8 to 4,096, which
+                algorithms that run on the device cull one by one; 0 for none. Its triangles get another order.
+                A mesh with `bounds` is never cut.
         """
         levels = rules.check_count(rules.BAD_MESH, "add_mesh(levels=...)", levels, 0)
         if bounds is not None and levels:
             refuse(
                 rules.BAD_MESH, "add_mesh(levels=...)", levels, "0, since the mesh has bounds: it may change"
             )
+        meshlet_size = check_meshlet_size(rules.BAD_MESH, "add_mesh", meshlet_size)
+        if bounds is not None and meshlet_size:
+            call, allowed = "add_mesh(meshlet_size=...)", "0, since the mesh has bounds: it may change"
+            refuse(rules.BAD_MESH, call, meshlet_size, allowed)
         if bounds is None and (mesh_id := self._mesh_ids.get(id(geometry))) is not None:
             self._level_counts[mesh_id] = max(self._level_counts[mesh_id], levels)
+            self._meshlet_sizes[mesh_id] = meshlet_size or self._meshlet_sizes[mesh_id]
             return mesh_id
         if bounds is not None:
             lower, upper = geometry.bounds
@@ -134,6 +151,7 @@ class SceneBuilder:
             self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)
         self._level_counts.append(levels)
+        self._meshlet_sizes.append(meshlet_size)
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
@@ -145,6 +163,14 @@ class SceneBuilder:
         for mesh in range(first, len(self._geometries)):
             if self._bounds[mesh] is None:
                 self._level_counts[mesh] = levels
+
+    def cut_meshes(self, first: int, meshlet_size: int) -> None:
+        """Cut the meshes from the id `first` on into meshlets of at most so many triangles, but those with bounds,
+        which may change."""
+        meshlet_size = check_meshlet_size(rules.BAD_MESH, "cut_meshes", meshlet_size)
+        for mesh in range(first, len(self._geometries)):
+            if self._bounds[mesh] is None:
+                self._meshlet_sizes[mesh] = meshlet_size
 
     def add_height_field(self, field: HeightField, name: str = "") -> int:
         """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for
@@ -232,6 +258,7 @@ class SceneBuilder:
         is_mergeable &= (materials["alpha_mode"] != AlphaMode.BLEND)[table[:, 2]]
         is_mergeable &= np.array([bounds is None for bounds in self._bounds])[table[:, 1]]
         is_mergeable &= np.array(self._level_counts)[table[:, 1]] == 0
+        is_mergeable &= np.array(self._meshlet_sizes)[table[:, 1]] == 0
         is_mergeable &= np.linalg.det(nodes.transforms[table[:, 0], :3, :3]) != 0.0
         keys = [
             (
@@ -274,6 +301,7 @@ class SceneBuilder:
         self._geometries = [self._geometries[mesh] for mesh in ids]
         self._bounds = [self._bounds[mesh] for mesh in ids]
         self._level_counts = [self._level_counts[mesh] for mesh in ids]
+        self._meshlet_sizes = [self._meshlet_sizes[mesh] for mesh in ids]
         self._mesh_names = [self._mesh_names[mesh] for mesh in ids]
         self._mesh_ids = {key: ids[mesh] for key, mesh in self._mesh_ids.items() if mesh in ids}
         self._height_fields = {ids[mesh]: field for mesh, field in self._height_fields.items() if mesh in ids}
@@ -286,15 +314,46 @@ class SceneBuilder:
         """Return the bounds that a mesh was added with, or else the bounds of its vertices."""
         return self._bounds[mesh] or self._geometries[mesh].bounds
 
-    def add_image(self, image: NDArray[Any]) -> int:
-        """Add a texture's pixels (height, width, 4) uint8 and return its id; the same array is added once."""
+    @property
+    def image_count(self) -> int:
+        """The number of images so far."""
+        return len(self._images)
+
+    def add_image(self, image: NDArray[Any] | ImageBlocks) -> int:
+        """Add a texture's pixels and return its id; the same array is added once.
+
+        Args:
+            image: (height, width, 4) of uint8; or of high range, float16 or float32, 0 to 65,504 and linear, where
+                alpha may be left out. It is stored as float16. Or blocks, which are stored as they are.
+        """
         if id(image) not in self._image_ids:
-            self._images.append(check_image(image))
+            if isinstance(image, ImageBlocks):
+                self._images.append(check_image(image.decode()))
+                self.blocks[len(self._images) - 1] = image
+            else:
+                self._images.append(check_image(image))
             self._image_ids[id(image)] = len(self._images) - 1
             self._keep_alive.append(
                 image
             )  # as long as the builder lives, so that its id isn't given to another
         return self._image_ids[id(image)]
+
+    def list_image_uses(self, first: int = 0) -> list[tuple[int, ImagePixels, bool, bool]]:
+        """Return the images from the id `first` on: id, pixels, whether a texture reads it as colours, and whether
+        normal maps read it, and no other map that holds data."""
+        if not self._images[first:]:
+            return []
+        (materials, parameters), textures = self._table.make_arrays(), self._textures.make()
+        normals = collect_normal_images(textures, materials, self._table.shaders, parameters)
+        colors = set(textures["image"][textures["is_color"] == 1].tolist())
+        return [
+            (image, pixels, image in colors, image in normals)
+            for image, pixels in enumerate(self._images[first:], first)
+        ]
+
+    def _is_bright(self, image: int) -> bool:
+        """True if an image has texels above 1."""
+        return image >= 0 and has_high_range(self._images[image]) and bool((self._images[image] > 1.0).any())
 
     def add_material(self, *, parent: int = -1, shader: type[Any] | None = None, **values: Any) -> int:
         """Add a material from the arguments of `make_material`, and the parameters of its shader; return its
@@ -322,6 +381,9 @@ class SceneBuilder:
             maps[name] = texture, is_color
             if not -1 <= texture.image < len(self._images):
                 refuse(rules.BAD_INDEX, f"add_material({name}=...)", texture.image, "an image's id")
+            if name in TEXTURES and name != "emissive_texture" and self._is_bright(texture.image):
+                allowed = "texels of at most 1: only emitted light is brighter"
+                refuse(rules.BAD_MATERIAL, f"add_material({name}=...)", "an image of high range", allowed)
             if custom is not None and texture != TextureMap(texture.image, sampler=texture.sampler):
                 refuse(
                     rules.BAD_MATERIAL,
@@ -514,7 +576,11 @@ class SceneBuilder:
             simplify(geometry, count) if count else ()
             for geometry, count in zip(geometries, self._level_counts, strict=True)
         ]
-        meshes = Meshes(geometries, self._mesh_names, self._bounds, levels)
+        meshlets: list[Indices] = []
+        for mesh, size in enumerate(self._meshlet_sizes):
+            geometries[mesh], sizes = cut_into_meshlets(geometries[mesh], size)
+            meshlets.append(sizes)
+        meshes = Meshes(geometries, self._mesh_names, self._bounds, levels, meshlets)
         animated = nodes.index_of_id[
             np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])
         ]
@@ -565,6 +631,7 @@ class SceneBuilder:
             parameters=parameters,
             attachments=self._make_attachments(nodes),
         )
+        scene.blocks = dict(self.blocks)
         scene.fog, scene.bloom, scene.ambient_occlusion = self.fog, self.bloom, self.ambient_occlusion
         scene.depth_of_field, scene.environment = self.depth_of_field, self.environment
         return scene

@@ -2,6 +2,7 @@
 
 from renderer.light_kinds.directional import DirectionalLight as DirectionalLight
 from renderer.light_kinds.directional import directional_incidence as directional_incidence
+from renderer.light_kinds.incidence import Incidence as Incidence
 from renderer.light_kinds.incidence import attenuation as attenuation
 from renderer.light_kinds.incidence import safe_normalize as safe_normalize
 from renderer.light_kinds.point import PointLight as PointLight
@@ -11,12 +12,14 @@ from renderer.light_kinds.spot import spot_incidence as spot_incidence
 from renderer.shaders.lighting import ambient_light as ambient_light
 from renderer.shaders.lighting import hemisphere as hemisphere
 from renderer.shaders.lighting import reflected_light as reflected_light
+from renderer.shaders.lighting_models import surface_roughness as surface_roughness
 from renderer.shaders.materials import MaterialShader as MaterialShader
 from renderer.shaders.structs import DRAW_LISTS as DRAW_LISTS
 from renderer.shaders.structs import Ambient as Ambient
 from renderer.shaders.structs import Haze as Haze
 from renderer.shaders.structs import ListEntry as ListEntry
 from renderer.shaders.structs import Material as Material
+from renderer.shaders.structs import Meshlet as Meshlet
 from renderer.shaders.structs import MeshPart as MeshPart
 from renderer.shaders.structs import Object as Object
 from renderer.shaders.structs import ObjectPosition as ObjectPosition

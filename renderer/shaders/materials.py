@@ -22,13 +22,15 @@ the arrays of colours alone (`images`), and data, such as normals, in those of d
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import rhi.shading as sl
 from renderer.scene import AlphaMode
 from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.lighting_models import check_lighting_model
 from renderer.shaders.pixels import ViewRayShader
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, TextureUse, ViewConstants
+from rhi.shading.language.function import ShadingFunction
 
 _NO_NORMAL: Final = 5e-5
 """The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of
@@ -54,6 +56,10 @@ class MaterialShader(ViewRayShader):
         parameter_textures: the parameters that are textures, and whether these hold colours (`read_color`) or
             data (`read_data`). One that a material lacks is -1.
         has_anisotropy: whether it draws out highlights by `describe_anisotropy`, which needs `reads_tangents`.
+        lighting_model: a function that reflects light instead of the renderer's models: of the surface, the light that
+            arrives and, if there are `parameters`, those of the material, to the light that the eye receives. It is
+            called for each light in reach, on both sides of the surface; a light with a size counts as one at its
+            middle. Ambient and emitted light stay the renderer's.
         reads_tangents: whether it reads `SurfaceInput.tangent`, so that meshes need tangents.
     """
 
@@ -65,6 +71,7 @@ class MaterialShader(ViewRayShader):
     parameter_textures: ClassVar[Mapping[str, bool]] = {}
     reads_tangents: ClassVar[bool] = False
     has_anisotropy = False
+    lighting_model: ClassVar[ShadingFunction[..., Any] | None] = None
 
     view: sl.Uniform[ViewConstants]
     materials: sl.Storage[Material]
@@ -110,9 +117,16 @@ class MaterialShader(ViewRayShader):
     has_vertex_colors = False
     has_masks = False
     has_normal_maps = False
+    has_two_channels = False
+    """Whether normal maps may have two channels: blue is 0 then, which says that a unit normal has the third."""
     has_roughness_maps = False
     has_occlusion_maps = False
     has_emissive_maps = False
+
+    @classmethod
+    def check(cls) -> None:
+        """Refuse a `lighting_model` that isn't one."""
+        check_lighting_model(cls)
 
     def describe(self, at: SurfaceInput) -> SurfaceParameters:
         """Return the surface's properties at a point, by the renderer's own materials."""
@@ -176,6 +190,8 @@ class MaterialShader(ViewRayShader):
         if material.normal_texture < 0:
             return at.normal
         texel = self.read_data(material.normal_texture, at).xyz * 2.0 - 1.0
+        if self.has_two_channels and texel.z <= -1.0:
+            texel = sl.vec3(texel.xy, sl.sqrt(sl.max(1.0 - sl.dot(texel.xy, texel.xy), 0.0)))
         tangent = safe_normalize(at.tangent.xyz)
         up = sl.cross(at.normal, tangent) * (-1.0 if at.tangent.w < 0.0 else 1.0)
         bent = (tangent * texel.x + up * texel.y) * material.normal_scale + at.normal * texel.z

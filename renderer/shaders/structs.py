@@ -94,8 +94,8 @@ class ListEntry(Struct):
 class MeshPart(Struct):
     """A mesh, or a level of detail of one: the mesh's box in mesh space, and the range of the arrays that all share.
 
-    The parts of meshes are in the order of these; those of levels are behind them. A mesh's levels are those from
-    `first_level` on, ever coarser; each is at most `error` metres from the mesh, rounded up.
+    The parts of meshes are in the order of these; those of levels are behind them, then those of meshlets. A mesh's
+    levels are those from `first_level` on, ever coarser; each is at most `error` metres from the mesh, rounded up.
     """
 
     lower: vec3
@@ -106,6 +106,22 @@ class MeshPart(Struct):
     first_level: int
     level_count: int
     error: float
+
+
+class Meshlet(Struct):
+    """The bounds of a mesh part's triangles in mesh space: their box, the sphere around its middle, and the cone of
+    their normals.
+
+    `cosine` is at most the least cosine of the angle between a normal and `axis`, below 0 for no cone. `drawn_as` is
+    the mesh part whose levels of detail it belongs to: the mesh of a meshlet, and otherwise the part itself.
+    """
+
+    lower: vec3
+    radius: float
+    upper: vec3
+    cosine: float
+    axis: vec3
+    drawn_as: int
 
 
 @function
@@ -231,7 +247,7 @@ class SurfaceParameters(Struct):
         normal: of length 1, on the side that is seen.
         metallic, roughness: 0 to 1, of the metallic-roughness model.
         occlusion: the share of ambient light that arrives.
-        emissive: multiplies the material's `emissive` colour: 0 to 1, linear.
+        emissive: multiplies the material's `emissive` colour: linear, 0 to 1 unless an image has texels above 1.
     """
 
     color: vec4
@@ -254,7 +270,8 @@ class SurfacePoint(Struct):
     its material emits.
 
     `stretch` is for anisotropic materials: at right angles to `normal`, along the direction in which highlights are
-    drawn out, and as long as they are longer than round ones, less 1; else 0.
+    drawn out, and as long as they are longer than round ones, less 1; else 0. Where surfaces may have lighting models
+    of their own, it holds the index of the material and the number of its shader.
     """
 
     position: vec3

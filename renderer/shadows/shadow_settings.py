@@ -11,6 +11,8 @@ from rhi.errors.choices import Choice
 
 MAX_SAMPLES: Final = 1024
 """The largest number of texels that `PCSS` searches, or compares."""
+MAX_CONTACT_STEPS: Final = 256
+"""The largest number of samples of depth of a contact shadow's ray."""
 
 
 class ShadowFilter(Choice):
@@ -50,6 +52,10 @@ class ShadowSettings:
         blocker_samples: texels of `PCSS` that are searched for what is between a point and the source.
         penumbra_samples: texels of `PCSS` that a point in a penumbra is compared with.
         back_faces: whether the casters' back faces are drawn instead of their front faces.
+        contact_length: how far in metres rays are followed in the depth buffer towards the first directional light
+            that casts shadows; 0 follows none.
+        contact_steps: samples of depth of each of these rays.
+        contact_thickness: how deep in metres, along the view, what a ray passes behind is taken to be.
     """
 
     filter: ShadowFilter = ShadowFilter.SMOOTH
@@ -66,6 +72,9 @@ class ShadowSettings:
     back_faces: bool = False
     blocker_samples: int = 16
     penumbra_samples: int = 32
+    contact_length: float = 0.0
+    contact_steps: int = 16
+    contact_thickness: float = 0.1
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_SHADOWS)
@@ -96,6 +105,9 @@ class ShadowSettings:
             ("blocker_samples", 1 <= self.blocker_samples <= MAX_SAMPLES, f"1 to {MAX_SAMPLES}"),
             ("penumbra_samples", 1 <= self.penumbra_samples <= MAX_SAMPLES, f"1 to {MAX_SAMPLES}"),
             ("bias", 0.0 <= self.bias < float("inf"), "0 or more, finite"),
+            ("contact_length", 0.0 <= self.contact_length < float("inf"), "0 or more, finite"),
+            ("contact_steps", 1 <= self.contact_steps <= MAX_CONTACT_STEPS, f"1 to {MAX_CONTACT_STEPS}"),
+            ("contact_thickness", 0.0 < self.contact_thickness < float("inf"), "above 0, finite"),
         ):
             if not fine:
                 refuse(rules.BAD_SHADOWS, f"ShadowSettings({name}=...)", getattr(self, name), allowed)

@@ -1,4 +1,4 @@
-"""The outputs that show both eyes in one image, and the colours of an anaglyph, in float64.
+"""The outputs that show both eyes, and the colours of an anaglyph, in float64.
 
 An anaglyph is seen through a red and a cyan glass: red is for the left eye, green and blue are for the right
 one. Each way to make one is two matrices, for the left and for the right image, and the image is the sum of
@@ -46,9 +46,16 @@ ANAGLYPHS: Final = {
 }
 """The matrices (2, 3, 3) of each anaglyph, for the left and the right image."""
 
-OUTPUTS: Final = (*ANAGLYPHS, "interlaced", "side_by_side", "over_under")
+SHUTTER: Final = "shutter"
+"""The output of shutter glasses, which let each frame through to one eye."""
+
+GLASSES: Final = {"red": np.array(_RED), "cyan": np.array((0.0, 1.0, 1.0))}
+"""The part (3,) of each channel that a glass lets through: the left eye's, and the right eye's."""
+
+OUTPUTS: Final = (*ANAGLYPHS, "interlaced", "side_by_side", "over_under", SHUTTER)
 """All ways to show two images. `interlaced` has the left image in even rows, from the top, and the right one
-in odd rows. The last two show both at half their width or height, the left one first."""
+in odd rows. `side_by_side` and `over_under` show both at half their width or height, the left one first.
+`shutter` draws the eyes in turn, one each frame."""
 
 
 def check_output(name: str, call: str) -> None:
@@ -64,6 +71,35 @@ def eye_image_size(output: str, size: tuple[int, int]) -> tuple[int, int]:
     if output == "side_by_side":
         return -(-width // 2), height
     return (width, -(-height // 2)) if output == "over_under" else size
+
+
+def view_through_glasses(
+    anaglyph: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The light (..., 3) that the red and the cyan glass let through (Russell 2011, appendices E and F)."""
+    red = anaglyph * _RED
+    return red, anaglyph - red
+
+
+def compute_brightness(light: NDArray[np.float64], glass: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The brightness (...) of light (..., 3) behind a glass, 1 for white. Eyes forget the color of their glass, so
+    what differs between both of them is what they compete about.
+
+    Args:
+        glass: (3,), the part of each channel that the glass lets through.
+    """
+    weights = glass * _LUMA
+    return np.asarray(light @ (weights / weights.sum()))
+
+
+def compute_rivalry(anaglyph: NDArray[np.float64]) -> float:
+    """The mean difference, 0 to 1, of the brightness that both eyes see of an anaglyph (..., 3) through their
+    glasses."""
+    left, right = (
+        compute_brightness(light, glass)
+        for light, glass in zip(view_through_glasses(anaglyph), GLASSES.values(), strict=True)
+    )
+    return float(np.abs(left - right).mean())
 
 
 def mix_anaglyph(name: str, left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,6 +4,8 @@ A frame of two eyes is the frame of the left one, then that of the right one, ea
 targets, and all else shared: the simulation, the transforms, the light lists, the needs and the plan, and the
 objects found where only a frustum decides. Passes know nothing of this. So every technique works, and each
 eye's image is that of its camera, bit for bit.
+
+For shutter glasses, a frame is that of one eye, and the next one that of the other.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from renderer import rules
 from renderer.frame import IMAGE_FORMAT, Frame, Plan, Targets, View, make_plan
 from renderer.scene import Camera, Scene, StereoRig
 from renderer.stereo.mixing import MIXED_OUTPUTS, Mixer
-from renderer.stereo.outputs import check_output, eye_image_size
+from renderer.stereo.outputs import SHUTTER, check_output, eye_image_size
 from renderer.stereo.reprojection import REPROJECTION
 from renderer.visibility.boxes.depth_range import compute_depth_range
 from renderer.visibility.command_cache import CommandCache, copy
@@ -68,6 +70,18 @@ class Stereo:
         check_output(self.output, "Stereo(output=...)")
         if self.is_reprojected and self.rig.is_toed_in:
             refuse(rules.BAD_STEREO, "Stereo(is_reprojected=...)", True, "eyes that aren't toed in")
+        if self.is_reprojected and self.takes_turns:
+            refuse(
+                rules.BAD_STEREO,
+                "Stereo(is_reprojected=...)",
+                True,
+                "an output that shows both eyes in a frame",
+            )
+
+    @property
+    def takes_turns(self) -> bool:
+        """True if a frame is that of one eye, and the next one that of the other."""
+        return self.output == SHUTTER
 
 
 IMAGE_PLAN: Final = make_plan(REPROJECTION, ("image",))
@@ -82,13 +96,15 @@ class EyePair:
     Attributes:
         stereo: how the eyes are shown; it may be exchanged for one whose images have the same size.
         view, targets: those of the right eye.
-        image: what is shown.
+        image: what is shown, unless the eyes take turns.
+        turn: of eyes that take turns, the one that this frame is shown to: 0 is the left one, 1 the right one.
     """
 
     def __init__(
         self, device: Device, stereo: Stereo, size: tuple[int, int], left: View, scale: float = 1.0
     ) -> None:
         self.stereo = stereo
+        self.turn = 0
         with ExitStack() as created:
             self.image: Texture = created.enter_context(device.texture(size, IMAGE_FORMAT, label="both eyes"))
             self.targets = Targets(device, eye_image_size(stereo.output, size), scale)
@@ -99,6 +115,11 @@ class EyePair:
             created.callback(self._mixer.destroy)
             self._commands = CommandCache(device, "")
             self._resources = created.pop_all()
+
+    @property
+    def camera_index(self) -> int:
+        """Of eyes that take turns, the index of the camera that draws this frame."""
+        return self.turn ^ self.stereo.is_swapped
 
     def plan(self, *, has_layers: bool) -> Plan[Frame] | None:
         """Return the plan of the right eye's frame, None if it is that of the left one."""

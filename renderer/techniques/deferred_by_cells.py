@@ -310,7 +310,7 @@ class TiledDeferred:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `geometry`, `tiles` and `resolve`, after `depth` with several samples. Without local
         lights, those of `ClusteredDeferred`."""
-        if not local_light_effects(effects) or effects.has_anisotropy:
+        if not local_light_effects(effects) or effects.needs_forward:
             return cluster_passes(effects, self.samples, self.normal_bits)
         samples, reads = self.samples, list_samples(self.samples, *geometry_buffer_names(effects))
         geometry = geometry_pass(effects, samples=samples, normal_bits=self.normal_bits)

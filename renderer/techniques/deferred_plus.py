@@ -106,6 +106,8 @@ class PackedLight(PackedReader, LightListReader, ShadingShader):
         surface = self.make_surface(position, at.normal, described, material)
         if self.has_anisotropy:
             surface = self.stretch(surface, at)
+        if self.has_lighting_models:
+            surface = self.note_material(surface, at.material, material.shader)
         color = self.shade(surface, material)
         if self.has_local_lights:
             color += self.shade_cell_lights(surface, distance)

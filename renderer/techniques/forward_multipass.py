@@ -192,8 +192,7 @@ class ForwardMultipass:
         those of transparent surfaces."""
         if not local_light_effects(effects):
             return forward_passes(effects)
-        # Ambient occlusion is found from depth, so depth is drawn before.
-        before = (depth_pass("ambient occlusion is found from depth"),) if effects.shading_reads else ()
+        before = (depth_pass(effects.depth_reason),) if effects.shading_reads else ()
         written = Target("light", SUM_FORMATS[self.light_bits]), Target("visible_objects", Format.R32UI)
         base = FramePass(
             "base",

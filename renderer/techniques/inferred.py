@@ -249,7 +249,7 @@ class Inferred:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `normals`, `downscale`, one per kind of local lights in view, `materials`, and those
         of transparent surfaces. Without local lights, those of forward shading."""
-        if effects.has_anisotropy:
+        if effects.has_anisotropy or effects.lighting_models:
             return clustered_passes(effects)
         stippled = self.stippled and self.scale < 1.0 and Effect.TRANSPARENCY in effects.enabled
         scale = self.scale

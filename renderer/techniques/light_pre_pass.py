@@ -107,7 +107,7 @@ class LightPrePass:
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `normals`, one per kind of local lights in view, and `materials`. Without local
         lights, those of forward shading."""
-        if effects.has_anisotropy:
+        if effects.has_anisotropy or effects.lighting_models:
             return clustered_passes(effects)
         reads = ("surface", "shininess", "depth")
         buffers = list_terms(effects, packed=self.specular_channels == 1)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from renderer.scene import Camera, Orthographic, Perspective, Scene, Simulator
 from renderer.scene.arrays import Floats, Indices
+from renderer.scene.images import read_values
 from renderer.scene.materials import AlphaMode
 
 _EDGE: Final = 1e-9  # of barycentric coordinates, so that no ray passes between neighbours
@@ -169,5 +170,6 @@ def _is_masked_out(scene: Scene, material: Any, corners: NDArray[Any], weights: 
         uv = weights @ corners["uv2" if texture["uv_set"] else "uv"].astype(np.float64)
         u, v = (texture["transform"] @ np.append(uv, 1.0)).tolist()
         height, width = image.shape[:2]
-        alpha *= image[int(np.floor(v * height)) % height, int(np.floor(u * width)) % width, 3] / 255.0
+        texel = image[int(np.floor(v * height)) % height, int(np.floor(u * width)) % width]
+        alpha *= float(read_values(texel, is_color=False)[3])
     return alpha < float(material["alpha_cutoff"])

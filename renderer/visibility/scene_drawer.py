@@ -18,7 +18,7 @@ from typing import NoReturn, Protocol
 from renderer import rules
 from renderer.scene import Camera
 from renderer.scene.arrays import Indices
-from renderer.shaders import ListEntry, MeshPart, Object, ObjectPosition, ViewConstants
+from renderer.shaders import ListEntry, Meshlet, MeshPart, Object, ObjectPosition, ViewConstants
 from renderer.visibility.boxes.bounds import UNKNOWN_SIZE
 from renderer.visibility.detail import DetailConstants
 from rhi import Encoder, IndirectDraws, QuerySet, Readback, StorageBuffer, Texture, refuse
@@ -32,7 +32,8 @@ class SceneArrays:
     An object is an element of `objects` and of `object_positions`; its index is the base instance of its
     draw. A mesh is an element of `mesh_parts`, and that of an object is in `object_meshes`. The objects of an
     instance set are neighbours in `list_entries`, from one of `set_begins` to the next. `detail` is the limit of
-    levels of detail, None if no mesh has any.
+    levels of detail, None if no mesh has any. `meshlets` has the bounds of the elements of `mesh_parts`, None if lists
+    have no meshlets.
     """
 
     view: UniformRange[ViewConstants]
@@ -43,6 +44,7 @@ class SceneArrays:
     list_entries: StorageRange[ListEntry]
     set_begins: StorageRange[uint]
     detail: UniformRange[DetailConstants] | None = None
+    meshlets: StorageRange[Meshlet] | None = None
 
 
 class DeviceDrawList(Protocol):
@@ -85,6 +87,11 @@ class SceneDrawer(Protocol):
     @property
     def arrays(self) -> SceneArrays:
         """The scene's buffers, up to date for this frame."""
+        ...
+
+    @property
+    def meshlet_arrays(self) -> SceneArrays | None:
+        """The same with meshlets in place of the meshes that are cut; None if no object has such a mesh."""
         ...
 
     @property
@@ -156,6 +163,11 @@ class CallbackDrawer:
     def arrays(self) -> SceneArrays:
         """Refused: there is no device."""
         self._refuse("arrays")
+
+    @property
+    def meshlet_arrays(self) -> SceneArrays | None:
+        """Refused: there is no device."""
+        self._refuse("meshlet_arrays")
 
     @property
     def depth(self) -> Texture:

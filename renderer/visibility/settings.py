@@ -36,7 +36,10 @@ class VisibilitySettings:
             more. Above 1 what is seen through narrow gaps between them may be missing.
         pyramid_texels: the largest width and height, in texels of a depth pyramid, of what a box is compared
             with in `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less. In the
-            last level, which is at most 16 texels wide and high, there may be more."""
+            last level, which is at most 16 texels wide and high, there may be more.
+        meshlets: whether `depth_pyramid` and `two_pass` cull the meshlets of meshes that are cut into them
+            (`SceneBuilder.add_mesh`); else they draw these whole.
+    """
 
     batch: int = 50
     persistence: int = 20
@@ -46,6 +49,7 @@ class VisibilitySettings:
     occluders: int = 64
     occluder_pixels: int = 1
     pyramid_texels: int = 8
+    meshlets: bool = True
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_PARAMETER)

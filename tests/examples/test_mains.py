@@ -20,8 +20,11 @@ FILES: Final = sorted(
 )  # their own tests run them
 PROGRAMS: Final = [path for path in FILES if '__name__ == "__main__"' in path.read_text(encoding="utf-8")]
 SMALL: Final = ("--size", "32x18")
-ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2")}
-"""What examples are given that have no option `--size`."""
+ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
+    "tiled_lights": ("--frames", "2"),
+    "film": (*SMALL, "--frames", "2"),
+}
+"""The arguments of examples that have no option `--size`, or draw many frames."""
 
 
 def run(path: Path, *arguments: str) -> str:
@@ -78,7 +81,7 @@ def test_the_example_of_a_frames_commands_fails_if_the_engine_is_broken(tmp_path
     "path", [path for path in PROGRAMS if path.stem != "orbit_viewer"], ids=lambda path: path.stem
 )  # `test_window` opens its window
 def test_an_example_draws_in_its_smallest_size(path: Path, backend: str, tmp_path: Path) -> None:
-    image_path = tmp_path / "image.png"
+    image_path = tmp_path / ("video.mp4" if path.stem == "film" else "image.png")
     out = run(path, "--backend", backend, "--output", str(image_path), *ARGUMENTS.get(path.stem, SMALL))
     assert str(image_path) in out
     assert image_path.stat().st_size > 0

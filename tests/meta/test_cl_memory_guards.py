@@ -16,7 +16,7 @@ from nightly_reasons import FEWER_CASES
 
 import rhi
 from rhi.backends.cl import create_backend
-from rhi.backends.cl.raster import cl_pipelines
+from rhi.backends.cl.raster import cl_pipelines, general_raster
 from rhi.conformance.shaders import Colored, DepthFromColor
 from rhi.conformance.shapes import corners
 from rhi.contract.descriptors import BufferUsage
@@ -151,7 +151,8 @@ def test_a_stray_write_of_a_draw_is_found(
 
     with rhi.create_device("cl") as device:
         assert draw(device) == []
-    monkeypatch.setattr(cl_pipelines, "read_kernels", lambda name: changed if name == kernel else real(name))
+    for module in (cl_pipelines, general_raster):
+        monkeypatch.setattr(module, "read_kernels", lambda name: changed if name == kernel else real(name))
     with rhi.create_device("cl") as device:
         assert draw(device)
 

@@ -18,7 +18,7 @@ from refusals import refused_rule
 import rhi
 from renderer.content import load_scene
 from renderer.frame import Blending, BloomSettings, TextureSettings
-from renderer.scene import Depth, StereoRig
+from renderer.scene import Compression, Depth, StereoRig
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
@@ -36,7 +36,7 @@ OTHERS = RenderSettings(
     "frustum",
     VisibilitySettings(batch=7, threshold=3),
     ShadowSettings(ShadowFilter.HARD, cascades=2, bias=0.5),
-    TextureSettings(Filter.NEAREST, None, 4.0),
+    TextureSettings(Filter.NEAREST, None, 4.0, compression=Compression.BC1),
     blending=Blending.WEIGHTED,
     precision=Precision.EXACT,
     depth=Depth.STANDARD,

@@ -18,6 +18,7 @@ from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SPECULAR, get_extras
 from renderer.content.material_shaders import Brushed
+from renderer.scene.images import ImagePixels, check_image
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
 from renderer.scene.omissions import Omissions
 from renderer.scene.scene_builder import SceneBuilder
@@ -161,6 +162,9 @@ class Materials:
         texture = self._textures[number]
         holder = texture.extension("EXT_texture_webp") or texture
         image = holder.index("source", len(self._images))
+        blocks = texture.extension("KHR_texture_basisu")
+        if image < 0 and blocks is not None:
+            image = blocks.index("source", len(self._images))
         if image < 0:
             others = ", ".join(texture.child("extensions").values) or "no source"
             self.omissions.add(f"textures with {others}", texture.where)
@@ -187,6 +191,10 @@ class Materials:
         contents: dict[int, NDArray[np.uint8]] = {}
         for number in sorted(numbers):
             fields = self._images[number]
+            extras = get_extras(fields)
+            if extras is not None:
+                self._ids[number] = self.builder.add_image(self._read_high_range(extras))
+                continue
             try:
                 view = fields.index("bufferView", len(self._file.views))
                 contents[number] = self._file.view(view) if view >= 0 else self._file.read(fields)
@@ -198,8 +206,26 @@ class Materials:
         for number, pixels in zip(contents, decode_images(contents.values()), strict=True):
             if isinstance(pixels, str):
                 self.omissions.add(f"an image that can't be read ({pixels})", self._images[number].where)
-            else:
+                continue
+            try:
                 self._ids[number] = self.builder.add_image(pixels)
+            except RhiError as error:  # blocks that decode to infinity
+                where = self._images[number].where
+                self.omissions.add(f"an image that can't be read ({error.given})", where)
+
+    def _read_high_range(self, extras: JsonObject) -> ImagePixels:
+        """Return the texels that `save_scene` has written beside an image."""
+        view = extras.index("texels", len(self._file.views), required=True)
+        height, width = (int(side) for side in extras.reals("size", 2, (0.0, 0.0), 0.0, float(1 << 24)))
+        self._file.budget.spend_pixels(height * width)
+        content = self._file.view(view)
+        if not height * width or content.nbytes != 8 * height * width:
+            extras.refuse("size", f"{height} × {width} of {content.nbytes} bytes", "8 bytes a texel")
+        texels = np.frombuffer(content.tobytes(), "<f2").reshape(height, width, 4)
+        try:
+            return check_image(texels)
+        except RhiError as error:
+            extras.refuse("texels", error.given, error.allowed)
 
 
 def _make_unlit(values: dict[str, Any]) -> dict[str, Any]:

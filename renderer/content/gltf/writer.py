@@ -30,7 +30,8 @@ from renderer.content.thread_maps import map_in_threads
 from renderer.light_kinds.kind import LightKind
 from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
-from renderer.scene.materials import AlphaMode, ImagePixels, ShadingModel
+from renderer.scene.images import ImagePixels, has_high_range, make_likeness
+from renderer.scene.materials import AlphaMode, ShadingModel
 from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.scene import Scene
 from rhi import SamplerDescriptor
@@ -142,9 +143,17 @@ class _GltfWriter:
         return number
 
     def _write_images(self) -> None:
-        with map_in_threads(_encode, self._scene.images) as images:
-            for encoded in images:
-                self._add("images", {"bufferView": self._view(encoded), "mimeType": "image/png"})
+        colors = set(self._scene.textures["image"][self._scene.textures["is_color"] == 1].tolist())
+        likenesses = [
+            make_likeness(image, is_color=index in colors) for index, image in enumerate(self._scene.images)
+        ]
+        with map_in_threads(_encode, likenesses) as encoded_images:
+            for image, encoded in zip(self._scene.images, encoded_images, strict=True):
+                fields: dict[str, Any] = {"bufferView": self._view(encoded), "mimeType": "image/png"}
+                if has_high_range(image):
+                    texels = image.astype("<f2").tobytes()
+                    fields["extras"] = {KEY: {"texels": self._view(texels), "size": image.shape[:2]}}
+                self._add("images", fields)
         for number, sampler in enumerate(self._scene.samplers):
             self._add("samplers", self._sampler(sampler, number))
 

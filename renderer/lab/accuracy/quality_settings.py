@@ -17,7 +17,7 @@ from typing import Any, Final
 from renderer import rules
 from renderer.content.fountains import DROPS
 from renderer.frame import Blending, BloomSettings, TemporalSettings, TextureSettings
-from renderer.scene import Depth
+from renderer.scene import Compression, Depth
 from renderer.scene.cloth.cloth_grid import INTERVAL, SUB_STEPS
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
@@ -209,6 +209,7 @@ FAR_SHADOWS: Final = replace(
 )
 SORTED_BLENDING: Final = replace(RAY_TRACED, changes={"blending": Blending.SORTED})
 WIDE_BLOOM: Final = Reference("all scattered light, spread over 8 levels", {"bloom": BloomSettings(levels=8)})
+UNCOMPRESSED: Final = Reference("uncompressed images", {"textures.compression": Compression.NONE})
 FULL_MESHES: Final = Reference("full meshes", {"detail_error": 0.0})
 FINEST_TESSELLATION: Final = replace(RAY_TRACED, changes={"tessellation.edge_pixels": 0.01})
 EVERY_FRAME_ANIMATED: Final = Reference("motion in each frame", {"animation_step": 0.0, "animation_lag": 0.0})
@@ -384,6 +385,15 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             requirement=Requirement.IMAGES,
         ),
         _image_quality(
+            "compression",
+            "the format in which images are compressed",
+            "textures.compression",
+            _same(Compression.BC1, Compression.BC7, Compression.NONE),
+            "it needs a package, and time at the start; BC7 takes a quarter of the memory",
+            reference=UNCOMPRESSED,
+            requirement=Requirement.IMAGES,
+        ),
+        _image_quality(
             "edge_pixels",
             "length of the edges of a ground's triangles in pixels",
             "tessellation.edge_pixels",
@@ -450,6 +460,15 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "shadows.penumbra_samples",
             _same(8, 16, 32, 64),
             "steps are less than a level up to penumbras of some 30 texels",
+        ),
+        _shadows(
+            "contact_steps",
+            "samples of depth of a ray that is followed towards the sun",
+            "shadows.contact_steps",
+            _same(4, 8, 16, 32, 64),
+            "more of them change less than what the image doesn't show",
+            reference=PIXEL_CENTRE_RAY,
+            base_settings={**_FORWARD, "shadows.contact_length": 0.5},
         ),
         _shadows(
             "shadow_bias",
@@ -895,10 +914,13 @@ NOT_QUALITY_SETTINGS: Final[Mapping[str, str]] = {
     "technique.tiles.slices": "tiles end at the surfaces that they show",
     "technique.tiles.sphere_test": "as that of clusters, which is a quality setting",
     "visibility.emulated": "the same query results in another way",
+    "visibility.meshlets": "the same pixels without triangles that aren't seen",
     "shadows.split": "divides the same texels between near and far",
     "shadows.min_size": "maps that small are of lights that light a few pixels",
     "shadows.max_atlas_size": "a limit of memory, which shrinks maps beyond it",
     "shadows.far_size": "what counts as far for `shadow_budget`",
+    "shadows.contact_length": "rays that are too long cross what is hidden",
+    "shadows.contact_thickness": "that of the scene's small things, which an image doesn't show",
     "shadows.back_faces": "moves what isn't exact from lit faces to dark ones",
 }
 """The settings that aren't quality settings, and why: no order of their values is one of accuracy and of

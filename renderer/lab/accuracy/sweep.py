@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import astuple, dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from operator import truediv
 from statistics import fmean, median
 from time import perf_counter, process_time
@@ -53,13 +54,22 @@ from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.measurement import Measurement, alternate
 from renderer.renderer import FrameResult
-from renderer.scene import AmbientOcclusion, Bloom, CameraPath, DepthOfField, Environment, PathFrame, Scene
+from renderer.scene import (
+    AmbientOcclusion,
+    Bloom,
+    CameraPath,
+    Compression,
+    DepthOfField,
+    Environment,
+    PathFrame,
+    Scene,
+)
 from renderer.scene.arrays import Floats
 from renderer.scene.cloth import ClothSimulation
 from renderer.settings import RenderSettings
 from renderer.stereo import compute_rig
 from renderer.visibility import find_missing_feature
-from rhi import Device
+from rhi import CompressedFormat, Device
 
 T = TypeVar("T")
 
@@ -437,6 +447,11 @@ def find_missing_capability(device: Device, settings: RenderSettings) -> str | N
         return f"the device has no {settings.technique.samples} samples a pixel"
     if settings.textures.anisotropy > can.max_anisotropy:
         return f"the device has no anisotropy of {settings.textures.anisotropy:g}"
+    if settings.textures.compression is not Compression.NONE:
+        if CompressedFormat.BC7 not in can.compressed_formats:
+            return "the device stores no compressed images"
+        if find_spec("etcpak") is None:
+            return "the package etcpak is missing"
     return find_missing_feature(settings.algorithm, device) or (None if can.renders else DRAWS_NOTHING)
 
 

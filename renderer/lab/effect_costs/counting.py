@@ -39,6 +39,7 @@ ALLOWED_LEFTOVERS: Final = frozenset(
         "FogConstants",
         "Background",
         "BloomConstants",
+        "ContactConstants",
         "OcclusionConstants",
         "ApertureConstants",
         "MotionConstants",

@@ -16,7 +16,7 @@ import numpy as np
 
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, FountainSimulation, make_drops
-from renderer.content.material_shaders import Marble
+from renderer.content.material_shaders import Marble, Toon
 from renderer.content.shapes import bumpy_sphere
 from renderer.content.skies import paint_sky
 from renderer.frame import TemporalSettings
@@ -110,6 +110,11 @@ def _switch_light_field(
         getattr(renderer.scene.lights, kind)[name] = value if is_on else 0.0
 
 
+def _switch_contacts(renderer: Renderer, _: int, is_on: bool) -> None:
+    length = 0.2 if is_on else 0.0
+    renderer.shadows.settings = replace(renderer.shadows.settings, contact_length=length)
+
+
 def _switch_penumbras(renderer: Renderer, _: int, is_on: bool) -> None:
     shadow_filter = ShadowFilter.PCSS if is_on else ShadowFilter.SMOOTH
     renderer.shadows.settings = replace(renderer.shadows.settings, filter=shadow_filter)
@@ -147,6 +152,16 @@ def _switch_metal(renderer: Renderer, material: int, is_on: bool) -> None:
 def _add_tube(builder: SceneBuilder) -> int:
     material = builder.add_material(base_color=(0.3, 0.95, 0.75))
     _add_box(builder, material, (-2.5, 0.7, -1.2), (0.16, 1.4, 0.16))
+    return material
+
+
+def _add_screen(builder: SceneBuilder) -> int:
+    light = np.zeros((16, 16, 3), np.float16)
+    light[::4], light[2::4] = (6.0, 0.5, 0.2), (0.2, 0.5, 6.0)
+    material = builder.add_material(
+        base_color=(0.1, 0.1, 0.1), emissive=(1.0, 1.0, 1.0), emissive_texture=builder.add_image(light)
+    )
+    _add_box(builder, material, (-2.5, 0.3, 0.9), (0.5, 0.5, 0.08))
     return material
 
 
@@ -338,11 +353,24 @@ EFFECT_STEPS: Final = (
         ),
     ),
     EffectStep(
+        "lighting model",
+        "a ball whose material has a lighting model of its own",
+        EffectPattern("lighting model", words=("toon",), resources=("parameters of Toon",)),
+        partial(_add_ball, (0.35, 0.45, 2.2), {"shader": Toon, "base_color": (0.2, 0.45, 0.8)}),
+        modules=("renderer.techniques.parts.own_lighting",),
+    ),
+    EffectStep(
         "emission",
         "a tube that emits light",
         EffectPattern("emission", words=(".emission",)),
         _add_tube,
         _switch_emission,
+    ),
+    EffectStep(
+        "screen",
+        "a box that emits an image of high range",
+        EffectPattern("screen", words=(".emissive_texture",)),
+        _add_screen,
     ),
     EffectStep(
         "bloom",
@@ -367,6 +395,19 @@ EFFECT_STEPS: Final = (
         ),
         switch=partial(_switch_air, "ambient_occlusion", AmbientOcclusion(), None),
         modules=("renderer.techniques.parts.ambient_occlusion",),
+    ),
+    EffectStep(
+        "contact shadows",
+        "rays to the sun are followed over the image",
+        EffectPattern(
+            "contact shadows",
+            words=("contact_shadows",),
+            programs=("FollowContacts",),
+            bindings=("contact", "contact_shadows"),
+            events=("contact shadows",),
+        ),
+        switch=_switch_contacts,
+        modules=("renderer.techniques.parts.contact_shadows",),
     ),
     EffectStep(
         "depth of field",

@@ -72,9 +72,11 @@ TestViews = dict[str, tuple[Scene, Camera, str]]
 
 
 @cache  # the same for each device
-def trace_all(make: Callable[[], TestViews]) -> dict[str, tuple[Scene, Camera, str, TracedImage]]:
+def trace_all(
+    make: Callable[[], TestViews], trace: Callable[[Scene, Camera], TracedImage] = trace_image
+) -> dict[str, tuple[Scene, Camera, str, TracedImage]]:
     """Scenes with their ray-traced images."""
-    return {title: (*view, trace_image(view[0], view[1])) for title, view in make().items()}
+    return {title: (*view, trace(view[0], view[1])) for title, view in make().items()}
 
 
 def draw(
@@ -94,13 +96,17 @@ def draw(
         return renderer.render(settings.adapt_camera(camera), seconds).image.read()
 
 
-def measure_traced_views(make: Callable[[], TestViews], device: Device) -> CaseResult:
+def measure_traced_views(
+    make: Callable[[], TestViews],
+    device: Device,
+    trace: Callable[[Scene, Camera], TracedImage] = trace_image,
+) -> CaseResult:
     """Draw scenes, and measure by how many levels pixels are out of their bounds."""
     numbers = dict[str, object]()
     holds = dict[str, bool]()
     images = dict[str, CaseImage]()
     error = 0.0
-    for title, (scene, camera, technique, traced) in trace_all(make).items():
+    for title, (scene, camera, technique, traced) in trace_all(make, trace).items():
         image = draw(device, scene, camera, technique=technique)
         levels = image[..., :3].astype(np.float64)
         off = np.maximum(traced.low - levels, levels - traced.high).max(axis=2)

@@ -11,6 +11,7 @@ from renderer import rules
 from renderer.lab.exam import (
     anisotropy_cases,
     area_light_cases,
+    contact_cases,
     crack_cases,
     deformation_cases,
     detail_cases,
@@ -18,9 +19,12 @@ from renderer.lab.exam import (
     environment_cases,
     far_position_cases,
     focus_cases,
+    image_cases,
     input_cases,
     light_culling_cases,
+    lighting_model_cases,
     limit_cases,
+    meshlet_cases,
     occlusion_cases,
     penumbra_cases,
     plan_cases,
@@ -54,6 +58,10 @@ _CASE_MODULES: Final = (
     area_light_cases,
     anisotropy_cases,
     detail_cases,
+    image_cases,
+    meshlet_cases,
+    lighting_model_cases,
+    contact_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

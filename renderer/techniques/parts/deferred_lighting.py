@@ -110,7 +110,7 @@ def volume_passes(
         light_bits: the bits of a channel of the light that is added up.
         normal_bits: those of each number of a normal.
     """
-    if effects.has_anisotropy:
+    if effects.needs_forward:
         return clustered_passes(effects)
     reads = geometry_buffer_names(effects)
     lights, last = declare_lights(
@@ -134,7 +134,7 @@ def cluster_passes(
 ) -> tuple[FramePass[Frame], ...]:
     """The passes that draw a geometry buffer and light it by the light lists of clusters; without local
     lights, by ambient and directional light alone. With anisotropic materials, those of clustered forward shading."""
-    if effects.has_anisotropy:
+    if effects.needs_forward:
         return clustered_passes(effects, samples=samples)
     reads, has_local_lights = (
         list_samples(samples, *geometry_buffer_names(effects)),

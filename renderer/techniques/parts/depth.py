@@ -41,18 +41,32 @@ def bind_depth_programs(frame: Frame) -> list[BoundProgram]:
     return bind_programs(frame, shader, switches=switches)
 
 
-def depth_pass(reason: str, *, samples: int = 1) -> FramePass[Frame]:
+def depth_pass(reason: str, *, samples: int = 1, has_meshlets: bool = True) -> FramePass[Frame]:
     """The pass that draws the depth of the visible objects to `depth`; with several samples, to the
-    resource that `name_samples` names."""
+    resource that `name_samples` names. Without `has_meshlets`, meshes are drawn whole: before passes with more
+    samples."""
     depth = Target(name_samples("depth", samples), DEPTH_FORMAT, samples=samples)
     name = "depth" if samples == 1 else "depth samples"
     reads = ("depth",) if samples > 1 else ()
-    return FramePass(name, partial(draw_depth, depth=depth.name), reason, reads=reads, writes=(depth,))
+    return FramePass(
+        name,
+        partial(draw_depth, depth=depth.name, has_meshlets=has_meshlets),
+        reason,
+        reads=reads,
+        writes=(depth,),
+    )
 
 
-def draw_depth(frame: Frame, depth: str = "depth") -> None:
-    """Draw the depth of the visible objects to the resource `depth`."""
+def draw_depth(frame: Frame, depth: str = "depth", *, has_meshlets: bool = True) -> None:
+    """Draw the depth of the visible objects to the resource `depth`, without `has_meshlets` of whole meshes."""
     shader = PartialDepth if Effect.MASKS in frame.effects.enabled else DepthOnly
     frame.draw_visible(
-        make_scene_drawer(frame, shader, color=None, depth=frame.targets[depth], switches=COVERAGE)
+        make_scene_drawer(
+            frame,
+            shader,
+            color=None,
+            depth=frame.targets[depth],
+            switches=COVERAGE,
+            has_meshlets=has_meshlets,
+        )
     )

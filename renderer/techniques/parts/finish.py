@@ -102,9 +102,10 @@ def draw_once(
     """
     passes = list(lists)
     if effects.shading_reads:
-        depth_first = depth_first or "ambient occlusion is found from depth"
+        depth_first = depth_first or effects.depth_reason
     if depth_first or samples > 1:
-        passes.insert(0, depth_pass(depth_first or "layers and culling can't read depth of several samples"))
+        reason_before = depth_first or "layers and culling can't read depth of several samples"
+        passes.insert(0, depth_pass(reason_before, has_meshlets=samples == 1))
     if depth_first and samples > 1:
         passes.append(depth_pass("no hidden fragment is lit", samples=samples))
     passes.append(lit_pass(effects, lighting, reason, after_depth=bool(depth_first), samples=samples))

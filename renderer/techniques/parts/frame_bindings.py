@@ -21,6 +21,7 @@ from renderer.frame.scene_images import SceneImages
 from renderer.light_kinds.directional import DirectionalLight
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.scene.material_instances import MAX_SHADERS
 from renderer.shaders.environment import EnvironmentConstants
 from renderer.shaders.fog import FogConstants
 from renderer.shaders.pixels import PixelRays
@@ -315,6 +316,7 @@ class FrameBindings:
     depth = PlanTexture()
     ambient_occlusion = PlanTexture()
     turned_occlusion = PlanTexture()
+    contact_shadows = PlanTexture()
     depth_samples = PlanTexture()
     surface = PlanTexture()
     surface_samples = PlanTexture()
@@ -339,6 +341,11 @@ def _read_local_lights(bindings: FrameBindings, *, kind: LocalLightKind) -> Stor
     return bindings.local_lights(kind)
 
 
+def _read_parameters(bindings: FrameBindings, *, number: int) -> StorageBuffer[Any] | None:
+    parameters = bindings.frame.resources.parameters
+    return parameters[number - 1].buffer if number <= len(parameters) else None
+
+
 def _collect_bindings() -> dict[str, Callable[[FrameBindings], Any]]:
     attributes = vars(FrameBindings).items()
     kinds = property, PlanTexture, ImageArrayBinding
@@ -346,7 +353,13 @@ def _collect_bindings() -> dict[str, Callable[[FrameBindings], Any]]:
         name: attribute.__get__
         for name, attribute in attributes
         if isinstance(attribute, kinds) and not name.startswith("_") and name != "scene_images"
-    } | {f"{kind.name}_lights": partial(_read_local_lights, kind=kind) for kind in LOCAL_LIGHT_KINDS}
+    } | {
+        **{f"{kind.name}_lights": partial(_read_local_lights, kind=kind) for kind in LOCAL_LIGHT_KINDS},
+        **{
+            f"parameters_{number}": partial(_read_parameters, number=number)
+            for number in range(1, MAX_SHADERS + 1)
+        },
+    }
 
 
 FOLLOW_CAMERA: Final = frozenset({"fog", "rays"})

@@ -24,7 +24,8 @@ half of its word, so `surface` has a word less, or two with the normal without m
 
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which
 a bright light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole
-image leave out the background by a depth test (`draw_full_screen`).
+image leave out the background by a depth test (`draw_full_screen`). Where images have texels above 1, the emissive
+texel's 10 bits are logarithms: 32 steps to a factor of 2 are within 1.1 % from 2⁻¹⁶ to 2¹⁶.
 """
 
 from __future__ import annotations
@@ -81,6 +82,21 @@ def decode_texel(bits: sl.uint) -> sl.vec3:
     """Decode a colour that `encode_texel` encoded."""
     roots = sl.vec3(float(bits & 1023), float(bits >> 10 & 1023), float(bits >> 20)) / 1023.0
     return roots * roots
+
+
+@sl.function
+def encode_bright_texel(color: sl.vec3) -> sl.uint:
+    """Encode light from 0 to 65,504 in 3 × 10 bits, as logarithms; what is below 2⁻¹⁶ is 0."""
+    octaves = sl.log2(sl.max(color, sl.vec3(1e-9))) + 16.0
+    codes = sl.clamp(sl.round(octaves * 32.0), 0.0, 1023.0)
+    return sl.uint(codes.x) | sl.uint(codes.y) << 10 | sl.uint(codes.z) << 20
+
+
+@sl.function
+def decode_bright_texel(bits: sl.uint) -> sl.vec3:
+    """Decode light that `encode_bright_texel` encoded."""
+    codes = sl.vec3(float(bits & 1023), float(bits >> 10 & 1023), float(bits >> 20))
+    return sl.exp2(codes / 32.0 - 16.0) * sl.min(codes, sl.vec3(1.0))
 
 
 @sl.function
@@ -158,10 +174,18 @@ class GeometryShader(SurfaceWriter):
 class DetailedGeometry(GeometryShader):
     """Writes the geometry buffer of a scene with roughness, occlusion or emissive maps."""
 
+    has_bright_texels = False
+
     def fragment(self, v: SurfaceVarying) -> DetailedTexels:  # type: ignore[override]  # more targets
         at = self.surface_input(v)
         described = self.evaluate(at)
         details = encode_details(sl.vec2(described.metallic, described.roughness), described.occlusion)
+        if self.has_bright_texels:
+            return DetailedTexels(
+                surface=self.encode_surface(at, described.normal),
+                material=self.encode_material(at.material, described),
+                details=sl.uvec4(details, encode_bright_texel(described.emissive), sl.uint(0), sl.uint(0)),
+            )
         return DetailedTexels(
             surface=self.encode_surface(at, described.normal),
             material=self.encode_material(at.material, described),
@@ -234,9 +258,11 @@ class SurfaceReader(PixelShader):
 class GeometryReader(SurfaceReader, ReflectingShader):
     """Base of shaders that light the surfaces in the geometry buffer."""
 
+    has_any_material = True
     has_color_texels = False
     has_details = False
     has_emissive_texels = False
+    has_bright_texels = False
 
     material: sl.UintTexture2D
     details: sl.UintTexture2D
@@ -276,7 +302,7 @@ class GeometryReader(SurfaceReader, ReflectingShader):
             metal = details.xy
             occlusion = details.z
             if self.has_emissive_texels:
-                emissive = decode_texel(bits.y)
+                emissive = decode_bright_texel(bits.y) if self.has_bright_texels else decode_texel(bits.y)
         described = SurfaceParameters(
             color=sl.vec4(color, 1.0),
             normal=normal,
@@ -285,6 +311,11 @@ class GeometryReader(SurfaceReader, ReflectingShader):
             occlusion=occlusion,
             emissive=emissive,
         )
+        if self.has_lighting_models:
+            surface = self.make_surface(
+                position, self.read_geometric_normal(texel, normal), described, material
+            )
+            return self.note_material(surface, int(material_texel.x), material.shader)
         return self.make_surface(position, self.read_geometric_normal(texel, normal), described, material)
 
 

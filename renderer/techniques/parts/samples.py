@@ -149,5 +149,5 @@ def frame_samples(
     sample comes first, and the image already has the background's fog."""
     if samples == 1:
         return *passes, *finish_image(effects, lighting)
-    before = depth_pass("layers and culling need depth of one sample")
+    before = depth_pass("layers and culling need depth of one sample", has_meshlets=False)
     return before, *passes, *finish_image(effects, lighting, has_sky=True)

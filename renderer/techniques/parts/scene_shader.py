@@ -182,6 +182,10 @@ class ReflectingShader(ViewRayShader):
     """Whether this part of the light is drawn (`LightComponent`)."""
     is_albedo = False
     has_anisotropy = False
+    has_lighting_models = False
+    """Whether surfaces may have lighting models of their materials' own (`renderer.techniques.parts.own_lighting`)."""
+    has_any_material = False
+    """Whether the surfaces may be of materials with different shaders."""
 
     def make_surface(
         self, position: sl.vec3, geometric_normal: sl.vec3, described: SurfaceParameters, material: Material
@@ -210,6 +214,11 @@ class ReflectingShader(ViewRayShader):
     def stretch(self, surface: SurfacePoint, at: SurfaceInput) -> SurfacePoint:
         """A surface of an anisotropic material; those of the specular model stay as they are."""
         return surface if surface.shininess > 0.0 else stretch_surface(surface, self.describe_anisotropy(at))
+
+    def note_material(self, surface: SurfacePoint, material_index: int, shader: int) -> SurfacePoint:
+        """The surface with the index of its material, and the number of its shader, where lighting models look."""
+        surface.stretch = sl.vec3(float(material_index), float(shader), 0.0)
+        return surface
 
     def describe_anisotropy(self, at: SurfaceInput) -> sl.vec3:
         """See `MaterialShader.describe_anisotropy`, which replaces it."""
@@ -315,6 +324,9 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
 
     has_ambient_light = True
     has_ambient_occlusion = False
+    has_contact_shadows = False
+    contact_light = 0
+    """The index of the directional light whose contact shadows are drawn."""
 
     has_emission = False
     has_emissive_colors = False
@@ -325,6 +337,7 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
 
     ambient: sl.Uniform[Ambient]
     ambient_occlusion: sl.Texture2D
+    contact_shadows: sl.Texture2D
     directional_lights: sl.Storage[DirectionalLight]
 
     def shade(self, surface: SurfacePoint, material: Material) -> sl.vec3:
@@ -359,6 +372,8 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
     def shade_directional_light(self, surface: SurfacePoint, light_index: int) -> sl.vec3:
         """Light that the surface reflects of a directional light."""
         light = self.reflect_light(surface, directional_incidence(self.directional_lights[light_index]))
+        if self.has_contact_shadows and light_index == self.contact_light:
+            light *= self.contact_shadows.load(self.get_pixel()).x
         return self.shadow_directional_light(light, surface.position, surface.geometric_normal, light_index)
 
 
@@ -484,6 +499,8 @@ class SurfaceShader(SceneShader, ReflectingShader):
         )
         if self.has_anisotropy:
             surface = self.stretch(surface, at)
+        if self.has_lighting_models:
+            surface = self.note_material(surface, v.material, material.shader)
         return surface
 
 

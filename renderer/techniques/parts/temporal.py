@@ -409,7 +409,7 @@ def _bind_movement(frame: Frame, history: TemporalHistory) -> Any:
 def _draw_motion(frame: Frame) -> None:
     """Draw the objects in view that have moved."""
     resources, history = frame.resources, frame.view.workspace(TemporalHistory)
-    scene_motion = resources.workspace(SceneMotion)
+    scene_motion = (frame.first or frame).view.workspace(SceneMotion)
     history.has_motion = False
     if history.previous is None or history.is_still:
         return

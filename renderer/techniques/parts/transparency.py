@@ -71,6 +71,8 @@ class TransparentShader(ForwardShader):
         )
         if self.has_anisotropy:
             surface = self.stretch(surface, at)
+        if self.has_lighting_models:
+            surface = self.note_material(surface, v.material, material.shader)
         opacity = sl.saturate(material.base_color.a * described.color.a)
         return sl.vec4(self.light_surface(surface, v, material).rgb, opacity)
 
@@ -245,8 +247,8 @@ def _draw(
         shader,
         *lighting.bases,
         shader_bindings=lighting.bind(frame),
-        # Ambient occlusion is that of the opaque surfaces behind.
-        switches={**lighting.switches, "has_ambient_occlusion": False},
+        # Ambient occlusion and contact shadows are those of the opaque surfaces behind.
+        switches={**lighting.switches, "has_ambient_occlusion": False, "has_contact_shadows": False},
         color=[targets[name] for name in resources],
         depth=targets[depth],
         clear=clear,

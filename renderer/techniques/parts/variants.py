@@ -32,6 +32,7 @@ from renderer.shaders.materials import IN_TABLE
 from renderer.shadows import ShadowMaps, ShadowReceiver, filter_shader
 from renderer.techniques.parts.frame_bindings import FOLLOW_CAMERA, FrameBindings
 from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
+from renderer.techniques.parts.own_lighting import with_lighting_models
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Program, State, Texture
 from rhi.errors.shared_caches import cache_once
@@ -95,10 +96,18 @@ def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str
         settings = frame.resources.workspace(ShadowMaps).settings
         has_penumbras = not effects.enabled.isdisjoint(PENUMBRA_EFFECTS)
         bases = (filter_shader(settings, has_penumbras=has_penumbras), *bases)
+    if effects.lighting_models:
+        bases = with_lighting_models(bases, effects.lighting_models)
     sizes = None
     if images is not None:
         arrays = (len(images.colors), len(images.data)) if images.tables is None else (IN_TABLE, IN_TABLE)
-        sizes = *arrays, images.table is not None, images.gradient_scale
+        sizes = (
+            *arrays,
+            images.table is not None,
+            images.gradient_scale,
+            images.has_bright_texels,
+            images.has_two_channels,
+        )
     facts = (
         effects.enabled,
         effects.has_single_directional_light,
@@ -108,6 +117,7 @@ def _make_variant(frame: Frame, bases: tuple[type[Any], ...], fixed: Mapping[str
         is_parallel(frame.camera.projection),
         sizes,
         effects.component,
+        effects.contact_light,
     )
     return cached_shader_variant(bases, *facts, **fixed)
 
@@ -121,8 +131,9 @@ def cached_shader_variant(
     planes: bool,
     is_own: bool,
     parallel: bool,
-    images: tuple[int, int, bool, float] | None,
+    images: tuple[int, int, bool, float, bool, bool] | None,
     component: LightComponent,
+    contact_light: int,
     /,
     **fixed: Any,
 ) -> type[Any]:
@@ -133,12 +144,19 @@ def cached_shader_variant(
         "has_both_models": both_models,
         "has_geometric_normals": planes,
         "has_parallel_rays": parallel,
+        "contact_light": contact_light,
         "keeps_light": not enabled.isdisjoint(CAMERA_EFFECTS),
     }
     if images is not None:
-        switches |= dict(
-            zip(("image_arrays", "map_arrays", "has_table", "gradient_scale"), images, strict=True)
+        names = (
+            "image_arrays",
+            "map_arrays",
+            "has_table",
+            "gradient_scale",
+            "has_bright_texels",
+            "has_two_channels",
         )
+        switches |= dict(zip(names, images, strict=True))
     else:
         switches["map_arrays"] = 0
     needs_changes = images is not None and (images[2] or images[3] != 1.0)

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import ViewConstants
+from renderer.shaders import ListEntry, ViewConstants
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.draw_lists import (
@@ -29,8 +29,14 @@ from renderer.visibility.gpu.draw_lists import (
     with_parts,
 )
 from renderer.visibility.gpu.farthest_depth import SCALE, STEPS, DepthPyramid, depth_variant
+from renderer.visibility.gpu.meshlet_culling import (
+    ALWAYS_VISIBLE,
+    WAS_VISIBLE,
+    CountMeshlets,
+    CullMeshlets,
+)
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, ComputeOccludees, Occludee
-from renderer.visibility.scene_drawer import SceneDrawer
+from renderer.visibility.scene_drawer import SceneArrays, SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, DrawPlan, Encoder, Preparation, UniformBuffer
 
@@ -135,11 +141,35 @@ class CompareBoxes(BoxTest):
             self.marks[object_index] = sl.uint(VISIBLE)
 
 
+class CompareMeshlets(BoxTest):
+    """Shows the meshlets of visible objects that a depth pyramid doesn't hide, and records them for the next frame."""
+
+    entries: sl.Storage[ListEntry]
+    marks: sl.Storage[sl.uint]
+    states: sl.StorageRW[sl.uint]
+
+    def compute(self) -> None:
+        index = sl.global_id().x
+        if index >= len(self.states):
+            return
+        mark = self.marks[self.entries[index].object]
+        state = self.states[index]
+        if mark != sl.uint(VISIBLE) and mark != sl.uint(DRAWN):
+            return
+        if state != sl.uint(HIDDEN) and state != sl.uint(DRAWN):
+            return
+        box = self.boxes[index]
+        if box.depth == ALWAYS_VISIBLE or self.is_visible(box):
+            self.states[index] = sl.uint(WAS_VISIBLE) + (
+                sl.uint(VISIBLE) if state == sl.uint(HIDDEN) else state
+            )
+
+
 class DepthPyramidCulling(DeviceCulling):
     """Draws what was visible in the last frame, then what isn't behind it."""
 
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
-        super().__init__(scene, device, ComputeOccludeesWithHistory)
+        super().__init__(scene, device, ComputeOccludeesWithHistory, settings)
         self._texels = settings.pyramid_texels
         self._was_visible = device.storage(sl.uint, len(scene.objects), label="was_visible")
         self._pyramid: DepthPyramid | None = None
@@ -166,6 +196,20 @@ class DepthPyramidCulling(DeviceCulling):
             boxes=occludees.boxes,
             marks=occludees.marks,
             was_visible=self._was_visible,
+        )
+
+    def _reveal_meshlets(
+        self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer, arrays: SceneArrays
+    ) -> None:
+        assert self.meshlets is not None
+        self.meshlets.compare(
+            encoder,
+            arrays,
+            self._occludees,
+            depth_variant(CompareMeshlets, direction),
+            pyramid=self._levels,
+            depth=scene_drawer.depth,
+            farthest=self._fit(scene_drawer.depth.size).farthest,
         )
 
     def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
@@ -204,7 +248,11 @@ def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Prepara
         with_parts(CountKeys, parts),
         with_parts(WriteDraws, parts),
     ]
-    shaders += [depth_variant(shader, depth) for shader in (*STEPS, CompareBoxes)]
+    tests: list[type[Any]] = [*STEPS, CompareBoxes]
+    if len(scene.meshes.meshlet_ranges):
+        shaders += [CullMeshlets, CountMeshlets]
+        tests.append(CompareMeshlets)
+    shaders += [depth_variant(shader, depth) for shader in tests]
     return device.prepare([DrawPlan(device.program(shader)) for shader in shaders])
 
 

@@ -20,8 +20,10 @@ from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.command_cache import CommandCache
 from renderer.visibility.gpu.draw_lists import IndirectDrawList, count_parts
 from renderer.visibility.gpu.level_choice import LevelChoice
+from renderer.visibility.gpu.meshlet_culling import MeshletCulling
 from renderer.visibility.gpu.occludees import ComputeOccludees, Occludees
-from renderer.visibility.scene_drawer import SceneDrawer
+from renderer.visibility.scene_drawer import SceneArrays, SceneDrawer
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder, refuse
 
 
@@ -33,13 +35,20 @@ class DeviceCulling(ABC):
     Attributes:
         first, second: the lists of the latest frame.
         level_choice: the levels of detail of the latest frame that had any; None if no mesh has any.
+        meshlets: the states of meshlets; None if no mesh is cut, or settings say that they are drawn whole.
         has_instances: whether the visible objects of a mesh are instances of one draw.
     """
 
     opens_pass: Final = True
     has_instances: ClassVar[bool] = True
 
-    def __init__(self, scene: Scene, device: Device, occludee_shader: type[ComputeOccludees]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        device: Device,
+        occludee_shader: type[ComputeOccludees],
+        settings: VisibilitySettings = DEFAULTS,
+    ) -> None:
         if not (device.capabilities.compute and device.capabilities.draws):
             lacking = f"a {device.backend_name} device that lacks them"
             refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", lacking)
@@ -53,6 +62,9 @@ class DeviceCulling(ABC):
         self.level_choice = (
             LevelChoice(device, len(scene.objects)) if len(scene.meshes.level_ranges) else None
         )
+        self.meshlets: MeshletCulling | None = None
+        if settings.meshlets and len(scene.meshes.meshlet_ranges):
+            self.meshlets = MeshletCulling(device)
         self._repeated = CommandCache(device, "culling")
 
     @staticmethod
@@ -68,7 +80,9 @@ class DeviceCulling(ABC):
         self._occludees.aim(camera, size)
         aim = self._aim(camera, size)
         direction = camera.projection.depth
-        arrays = scene_drawer.arrays
+        meshlet_arrays = None if self.meshlets is None else scene_drawer.meshlet_arrays
+        meshlets = None if meshlet_arrays is None else self.meshlets
+        arrays = meshlet_arrays or scene_drawer.arrays
         key = (*scene_drawer.key, arrays, scene_drawer.depth, direction, *aim)
         for draws in (self.first, self.second):
             draws.renew()
@@ -83,13 +97,19 @@ class DeviceCulling(ABC):
                 if levels is not None:
                     with encoder.event("choose levels"):
                         levels.choose(encoder, arrays)
+                if meshlets is not None:
+                    with encoder.event("cull meshlets"):
+                        meshlets.cull(encoder, arrays, self._occludees, drawn_parts)
                 with encoder.event("list draws"):
-                    self.first.list_draws(encoder, arrays, drawn_parts)
+                    self.first.list_draws(encoder, arrays, drawn_parts, meshlets)
             scene_drawer.draw_list(encoder, self.first, first=True)
             with encoder.event("missed"):
                 self._mark_missed(encoder, direction, scene_drawer)
+                if meshlets is not None:
+                    with encoder.event("cull meshlets"):
+                        self._reveal_meshlets(encoder, direction, scene_drawer, arrays)
                 with encoder.event("list draws"):
-                    self.second.list_draws(encoder, arrays, drawn_parts)
+                    self.second.list_draws(encoder, arrays, drawn_parts, meshlets)
             scene_drawer.draw_list(encoder, self.second, first=False)
             with encoder.event("remember"):
                 self._remember(encoder, direction, scene_drawer)
@@ -115,6 +135,12 @@ class DeviceCulling(ABC):
         drawn."""
 
     @abstractmethod
+    def _reveal_meshlets(
+        self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer, arrays: SceneArrays
+    ) -> None:
+        """Show the meshlets of the second list, of which `arrays` has the entries."""
+
+    @abstractmethod
     def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         """Keep what the next frame needs of this one."""
 
@@ -127,5 +153,6 @@ class DeviceCulling(ABC):
         self._repeated.forget()
         for part in (self._occludees, self.first, self.second):
             part.destroy()
-        if self.level_choice is not None:
-            self.level_choice.destroy()
+        for more in (self.level_choice, self.meshlets):
+            if more is not None:
+                more.destroy()

@@ -15,6 +15,8 @@ marked HIDDEN. The CPU sees neither: it draws both indirectly.
   prefix sums, and each draw is written to its position.
 - An object whose mesh has levels of detail has an entry for the mesh and one for each level, in sets of their own. It
   goes to the one that `LevelChoice` has chosen: so there is one draw for each level that any object is drawn as.
+- An object whose mesh is cut into meshlets has an entry for each of them in place of that for the mesh. Those that
+  `MeshletCulling` has found visible are listed, and the objects of one meshlet are one draw.
 - Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part of
   their own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
 """
@@ -33,6 +35,7 @@ from renderer.scene.arrays import list_ranges
 from renderer.shaders import DRAW_LISTS, ListEntry, MeshPart, Object, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.command_cache import clear
+from renderer.visibility.gpu.meshlet_culling import MeshletCulling
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.scene_drawer import SceneArrays
 from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback, StorageBuffer
@@ -240,7 +243,7 @@ class IndirectDrawList:
     Attributes:
         parts: the number of parts, at most `MAX_PARTS`.
         draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i
-            on.
+            on. n is the number of objects, or with meshlets that of entries.
         totals: (parts + 1,) the numbers of draws of each part, and of hidden objects.
         objects, object_positions: (n,) copies of the elements of the visible objects, in the order of the
             instances.
@@ -261,22 +264,27 @@ class IndirectDrawList:
         count = occludees.count
         self.parts = parts
         self.generation = 0
-        self.draws = device.storage(DrawArguments, parts * count, label="listed draws")
         self.totals = device.storage(sl.uint, parts + 1, label="list counts")
-        self.objects = device.storage(Object, count, label="listed objects")
-        self.object_positions = device.storage(ObjectPosition, count, label="listed positions")
         self.hidden = device.storage(sl.uint, count, label="hidden objects")
         self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
         self._has_instances = has_instances
         self._set_count = count  # of the last list
+        self._make_room(count)
         self._make_counts(count)
         self._count_marks = device.program(CountMarks)
         self._add_counts = device.program(PrefixSum)
         self._write_objects = device.program(WriteObjects)
         self._count_keys: Program[...] = device.program(with_parts(CountKeys, parts))
         self._write_draws: Program[...] = device.program(with_parts(WriteDraws, parts))
+
+    def _make_room(self, room: int) -> None:
+        """Create what is listed of so many entries: of each object one, or all of its meshlets."""
+        device, self._room = self._device, room
+        self.draws = device.storage(DrawArguments, self.parts * room, label="listed draws")
+        self.objects = device.storage(Object, room, label="listed objects")
+        self.object_positions = device.storage(ObjectPosition, room, label="listed positions")
 
     def _make_counts(self, entries: int) -> None:
         """Create what is counted and ranked of so many entries."""
@@ -300,11 +308,21 @@ class IndirectDrawList:
         self.generation += 1
 
     def list_draws(
-        self, encoder: Encoder, arrays: SceneArrays, drawn_parts: StorageBuffer[int] | None = None
+        self,
+        encoder: Encoder,
+        arrays: SceneArrays,
+        drawn_parts: StorageBuffer[int] | None = None,
+        meshlets: MeshletCulling | None = None,
     ) -> None:
         """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the indices of those marked
-        HIDDEN. Objects are drawn as `drawn_parts` (n,), or as their meshes without."""
+        HIDDEN. Objects are drawn as `drawn_parts` (n,), or as their meshes without; with `meshlets`, those are
+        listed that are visible."""
         occludees = self._occludees
+        room = occludees.count if meshlets is None else arrays.list_entries.count
+        if room != self._room:
+            for listed in (self.draws, self.objects, self.object_positions):
+                listed.destroy()
+            self._make_room(room)
         if arrays.list_entries.count != self._entries:  # levels of detail, or other meshes with others
             self._destroy_counts()
             self._make_counts(arrays.list_entries.count)
@@ -318,14 +336,17 @@ class IndirectDrawList:
         set_groups = -(-self._set_count // GROUP)
         if not self._device.capabilities.indirect_count:
             clear(encoder, self.draws)  # all are drawn then; those that aren't listed have no instance
-        encoder.dispatch(
-            count_marks,
-            groups,
-            entries=arrays.list_entries,
-            marks=occludees.marks,
-            counts=self._counts,
-            **levels,
-        )
+        if meshlets is not None:
+            meshlets.count(encoder, occludees, self._counts)
+        else:
+            encoder.dispatch(
+                count_marks,
+                groups,
+                entries=arrays.list_entries,
+                marks=occludees.marks,
+                counts=self._counts,
+                **levels,
+            )
         encoder.dispatch(self._add_counts, 1, counts=self._counts)
         encoder.dispatch(
             self._write_objects,
@@ -369,14 +390,15 @@ class IndirectDrawList:
         counted = self._device.capabilities.indirect_count
         return IndirectDraws(
             self.draws,
-            min(self._set_count, self._occludees.count),
-            offset=part * self._occludees.count * DRAW.itemsize,
+            min(self._set_count, self._room),
+            offset=part * self._room * DRAW.itemsize,
             count=self.totals if counted else None,
             count_offset=4 * part if counted else 0,
         )
 
     def read_object_indices(self) -> NDArray[np.int64]:
-        """Return the indices of the listed objects, in the order of their draws. Waits for the device."""
+        """Return the indices of the listed objects, in the order of their draws: that of an object once for each
+        listed meshlet. Waits for the device."""
         return self.read_object_indices_async()()
 
     def read_object_indices_async(self) -> Callable[[], NDArray[np.int64]]:
@@ -384,7 +406,7 @@ class IndirectDrawList:
         and returns it."""
         totals, draws = self.totals.read_async(), self.draws.read_async()
         positions = self.object_positions.read_async()
-        count = self._occludees.count
+        count = self._room
 
         def wait() -> NDArray[np.int64]:
             rows, sizes = draws.result(), totals.result().tolist()[:-1]
@@ -415,26 +437,45 @@ class IndirectDrawList:
 
 
 def make_instance_sets(
-    meshes: NDArray[np.int32], groups: NDArray[np.int32], level_begins: NDArray[np.int64] | None = None
+    meshes: NDArray[np.int32],
+    groups: NDArray[np.int32],
+    level_begins: NDArray[np.int64] | None = None,
+    meshlet_begins: NDArray[np.int64] | None = None,
+    first_meshlet: int = 0,
 ) -> tuple[NDArray[Any], NDArray[np.uint32]]:
     """Return the entries of a scene's lists, as `ListEntry`, and where in them each instance set begins and the last
-    one ends, (sets + 1,). There is an entry for each object, and one for each level of detail of its mesh.
+    one ends, (sets + 1,). There is an entry for each object, and one for each level of detail of its mesh; of a mesh
+    that is cut, there is one for each meshlet in place of that for the object.
 
     Args:
         meshes: the mesh (n,) of each object.
         groups: the number (n,) of the program and states that draw each object.
         level_begins: where the levels of each mesh begin among all (`Meshes.level_begins`); None without levels.
+        meshlet_begins: where its meshlets begin, likewise; None if meshes are drawn whole.
+        first_meshlet: the mesh part of the first of all meshlets.
     """
     objects, parts = np.arange(len(meshes)), meshes.astype(np.int64)
     if level_begins is not None and level_begins[-1]:
-        counts = 1 + np.diff(level_begins)[meshes]
-        objects = repeat_each(objects, counts)
-        level = np.arange(len(objects)) - repeat_each(np.cumsum(counts) - counts, counts)
-        first = len(level_begins) - 2 + level_begins[meshes[objects]]
-        parts = np.where(level > 0, first + level, meshes[objects])
+        objects, parts = _expand(meshes, parts, level_begins, len(level_begins) - 1)
+    if meshlet_begins is not None:
+        cut, meshlets = _expand(meshes, np.full(len(meshes), -1), meshlet_begins, first_meshlet)
+        is_whole = (np.diff(meshlet_begins)[meshes[objects]] == 0) | (parts != meshes[objects])
+        objects = np.concatenate([objects[is_whole], cut[meshlets >= 0]])
+        parts = np.concatenate([parts[is_whole], meshlets[meshlets >= 0]])
     order = np.lexsort((parts, meshes[objects], groups[objects]))
     objects, parts = objects[order], parts[order]
     entries = np.zeros(len(order), ListEntry.dtype)
     entries["object"], entries["mesh_part"] = objects, parts
     is_first = np.diff(parts, prepend=-1) | np.diff(groups[objects], prepend=-1)
     return entries, np.append(np.flatnonzero(is_first), len(order)).astype(np.uint32)
+
+
+def _expand(
+    meshes: NDArray[np.int32], parts: NDArray[np.int64], begins: NDArray[np.int64], first_part: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the objects and mesh parts of entries: that of each object, and those from `begins` of its mesh to the
+    next, the first of all being `first_part`."""
+    counts = 1 + np.diff(begins)[meshes]
+    objects = repeat_each(np.arange(len(meshes)), counts)
+    number = np.arange(len(objects)) - repeat_each(np.cumsum(counts) - counts, counts)
+    return objects, np.where(number > 0, first_part + begins[meshes[objects]] + number - 1, parts[objects])

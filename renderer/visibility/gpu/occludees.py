@@ -250,6 +250,11 @@ class Occludees:
         """Number of work-groups of `GROUP` that have an invocation for each row."""
         return -(-self.count // GROUP)
 
+    @property
+    def culling_camera(self) -> UniformBuffer[CullingCamera]:
+        """The camera that boxes are found for."""
+        return self._culling_camera
+
     def aim(self, camera: Camera, size: tuple[int, int]) -> None:
         """Write the camera that boxes are found for, in an image of `size`."""
         self._culling_camera.write(_culling_camera(camera, size))
@@ -272,9 +277,20 @@ class Occludees:
 
     def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
         """Mark the objects whose boxes are visible in the open pass; `camera` leads to its clip space."""
+        self.mark_boxes(encoder, camera, depth, self.boxes, self.marks)
+
+    def mark_boxes(
+        self,
+        encoder: Encoder,
+        camera: UniformBuffer[BoxCamera],
+        depth: Depth,
+        boxes: StorageBuffer[Occludee],
+        marks: StorageBuffer[sl.uint],
+    ) -> None:
+        """Mark like `mark_all`, for other boxes, with a mark for each."""
         with self._states(encoder, depth):
             mark = self._device.program(MarkBoxes)
-            encoder.draw(mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks)
+            encoder.draw(mark, self.cube, boxes.count, camera=camera, boxes=boxes, marks=marks)
 
     def mark_listed(
         self,

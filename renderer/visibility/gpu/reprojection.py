@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rhi.shading as sl
 from renderer.scene import Camera, Depth, Projection
@@ -122,10 +123,14 @@ class WriteDepth(sl.Shader):
 
 
 class ReprojectedDepth:
-    """Keeps a frame's depth, and reprojects it for the next frame's camera."""
+    """Keeps a frame's depth, and reprojects it for the next frame's camera.
 
-    def __init__(self, device: Device) -> None:
+    Without `fills_holes`, the depth is far where no point lands: that is for images of the holes (Figure 1.2).
+    """
+
+    def __init__(self, device: Device, *, fills_holes: bool = True) -> None:
         self._device = device
+        self._shaders = (Scatter, FillHoles) if fills_holes else (Scatter,)
         self._triangle = device.mesh(3, label="whole target")
         self._motion = device.uniform(Motion(matrix=np.eye(4), pixels=(1.0, 1.0), texels=(1, 1)))
         self._resources: _SizedResources | None = None
@@ -160,6 +165,12 @@ class ReprojectedDepth:
         assert self._resources is not None, "aim must be called first"
         self._resources.farthest.build(encoder, depth, direction)
 
+    def read(self) -> NDArray[np.float32]:
+        """The depths (h, w) that the last `render_pass` began with, and what was drawn in it since."""
+        assert self._resources is not None, "aim must be called first"
+        depths: NDArray[np.float32] = self._resources.target.read()
+        return depths
+
     @contextmanager
     def render_pass(self, encoder: Encoder, direction: Depth) -> Iterator[None]:
         """Open a pass whose depth target holds the last frame's depth as the camera of `aim` sees it.
@@ -173,7 +184,7 @@ class ReprojectedDepth:
                 yield
             return
         clear(encoder, sized.keys)
-        for shader in (Scatter, FillHoles):
+        for shader in self._shaders:
             encoder.dispatch(
                 device.program(depth_variant(shader, direction)),
                 sized.groups,

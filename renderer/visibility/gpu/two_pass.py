@@ -16,7 +16,7 @@ from renderer.visibility.boxes.cubes import BoxCamera
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.occludees import ComputeOccludees
 from renderer.visibility.gpu.reprojection import ReprojectedDepth
-from renderer.visibility.scene_drawer import SceneDrawer
+from renderer.visibility.scene_drawer import SceneArrays, SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder
 
@@ -24,8 +24,8 @@ from rhi import Device, Encoder
 class TwoPassCulling(DeviceCulling):
     """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""
 
-    def __init__(self, scene: Scene, device: Device, _: VisibilitySettings = DEFAULTS) -> None:
-        super().__init__(scene, device, ComputeOccludees)
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
+        super().__init__(scene, device, ComputeOccludees, settings)
         self._reprojected = ReprojectedDepth(device)
         self._reprojected_camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
@@ -55,6 +55,15 @@ class TwoPassCulling(DeviceCulling):
             self._occludees.mark_listed(
                 encoder, self._camera, direction, self.first.hidden, self.first.box_draw
             )
+
+    def _reveal_meshlets(
+        self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer, arrays: SceneArrays
+    ) -> None:
+        assert self.meshlets is not None
+        boxes, seen = self.meshlets.pick(encoder, arrays, self._occludees)
+        with encoder.render_pass(depth=scene_drawer.depth):
+            self._occludees.mark_boxes(encoder, self._camera, direction, boxes, seen)
+        self.meshlets.show(encoder)
 
     def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         self._reprojected.store(encoder, scene_drawer.depth, direction)

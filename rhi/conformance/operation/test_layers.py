@@ -352,14 +352,6 @@ def test_an_array_of_draws_and_a_command_buffer_draw_to_layers(device: Device) -
     assert_same(target.read_layers()[:, 3, 3, 0], [1, 0, 0, 4, 0, 6])
 
 
-@pytest.mark.requires("occlusion_queries")
-def test_a_query_counts_the_samples_of_all_layers(device: Device) -> None:
-    target, query = target_of(device, TextureKind.CUBE), device.occlusion_query()
-    with device.mesh(corners([0, 2, 4, 9, -1])) as mesh, device.render_pass(target.at(layer=None)), query:
-        device.draw(device.program(Layered), mesh)
-    assert query.wait() == 3 * SIZE**2
-
-
 @pytest.mark.requires("alpha_test")
 def test_an_alpha_test_applies_in_each_layer(device: Device) -> None:
     vertices = corners([1, LAYERS, 4])

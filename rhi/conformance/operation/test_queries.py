@@ -18,6 +18,7 @@ from rhi.conformance.shaders import Checkered, Colored, DepthFromColor, Sized
 from rhi.conformance.shapes import corners, point_vertices, rectangle, texel_rectangle, window_to_clip
 from rhi.conformance.waiting import wait_until
 from rhi.errors import rules
+from rhi.shading import Shader, Struct, TargetLayer, vec4
 
 pytestmark = pytest.mark.requires("draws", "shading")
 
@@ -343,3 +344,44 @@ def test_the_samples_of_large_points_are_counted(device: rhi.Device, query: rhi.
     require_point_sizes(device)
     rows = point_vertices([(4.5, 8.5), (12.5, 8.5)], SIZE, [5.0, 3.0])
     assert draw_counted(device, query, rows, Sized, primitive=rhi.Primitive.POINTS).wait() == 25 + 9
+
+
+class LayeredCorner(Struct):
+    """A vertex in clip space, with its layer."""
+
+    position: vec4
+    layer: int
+
+
+class LayeredPoint(Struct):
+    """The varyings of `InLayer`."""
+
+    clip: vec4
+    layer: TargetLayer
+
+
+class InLayer(Shader):
+    """Draws each primitive to the layer of its vertices."""
+
+    def vertex(self, v: LayeredCorner) -> LayeredPoint:
+        return LayeredPoint(clip=v.position, layer=v.layer)
+
+    def fragment(self, s: LayeredPoint) -> vec4:
+        return vec4(1.0)
+
+
+@pytest.mark.requires("layered_rendering", "occlusion_queries")
+def test_a_query_counts_the_samples_of_all_layers(device: rhi.Device) -> None:
+    target = device.texture(SIZE, rhi.Format.RGBA8, kind=rhi.TextureKind.CUBE, layers=6)
+    vertices = np.zeros((5, 3), LayeredCorner.dtype)
+    vertices["position"] = [(-1, -1, 0.5, 1), (3, -1, 0.5, 1), (-1, 3, 0.5, 1)]
+    vertices["layer"] = np.array([0, 2, 4, 9, -1])[:, None]  # the last two are no layers
+    query = device.occlusion_query()
+    with (
+        device.mesh(vertices.reshape(-1)) as mesh,
+        device.render_pass(target.at(layer=None), clear=(0, 0, 0, 0)),
+        device.states(rhi.CullMode.NONE),
+        query,
+    ):
+        device.draw(device.program(InLayer), mesh)
+    assert query.wait() == 3 * SIZE[0] * SIZE[1]

@@ -409,6 +409,7 @@ def test_early_exits_of_nested_loops_and_methods_in_a_compute_stage(device: Devi
     assert_same(run_compute(device, text), expected)
 
 
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize("lean", [False, True])
 @pytest.mark.parametrize("exit", ["discard()", "return 3 + x"])
 def test_early_exits_of_nested_loops_and_methods_in_a_fragment_stage(

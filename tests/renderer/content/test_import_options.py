@@ -1,4 +1,4 @@
-"""Options of model files: scale, centre, parts left out, merged meshes, levels of detail."""
+"""Options of model files: scale, centre, parts left out, merged meshes, levels of detail, meshlets."""
 
 import numpy as np
 import pytest
@@ -198,6 +198,8 @@ def test_a_refusal_after_meshes_were_added_undoes_them(room):
         {"levels": 13},
         {"levels": 1.5},
         {"levels": True},
+        {"meshlet_size": 7},
+        {"meshlet_size": 4097},
     ],
     ids=str,
 )
@@ -351,6 +353,23 @@ def test_meshes_of_files_get_levels(tmp_path, scale):
     assert len(expected) > 1
     assert scene.meshes.level_ranges["index_count"].tolist() == [len(level.indices) for level in expected]
     assert scene.meshes.level_errors[0] == pytest.approx([level.error for level in expected], rel=1e-5)
+
+
+def test_meshes_of_files_are_cut(tmp_path):
+    builder = SceneBuilder("ball")
+    builder.add_objects(builder.add_node(), builder.add_mesh(bumpy_sphere(16)), builder.add_material())
+    path = tmp_path / "ball.glb"
+    save_scene(builder.build(), path)
+    assert not len(load_model(path).meshes.meshlet_ranges)
+    meshes = load_scene(f"{path}:meshlet_size=32").meshes
+    assert len(meshes.meshlet_ranges) == -(-int(meshes.triangle_counts[0]) // 32)
+
+
+def test_skinned_and_morphing_meshes_are_never_cut(tmp_path):
+    for make in (make_skinned, make_morphing):
+        path = tmp_path / f"{make.__name__}.glb"
+        make().write(path)
+        assert not len(load_model(path, options=ImportOptions(meshlet_size=8)).meshes.meshlet_ranges)
 
 
 def test_levels_beside_other_options(room, tmp_path):

@@ -24,7 +24,7 @@ from renderer.frame.scene_images import (
 )
 from renderer.scene import AlphaMode, Camera, Orthographic, Scene, SceneBuilder, TextureMap
 from renderer.techniques import TECHNIQUES, ForwardPlus
-from rhi import Op, SamplerDescriptor, Wrap
+from rhi import Format, Op, SamplerDescriptor, Wrap
 from rhi.backends.null.null_capabilities import get_profile
 
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
@@ -61,13 +61,15 @@ def test_the_bytes_of_an_image_are_those_of_all_its_levels() -> None:
 
 
 def test_images_of_one_size_are_the_layers_of_one_array() -> None:
-    (array,) = plan_arrays([(8, 8), (8, 8), (8, 8)], [(0, True, 0), (1, True, 0), (2, True, 0), (1, True, 0)])
+    uses = [(0, True, 0), (1, True, 0), (2, True, 0), (1, True, 0)]
+    (array,) = plan_arrays([(8, 8)] * 3, uses, [Format.RGBA8_SRGB] * 4)
     assert array.images == (0, 1, 2)
 
 
 def test_colours_and_data_and_sizes_have_arrays_of_their_own() -> None:
     sizes = [(8, 8), (16, 8), (1, 1), (8192, 1)]
-    arrays = plan_arrays(sizes, [(0, True, 0), (0, False, 0), (1, True, 0), (2, True, 0), (3, True, 0)])
+    uses = [(0, True, 0), (0, False, 0), (1, True, 0), (2, True, 0), (3, True, 0)]
+    arrays = plan_arrays(sizes, uses, [Format.RGBA8] * 5)
     assert [(array.size, array.is_color) for array in arrays] == [
         ((8, 8), True),
         ((8, 8), False),
@@ -81,9 +83,10 @@ def test_colours_and_data_and_sizes_have_arrays_of_their_own() -> None:
 @given(st.lists(st.tuples(st.integers(1, 40), st.integers(1, 40)), min_size=1, max_size=24))
 def test_arrays_take_the_memory_of_their_images(sizes: list[tuple[int, int]]) -> None:
     uses = [(image, bool(image % 3), image % 2) for image in range(len(sizes))]
-    arrays = plan_arrays(sizes, uses)
+    formats = [Format.RGBA8] * len(uses)
+    arrays = plan_arrays(sizes, uses, formats)
     assert sum(array.bytes for array in arrays) == bytes_of(sizes)
-    assert sum(len(array.samplers) for array in arrays) == count_bindings(sizes, uses)
+    assert sum(len(array.samplers) for array in arrays) == count_bindings(sizes, uses, formats)
     for image, is_color, sampler in uses:
         assert [a for a in arrays if a.is_color == is_color and image in a.images and sampler in a.samplers]
 

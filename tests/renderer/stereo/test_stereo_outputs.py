@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 import rhi
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, StereoRig
-from renderer.stereo import OUTPUTS, Stereo, mix_anaglyph
+from renderer.stereo import (
+    GLASSES,
+    OUTPUTS,
+    Stereo,
+    compute_brightness,
+    compute_rivalry,
+    mix_anaglyph,
+    view_through_glasses,
+)
 
 SIZE: Final = (97, 55)  # odd: neither halves evenly
 RIG: Final = StereoRig(0.3, 6.0)
@@ -99,3 +107,27 @@ def test_unknown_outputs_are_refused() -> None:
         Stereo(RIG, "duboys")
     assert error.value.rule.id == "stereo-unknown-output"
     assert "'dubois'" in str(error.value)
+
+
+def test_both_glasses_together_let_all_of_an_anaglyph_through() -> None:
+    anaglyph = np.random.default_rng(1).random((5, 7, 3))
+    red, cyan = view_through_glasses(anaglyph)
+    assert np.array_equal(red + cyan, anaglyph)
+    assert red[..., 1:].max() == cyan[..., 0].max() == 0.0
+
+
+def test_eyes_do_not_compete_about_grey_anaglyphs_and_do_about_colors() -> None:
+    """A red object is bright to one eye and black to the other, unless it is made grey first (Russell 2011, appendices
+    E and F)."""
+    flag = np.tile([0.9, 0.05, 0.0], (4, 4, 1))
+    assert compute_rivalry(mix_anaglyph("grey", flag, flag)) == pytest.approx(0.0, abs=1e-12)
+    expected = 0.9 - (0.7152 * 0.05) / (0.7152 + 0.0722)
+    assert compute_rivalry(mix_anaglyph("color", flag, flag)) == pytest.approx(expected)
+    assert 0.0 < compute_rivalry(mix_anaglyph("half_color", flag, flag)) < expected
+
+
+def test_white_is_as_bright_through_each_glass() -> None:
+    white = np.ones((2, 3))
+    for light, glass in zip(view_through_glasses(white), GLASSES.values(), strict=True):
+        assert compute_brightness(light, glass) == pytest.approx([1.0, 1.0])
+        assert compute_brightness(0.25 * light, glass) == pytest.approx([0.25, 0.25])

@@ -19,7 +19,7 @@ import rhi
 from renderer.cli import main
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
-from renderer.lab.visibility_comparison import (
+from renderer.lab.comparisons.visibility_comparison import (
     HISTORY_FREE,
     ComparedFrame,
     FrameImage,

@@ -210,7 +210,9 @@ def check_on_device(device: rhi.Device, case: Case, parts: int = DRAW_LISTS) -> 
         case.marks = after["marks"]
     assert all(wait().tolist() == listed for wait, listed in readings)
     buffers = [
-        getattr(arrays, field.name).owner for field in fields(arrays) if field.name not in ("view", "detail")
+        getattr(arrays, field.name).owner
+        for field in fields(arrays)
+        if field.name not in ("view", "detail", "meshlets")
     ]
     for resource in (occludees, lists, resources, view, *buffers):
         resource.destroy()

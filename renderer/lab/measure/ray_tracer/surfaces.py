@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, Indices
-from renderer.scene import AlphaMode, Scene, ShadingModel
+from renderer.scene import AlphaMode, ImagePixels, Scene, ShadingModel
 
 _ROUNDING: Final = 2.0**-16
 """How far an alpha may be below a mask's cutoff and still pass."""
@@ -201,7 +201,7 @@ class Geometry:
         return texels
 
 
-def _sample(image: NDArray[np.uint8], uv: Floats, sampler: Any, *, is_color: bool) -> Floats:
+def _sample(image: ImagePixels, uv: Floats, sampler: Any, *, is_color: bool) -> Floats:
     """The texels (k, 4) at texture coordinates, interpolated unless the sampler takes the nearest one."""
     size = np.array([image.shape[1], image.shape[0]])
     position = uv * size - 0.5
@@ -214,9 +214,11 @@ def _sample(image: NDArray[np.uint8], uv: Floats, sampler: Any, *, is_color: boo
         for down in (0, 1):
             x, has_x = _wrap(first[:, 0] + right, size[0], sampler.wrap_u.name)
             y, has_y = _wrap(first[:, 1] + down, size[1], sampler.wrap_v.name)
-            texels = image[y, x] / 255.0
-            if is_color:
-                texels[:, :3] = decode_srgb(texels[:, :3])
+            texels = image[y, x].astype(np.float64)
+            if image.dtype == np.uint8:
+                texels /= 255.0
+                if is_color:
+                    texels[:, :3] = decode_srgb(texels[:, :3])
             texels = np.where((has_x & has_y)[:, None], texels, sampler.border)
             share = np.abs(1 - right - part[:, 0]) * np.abs(1 - down - part[:, 1])
             mixed += share[:, None] * texels

@@ -14,6 +14,7 @@ import rhi
 from renderer.content import GENERATORS, load_scene
 from renderer.lab.accuracy import NOT_QUALITY_SETTINGS, QUALITY_SETTINGS, QualitySetting
 from renderer.lab.accuracy.quality_settings import Requirement
+from renderer.lab.accuracy.sweep import list_unsupported_values
 from renderer.lab.measure.encoding_errors import ENCODINGS
 from renderer.scene import Bloom, StereoRig
 from renderer.settings import RenderSettings
@@ -169,3 +170,19 @@ def test_an_unknown_quality_setting_is_refused_with_the_nearest_name() -> None:
 
     with pytest.raises(rhi.ValidationError, match="shadow_bias"):
         lookup_quality_setting("shadow_biass", "test")
+
+
+def test_compression_is_left_out_by_name_where_its_package_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    setting = QUALITY_SETTINGS["compression"]
+    with rhi.create_device("null") as null:
+        lacks = list_unsupported_values(null, RenderSettings(), setting)
+    assert {name: lack for name, lack in lacks.items() if "compressed" in lack} == dict.fromkeys(
+        ("bc1", "bc7"), "the device stores no compressed images"
+    )
+    with open_device("gl") as device:
+        monkeypatch.setattr("renderer.lab.accuracy.sweep.find_spec", lambda _: None)
+        assert list_unsupported_values(device, RenderSettings(), setting) == dict.fromkeys(
+            ("bc1", "bc7"), "the package etcpak is missing"
+        )

@@ -14,7 +14,7 @@ from renderer import rules
 from renderer.lab.comparison import Column, Frames, Record, Subject, average, compare, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import CameraPath, Scene, StereoRig
-from renderer.stereo import OUTPUTS, Stereo
+from renderer.stereo import OUTPUTS, SHUTTER, Stereo
 from renderer.techniques import Technique
 from rhi import Device
 
@@ -36,8 +36,8 @@ _WARM_UP_FRAMES: Final = 3  # frames that aren't counted
 
 
 def list_stereos() -> list[str]:
-    """The names of all rows but `MONO`: each output, drawn and reprojected."""
-    return [*OUTPUTS, *(f"{name}{REPROJECTED}" for name in OUTPUTS)]
+    """The names of all rows but `MONO`: each output, drawn, and reprojected where a frame shows both eyes."""
+    return [*OUTPUTS, *(f"{name}{REPROJECTED}" for name in OUTPUTS if name != SHUTTER)]
 
 
 def make_stereo(name: str, rig: StereoRig) -> Stereo | None:

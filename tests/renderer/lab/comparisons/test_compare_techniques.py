@@ -11,7 +11,7 @@ import pytest
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.lab.technique_comparison import compare_techniques, vary_scene
+from renderer.lab.comparisons.technique_comparison import compare_techniques, vary_scene
 from renderer.scene import Scene
 from renderer.techniques import TECHNIQUES, Clustered, Deferred, Forward, ForwardMultipass
 from rhi import ValidationError

@@ -12,7 +12,7 @@ from refusals import refused_rule
 
 import rhi
 from renderer.content import load_scene
-from renderer.lab.light_culling_comparison import (
+from renderer.lab.comparisons.light_culling_comparison import (
     choose_lights,
     compare_light_culling,
     lit_cells,

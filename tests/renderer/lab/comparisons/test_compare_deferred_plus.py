@@ -13,7 +13,7 @@ from PIL import Image
 import rhi
 from renderer.content import load_scene
 from renderer.inspection.texture_images import color_indices
-from renderer.lab.deferred_plus_comparison import TECHNIQUES
+from renderer.lab.comparisons.deferred_plus_comparison import TECHNIQUES
 from renderer.renderer import Renderer
 from renderer.techniques import Clustered, Forward
 from renderer.visibility import NoCulling, TwoPassCulling

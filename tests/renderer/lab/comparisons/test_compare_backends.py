@@ -13,7 +13,7 @@ import pytest
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene, parse_camera_path
-from renderer.lab.backend_comparison import compare_backends
+from renderer.lab.comparisons.backend_comparison import compare_backends
 from renderer.lab.measure.backend_passes import PASSES, BackendPasses
 from tests.renderer.conftest import run_with_quick_kernels
 

@@ -9,7 +9,7 @@ import pytest
 
 import rhi
 from renderer.content import load_scene
-from renderer.lab.stereo_comparison import compare_stereo
+from renderer.lab.comparisons.stereo_comparison import compare_stereo
 from renderer.scene import StereoRig
 from renderer.techniques import Forward
 
