@@ -1,5 +1,5 @@
-"""Forward shading in several passes: a base pass, then a light at a time, added by blending (Thatcher 2014,
-algorithm 2).
+"""Forward shading in several passes: a base pass, then a light at a time, or several, added by blending (Thatcher 2014,
+algorithms 2 and 3).
 
 - The base pass draws depth, and all light that isn't a local light's: ambient, emission, directional lights.
 - A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds
@@ -10,18 +10,20 @@ algorithm 2).
 An object that k lights reach is transformed k + 1 times, and each of its pixels is shaded as often: the cost
 grows with objects × lights. What a light doesn't reach it doesn't draw, and all point lights are one
 `draw_many`, in the order of the lights, in which an instance is a pair of an object and a light; so are all
-spot lights.
+spot lights. With `lights_per_draw`, an instance is an object and up to so many lights that follow each other in its
+list: k lights are ⌈k / lights_per_draw⌉ draws of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 import rhi.shading as sl
+from renderer import rules
 from renderer.frame import (
     DEPTH_FORMAT,
     LOCAL_LIGHTS,
@@ -92,6 +94,14 @@ class LightPair(sl.Struct):
     entry: int
 
 
+class LightBatch(sl.Struct):
+    """An object and some of its lights: the index of the object, and where they begin and end in the light list."""
+
+    object: int
+    begin: int
+    end: int
+
+
 class PairReader(SurfaceShader, LocalLightShader):
     """Base of shaders that draw one instance per pair of an object and a light that reaches it."""
 
@@ -101,13 +111,13 @@ class PairReader(SurfaceShader, LocalLightShader):
         return self.pairs[sl.instance_index()].object
 
 
-def _pair_bounds(kinds: Sequence[LocalLightKind]) -> str:
-    """The source of the bounds of a light list with one light, at `entry`, of the kind that is enabled."""
-    bounds = ["entry"]
+def _list_bounds(kinds: Sequence[LocalLightKind], begin: str = "entry", end: str = "entry + 1") -> str:
+    """The source of the bounds of a light list from `begin` to `end`, whose lights are of the kind that is enabled."""
+    bounds = [begin]
     for number in range(1, len(kinds)):
         is_before = " or ".join(f"self.has_{kind.name}_lights" for kind in kinds[:number])
-        bounds.append(f"entry + 1 if {is_before} else entry")
-    return f"LightBounds({', '.join(bounds)}, entry + 1)"
+        bounds.append(f"{end} if {is_before} else {begin}")
+    return f"LightBounds({', '.join(bounds)}, {end})"
 
 
 LightPairs: Final[type[PairReader]] = define(
@@ -115,7 +125,7 @@ LightPairs: Final[type[PairReader]] = define(
 class LightPairs(PairReader):
     def list_lights(self, object_data: Object) -> LightBounds:
         entry = self.pairs[sl.instance_index()].entry
-        return {_pair_bounds(LOCAL_LIGHT_KINDS)}
+        return {_list_bounds(LOCAL_LIGHT_KINDS)}
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
         return sl.vec4(
@@ -139,6 +149,16 @@ class VisiblePairReader(PairReader):
     visible_objects: sl.UintTexture2D
 
 
+class VisibleBatchReader(SurfaceShader, LocalLightShader):
+    """Base of `VisibleLightBatches`."""
+
+    visible_objects: sl.UintTexture2D
+    batches: sl.Storage[LightBatch]
+
+    def get_object_index(self) -> int:
+        return self.batches[sl.instance_index()].object
+
+
 VisibleLightPairs: Final[type[VisiblePairReader]] = define(
     f"""
 class VisibleLightPairs(VisiblePairReader):
@@ -151,7 +171,7 @@ class VisibleLightPairs(VisiblePairReader):
         if self.visible_objects.load(sl.ivec2(sl.fragment_coordinate().xy)).x != sl.uint(v.lights.y + 1):
             return sl.vec4(0.0)
         entry = v.lights.x
-        lights = {_pair_bounds(LOCAL_LIGHT_KINDS)}
+        lights = {_list_bounds(LOCAL_LIGHT_KINDS)}
         return sl.vec4(
             self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), lights), 0.0
         )
@@ -168,24 +188,55 @@ class VisibleLightPairs(VisiblePairReader):
 light's entry and the object's index."""
 
 
+VisibleLightBatches: Final[type[VisibleBatchReader]] = define(
+    f"""
+class VisibleLightBatches(VisibleBatchReader):
+    def list_lights(self, object_data: Object) -> LightBounds:
+        batch = self.batches[sl.instance_index()]
+        return LightBounds(batch.begin, batch.end, batch.object{", 0" * (KIND_COUNT - 2)})
+
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
+        if self.visible_objects.load(sl.ivec2(sl.fragment_coordinate().xy)).x != sl.uint(v.lights.z + 1):
+            return sl.vec4(0.0)
+        lights = {_list_bounds(LOCAL_LIGHT_KINDS, "v.lights.x", "v.lights.y")}
+        return sl.vec4(
+            self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), lights), 0.0
+        )
+""",
+    "VisibleLightBatches",
+    __name__,
+    VisibleBatchReader=VisibleBatchReader,
+    LightBounds=LightBounds,
+    Object=Object,
+    SurfaceVarying=SurfaceVarying,
+    sl=sl,
+)
+"""The same of batches. The place of the bounds has those of the batch, and the object's index."""
+
+
 class ForwardMultipass:
-    """Draws the scene with a base pass, then each object once more for each light that reaches it. Without
-    local lights in view, as `Forward`."""
+    """Draws the scene with a base pass, then each object once more for each light that reaches it, or for each
+    `lights_per_draw`. Without local lights in view, as `Forward`."""
 
     name: Final = "forward_multipass"
     shaders: Final[tuple[type[sl.Shader], ...]] = (
         BasePassShader,
         VisibleLightPairs,
+        VisibleLightBatches,
         LightSum,
         *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, light_bits: int = DEFAULT_LIGHT_BITS) -> None:
-        """`light_bits` (16 or 32) are the bits per channel of the accumulated light."""
+    def __init__(self, *, light_bits: int = DEFAULT_LIGHT_BITS, lights_per_draw: int = 1) -> None:
+        """`light_bits` (16 or 32) are the bits per channel of the accumulated light. Each draw of an object adds the
+        light of at most `lights_per_draw` lights."""
         check_bits(light_bits, SUM_FORMATS, "ForwardMultipass(light_bits=...)")
         self.light_bits = light_bits
+        self.lights_per_draw = rules.check_count(
+            rules.BAD_TECHNIQUE, "ForwardMultipass(lights_per_draw=...)", lights_per_draw
+        )
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The base pass, one pass per kind of local lights in view, one that tone-maps their sum, and
@@ -205,9 +256,11 @@ class ForwardMultipass:
             effects,
             ["light"],
             ("visible_objects", "depth"),
-            _add_lights,
+            partial(_add_lights, lights_per_draw=self.lights_per_draw),
             are_written=True,
-            reason="adds a light at a time; ",
+            reason="adds a light at a time; "
+            if self.lights_per_draw == 1
+            else f"adds {self.lights_per_draw} lights at a time; ",
         )
         return *before, base, *passes, sum_pass(effects, light), *finish_image(effects, FORWARD)
 
@@ -226,27 +279,74 @@ def _draw_base(frame: Frame, *, after_depth: bool) -> None:
     frame.draw_visible(base)
 
 
-def _add_lights(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool) -> None:
-    draw_pairs(frame, effect, frame.targets[targets[0]], VisibleLightPairs)
+def _add_lights(
+    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, lights_per_draw: int
+) -> None:
+    light = frame.targets[targets[0]]
+    if lights_per_draw == 1:
+        draw_pairs(frame, effect, light, VisibleLightPairs)
+    else:
+        draw_batches(frame, effect, light, lights_per_draw)
 
 
 def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) -> None:
     """Draw every pair of a visible object and a light of one kind that reaches it, and add what the
     variant of `LightPairs` with these bases returns."""
-    device, resources = frame.device, frame.resources
-    kind = LOCAL_LIGHTS[effect].kind
-    lights = frame.effects.in_view[effect]
-    objects, entries = resources.pair_objects_with_lights(_list_visible(frame), lights, kind)
+    objects, entries = _pair_visible(frame, effect)
     if not len(objects):
         return
     pairs: Any = np.zeros(len(objects), LightPair.dtype)
     pairs["object"], pairs["entry"] = objects, entries
+    _draw_instances(
+        frame, effect, color, bases, objects, {"pairs": frame.device.transient.storage(LightPair, pairs)}
+    )
+
+
+def draw_batches(frame: Frame, effect: Effect, color: Texture, lights_per_draw: int) -> None:
+    """Draw every visible object once for each batch of its lights of one kind, and add their light."""
+    objects, begins, ends = batch_lights(*_pair_visible(frame, effect), lights_per_draw)
+    if not len(objects):
+        return
+    batches: Any = np.zeros(len(objects), LightBatch.dtype)
+    batches["object"], batches["begin"], batches["end"] = objects, begins, ends
+    bindings = {"batches": frame.device.transient.storage(LightBatch, batches)}
+    _draw_instances(frame, effect, color, (VisibleLightBatches,), objects, bindings)
+
+
+def batch_lights(objects: Indices, entries: Indices, most: int) -> tuple[Indices, Indices, Indices]:
+    """Join pairs of an object and an entry of the light list to batches of at most `most` entries that follow each
+    other. Returns the object of each batch, and where its entries begin and end, ordered by both."""
+    order = np.lexsort((entries, objects))
+    objects, entries = objects[order], entries[order]
+    numbers = np.arange(len(order))
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = (np.diff(objects) != 0) | (np.diff(entries) != 1)
+    in_run = numbers - np.maximum.accumulate(np.where(is_new, numbers, 0))
+    starts = np.flatnonzero(in_run % most == 0)
+    sizes = np.diff(starts, append=len(order))
+    return objects[starts], entries[starts], entries[starts] + sizes
+
+
+def _pair_visible(frame: Frame, effect: Effect) -> tuple[Indices, Indices]:
+    """The pairs of a visible object and a light of one kind in view: object indices, and entries of the light list."""
+    kind = LOCAL_LIGHTS[effect].kind
+    return frame.resources.pair_objects_with_lights(_list_visible(frame), frame.effects.in_view[effect], kind)
+
+
+def _draw_instances(
+    frame: Frame,
+    effect: Effect,
+    color: Texture,
+    bases: tuple[type[Any], ...],
+    objects: Indices,
+    bindings_of_lights: Mapping[str, Any],
+) -> None:
+    """Add the light of one kind that instances of objects reflect, each by the lights that the bindings name for it."""
+    device, resources = frame.device, frame.resources
     draws = resources.get_draws(objects, resources.detail_limit)
     draws["base_instance"] = np.arange(len(objects))
-    kinds = {**NO_LOCAL_LIGHTS, f"has_{kind.name}_lights": True}
-    programs = bind_programs(
-        frame, *bases, shader_bindings={"pairs": device.transient.storage(LightPair, pairs)}, switches=kinds
-    )
+    kinds = {**NO_LOCAL_LIGHTS, f"has_{LOCAL_LIGHTS[effect].kind.name}_lights": True}
+    programs = bind_programs(frame, *bases, shader_bindings=bindings_of_lights, switches=kinds)
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for group in resources.groups:
             group_draws = draws[resources.select_group(objects, group)]

@@ -41,6 +41,7 @@ class TechniqueSettings:
             `light_pre_pass` and `inferred` add up; 16 on devices that can't blend 32.
         normal_bits: 8 or 16, the bits of each of the two numbers that `deferred`, `tiled_deferred` and
             `clustered_deferred` store of a normal.
+        lights_per_draw: the lights that each draw of an object adds in `forward_multipass`.
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its
             object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer.
@@ -59,6 +60,7 @@ class TechniqueSettings:
     specular_channels: int = 3
     light_bits: int = DEFAULT_LIGHT_BITS
     normal_bits: int = DEFAULT_NORMAL_BITS
+    lights_per_draw: int = 1
     all_lights: bool = False
     stencil: bool = False
     depth_first: bool = False
@@ -87,6 +89,7 @@ class TechniqueSettings:
             and "samples" not in _list_parameters(self.name)
         ):
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
+        rules.check_count(rules.BAD_TECHNIQUE, "TechniqueSettings(lights_per_draw=...)", self.lights_per_draw)
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
         check_bits(self.light_bits, SUM_FORMATS, "TechniqueSettings(light_bits=...)")

@@ -9,6 +9,7 @@ how often a test broke it and how often one came to the same check and passed it
 - A call that is given a rule to refuse by (`ArgumentChecker(call, rule=DRAW_COUNT)`) is a check of what
   follows it: broken if an error of that rule leaves its function, passed if the function gets to it and
   returns.
+- One that is yielded (`yield lack(…, rule=STATE_CAPABILITY)`) is a refusal: who gets it raises it.
 - Only functions with a check in them are traced, so the tests take about twice their time.
 """
 
@@ -35,7 +36,7 @@ from rhi.errors import RULES, RhiError, Rule
 
 PACKAGE = Path(rhi.__file__).parent
 RULE_MODULES = ("rhi.errors.rules", "rhi.shading.language.rules", "rhi.trace.rules")
-LEFT_OUT = ("conformance", "testing")
+LEFT_OUT = ("conformance",)
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def collect_rules() -> dict[str, Rule]:
 def collect_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int, Check]]:
     """The checks of a module, with the first line of the function that each is in."""
     helpers: dict[str, set[str]] = {}
+    yielded = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Yield)}
 
     def named_rules(call: ast.Call) -> set[str]:
         first = call.args[0] if call.args else None
@@ -92,8 +94,13 @@ def collect_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[i
             for rule in named_rules(node):
                 yield function, Check(rule, statement, condition)
             for argument in [*node.args[1:], *(keyword.value for keyword in node.keywords)]:
-                if isinstance(argument, ast.Name) and argument.id in rules:
-                    yield function, Check(rules[argument.id].id, frozenset(), lines(node))
+                name = argument.attr if isinstance(argument, ast.Attribute) else getattr(argument, "id", "")
+                if name not in rules:
+                    continue
+                if id(node) in yielded:
+                    yield function, Check(rules[name].id, statement, condition)
+                else:
+                    yield function, Check(rules[name].id, frozenset(), lines(node))
         for field, value in ast.iter_fields(node):
             around, under = loop, condition
             if isinstance(node, (ast.If, ast.While)) and field == "body":

@@ -116,6 +116,14 @@ def test_a_loop_is_part_of_the_condition() -> None:
     assert check == (1, Check("pass-open", frozenset({4}), frozenset({2, 3})))
 
 
+def test_a_yielded_fault_is_a_refusal_and_another_is_a_check_of_the_lines_below() -> None:
+    source = "def faults(state):\n    if state:\n        yield lack(state, rule=rules.PASS_OPEN)"
+    (check,) = collect_checks(ast.parse(source), {"PASS_OPEN": PASS_OPEN})
+    assert check == (1, Check("pass-open", frozenset({3}), frozenset({2})))
+    (check,) = collect_checks(ast.parse(source.replace("yield ", "")), {"PASS_OPEN": PASS_OPEN})
+    assert check == (1, Check("pass-open", frozenset(), frozenset({3})))
+
+
 class Checked:
     """Checks a value by a rule that it is given."""
 

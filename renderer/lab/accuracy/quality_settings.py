@@ -278,6 +278,9 @@ _cloth: Final = partial(
     history_frames=20,
     non_monotonic_reason=_CHAOTIC_CLOTH,
 )
+_HIDDEN_FROM_IMAGE: Final = (
+    "rays through an aperture see around edges, and the image doesn't: a finer mean of it may be farther off"
+)
 _encoding: Final = partial(QualitySetting, unit=ErrorUnit.DEGREES, reference=VECTORS)
 
 QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
@@ -634,6 +637,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "more of them change less than what the image doesn't show",
             reference=PIXEL_CENTRE_RAY,
             requirement=Requirement.FOCUS,
+            non_monotonic_reason=_HIDDEN_FROM_IMAGE,
         ),
         _image_quality(
             "focus_radius",
@@ -643,6 +647,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "larger discs are rare, and take more samples",
             reference=PIXEL_CENTRE_RAY,
             requirement=Requirement.FOCUS,
+            non_monotonic_reason=_HIDDEN_FROM_IMAGE,
         ),
         _image_quality(
             "focus_bits",
@@ -906,6 +911,7 @@ _FIXED_DEFAULTS: Final = {
 NOT_QUALITY_SETTINGS: Final[Mapping[str, str]] = {
     "technique.name": "images differ by rounding; `compare techniques`",
     "technique.all_lights": "the same light, found without lists",
+    "technique.lights_per_draw": "the same light, added up in another order",
     "technique.stencil": "the same lights at the same pixels in another way",
     "technique.depth_first": "the same pixels without what is hidden",
     "technique.multi_pass": "the same pixels in another order",

@@ -93,7 +93,7 @@ def list_executor_commands() -> list[str]:
 def test_the_commands_with_executors_share_their_option() -> None:
     names = list_executor_commands()
     comparisons = [name for name in names if name.startswith("compare ")]
-    assert len(comparisons) == 7
+    assert len(comparisons) == 8
     assert sorted(set(names) - set(comparisons)) == ["accuracy", "exam", "film", "tune"]
 
 

@@ -475,6 +475,7 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "technique.light_bits": (16,),
     "technique.normal_bits": (8,),
     "technique.all_lights": (True,),
+    "technique.lights_per_draw": (4, 1000),
     "technique.stencil": (True,),
     "technique.depth_first": (True,),
     "technique.multi_pass": (True,),

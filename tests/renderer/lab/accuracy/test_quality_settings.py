@@ -61,6 +61,7 @@ def test_a_technique_has_the_settings_that_its_parameters_name(name: str) -> Non
         "stippled": False,
         "specular_channels": 1,
         "all_lights": True,
+        "lights_per_draw": 4,
         "stencil": True,
         "depth_first": True,
         "multi_pass": False,

@@ -1,9 +1,11 @@
 """Timelines as text, as plots and as traces."""
 
 import json
+import sys
 
 import pytest
 
+import rhi
 from rhi.backends.null import Activity, ActivityTimeline, FrameActivity, Lane, Span
 from rhi.backends.null.simulation.activity import ActivityLog
 
@@ -66,6 +68,15 @@ def test_the_chart_has_each_span_in_its_color(timeline, tmp_path):
     assert len(labels) == 2
     assert [label.get_text() for label in axes.get_yticklabels()] == ["CPU", "GPU"]
     assert (tmp_path / "timeline.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_chart_without_matplotlib_is_refused_by_name(timeline, monkeypatch):
+    timeline.plot()
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(rhi.DeviceError) as error:
+        timeline.plot()
+    assert error.value.rule.id == "plot-library"
+    assert "rhi[renderer]" in str(error.value)
 
 
 def test_the_trace_has_a_slice_for_each_span_in_microseconds(timeline, tmp_path):
