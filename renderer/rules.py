@@ -155,11 +155,20 @@ UNBOUNDED_MESH: Final = Rule(
     "pass add_mesh(bounds=...): hidden objects aren't stepped, so their bounds must be known in advance",
 )
 SHARED_NODE: Final = Rule("scene-shared-node", "a node has at most one animation")
+BAD_DECAL: Final = Rule(
+    "scene-bad-decal", "a number of a decal is out of its range, or its image is too bright"
+)
 SHARED_LIGHT: Final = Rule("scene-shared-light", "a light is at one node, or at none")
 UNKNOWN_LIGHT_KIND: Final = Rule("scene-unknown-light-kind", "no lights have an array of this name")
 BAD_SIMULATION: Final = Rule(
     "scene-bad-simulation",
     "a simulation needs a catch-up policy, the methods that the policy calls, and a method for its result",
+)
+BAD_BEHAVIOR: Final = Rule(
+    "scene-bad-behavior", "a behaviour is a function of an entity and a step, and moves nodes of its own"
+)
+UNKNOWN_ENTITY: Final = Rule(
+    "scene-unknown-entity", "no entity has this number", "it may have been removed: ask `number in behaviors`"
 )
 BAD_CLIP: Final = Rule(
     "scene-bad-clip", "the weight of a clip and the length of a fade must be finite and at least 0"

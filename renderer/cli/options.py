@@ -27,9 +27,12 @@ QUERY_KINDS: Final = ("native", "emulated")
 TECHNIQUE_VARIANTS: Final = {
     "all_lights": "forward evaluates all lights of the scene for each fragment, instead of its object's list",
     "stencil": "deferred and light_pre_pass mask each light in a stencil buffer",
+    "tiled_transparency": "forward_plus lights transparent surfaces by lists of tiles, instead of their objects'",
     "depth_first": "clustered draws depth before, so that no hidden fragment is lit",
     "multi_pass": "deferred_plus shades each material by draws of its own",
+    "object_rectangles": "the same in a rectangle for each material, around its objects' boxes",
     "binned": "deferred_plus shades lists of each material's pixels",
+    "tiled": "deferred_plus lights pixels by the lists of tiles, instead of those of clusters",
 }
 """Variants of some techniques that draw the same image: settings of `TechniqueSettings`, with their help."""
 

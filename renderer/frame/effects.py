@@ -60,6 +60,7 @@ class Effect(Choice):
         if area_kind.has_shapes:
             vars()[f"{area_kind.name.upper()}_AREAS"] = f"{area_kind.noun}s that are rectangles or tubes"
     IMAGES = "images"
+    DECALS = "decals"
     EMISSION = "emission"
     HAZE = "haze"
     FOG = "fog"
@@ -229,6 +230,7 @@ _BRIGHT_IMAGES: Final = {bits: Target("bright_image", format) for bits, format i
 _NOUNS: Final = {
     Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
     Effect.IMAGES: ("image", "images"),
+    Effect.DECALS: ("decal", "decals"),
     Effect.EMISSION: ("material that emits light", "materials that emit light"),
     Effect.METALS: ("metallic-roughness material", "metallic-roughness materials"),
     Effect.EMISSIVE_COLORS: ("material with an emissive color", "materials with an emissive color"),
@@ -495,7 +497,7 @@ class FrameEffects:
                 f"the scene has {nouns}" if effect in self.enabled else f"the scene has {nouns}, none in view"
             )
         count_in_view = len(self.in_view[effect])
-        if effect in (Effect.TRANSPARENCY, Effect.HEIGHT_FIELDS):
+        if effect in (Effect.TRANSPARENCY, Effect.HEIGHT_FIELDS, Effect.DECALS):
             return f"{count_in_view or 'none'} of {nouns} {'is' if count_in_view == 1 else 'are'} in view"
         if count == 1 and not count_in_view:
             return f"the only {noun} doesn't reach what is in view"
@@ -648,7 +650,7 @@ def collect_frame_effects(
         hidden |= {Effect.CONTACT_SHADOWS}
     if not shows_objects:
         hidden |= {Effect.DIRECTIONAL_SHADOWS, Effect.DIRECTIONAL_PENUMBRAS, Effect.AMBIENT_OCCLUSION}
-        hidden |= {Effect.ENVIRONMENT, Effect.CONTACT_SHADOWS}
+        hidden |= {Effect.ENVIRONMENT, Effect.CONTACT_SHADOWS, Effect.DECALS}
     if not (shows_objects or has_fogged_sky or sources.counts[Effect.SKY_BOX]):
         hidden |= {Effect.DEPTH_OF_FIELD}
     hidden |= {
@@ -738,6 +740,7 @@ def watch_lights(effects: FrameEffects, scene: Scene, reaches: Sequence[bool]) -
         or counts[Effect.FOG]
         or counts[Effect.AMBIENT_OCCLUSION]
         or counts[Effect.DEPTH_OF_FIELD]
+        or counts[Effect.DECALS]
         or (counts[Effect.HAZE] and scene.haze < THIN_HAZE)
     ):
         return None
@@ -750,6 +753,8 @@ def _look(
     """Return the effects of the view: the rows of each that are in it, what of them can't be seen, and whether
     fog changes the background."""
     in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
+    decals = scene.decals
+    in_view[Effect.DECALS] = select_lights_in_view(camera.frustum.planes, decals.centers, decals.radii)
     planes, counts = camera.frustum.planes, sources.counts
     for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True):
         in_view[effect] = select_lights_in_view(planes, *spheres) if reached and len(spheres[0]) else _NONE
@@ -818,6 +823,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         _has_ambient_light(scene),
         bool(scene.objects.casts_shadow.any()),
         tuple(scene.height_fields),
+        len(scene.decals.seen),
     )
     if last is not None and last.state == state:
         return last
@@ -834,6 +840,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.SKY_BOX: int(scene.environment is not None and scene.environment.is_visible),
         Effect.TRANSPARENCY: len(scene.list_transparent()),
         Effect.HEIGHT_FIELDS: len(height_fields),
+        Effect.DECALS: len(scene.decals.seen),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
         Effect.DIRECTIONAL_PENUMBRAS: _count_casting(
             scene, lights.directional[flag_discs(lights.directional)]

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
+from renderer.frame.decals import DecalBuffers
 from renderer.frame.detail import DetailLevels, make_mesh_parts
 from renderer.frame.hidden_objects import HiddenObjects
 from renderer.frame.instance_sets import InstanceSets
@@ -120,6 +121,7 @@ class SceneResources:
         local_lights: those of the lights of each kind with a position, by its name; empty if none reaches an
             object.
         source_radii: the radii of lights, a channel for each kind.
+        decals: those of the scene.
         ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
         hidden: the objects that have been hidden for so long that they are paused.
@@ -129,6 +131,7 @@ class SceneResources:
 
     light_cutoff = 0.0
     detail_error = 0.0
+    tessellations = 0
     uses_levels = False
     uses_meshlets = False
     detail_limit: DetailLimit | None = None
@@ -184,7 +187,6 @@ class SceneResources:
             self._stack.callback(self._release_all)
         self.mesh: Mesh = self._make_mesh(device, scene)
         self.levels = DetailLevels(scene) if len(scene.meshes.level_ranges) else None
-        self.tessellations = 0
         self.draws = self._make_draws()
         self.tessellated_indices: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
         self.images = self._make_images(device, scene, textures)
@@ -201,6 +203,7 @@ class SceneResources:
         self.local_lights = self._local_lights.for_eye(0)
         self.source_radii = self._local_lights.radii
         self.light_list = keep(MirroredArray(device, int, "light rows"))
+        self.decals = keep(DecalBuffers(device))
         self._listed_from: object = None  # the arrays of the lights that are listed
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light list, as it is on the device
@@ -574,6 +577,7 @@ class SceneResources:
         self._local_lights.update(lights, self._reaching, [eye.position for eye in eyes], views)
         self.look_from(0)
         self.ambient.write(_ambient(scene))
+        self.decals.update(scene.decals, self.images)
 
     def follow(self, eye: Camera) -> None:
         """Make lights relative to the only eye of a frame, all else being as in the last `update`."""

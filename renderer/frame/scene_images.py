@@ -265,6 +265,7 @@ class SceneImages:
             self._make_tables(device, scene, settings, uses, table)
         else:
             self._make_arrays(device, scene, settings, sizes, uses, formats, table)
+        self._rows = table
         self.image_bytes = sum(
             count_bytes(sizes[image], format, self._count_levels(image, format))
             for image, _, format in {(*use[:2], format) for use, format in zip(uses, formats, strict=True)}
@@ -280,6 +281,10 @@ class SceneImages:
         self.table: StorageBuffer[TextureUse] | None = (
             None if is_plain else device.storage(TextureUse, table, label="textures")
         )
+
+    def arrays_and_layers(self, textures: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the arrays (k,) and the layers (k,) in which shaders find textures (k,)."""
+        return self._rows["array"][textures], self._rows["layer"][textures]
 
     def _make_arrays(
         self,

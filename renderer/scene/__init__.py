@@ -12,6 +12,9 @@ from renderer.light_kinds.point import RELATIVE_POINT as RELATIVE_POINT
 from renderer.light_kinds.spot import RELATIVE_SPOT as RELATIVE_SPOT
 from renderer.light_kinds.spot import SPOT as SPOT
 from renderer.scene.ambient_occlusion import AmbientOcclusion as AmbientOcclusion
+from renderer.scene.behaviors import Behaviors as Behaviors
+from renderer.scene.behaviors import Entity as Entity
+from renderer.scene.behaviors import Message as Message
 from renderer.scene.catch_up import CatchUp as CatchUp
 from renderer.scene.catch_up import Leap as Leap
 from renderer.scene.catch_up import LeapSimulation as LeapSimulation

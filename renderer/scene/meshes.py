@@ -304,6 +304,7 @@ class Meshes:
             where there is none.
         meshlet_ranges: (k,) of `RANGE`, the parts of `indices` that are the meshlets of meshes that are cut; those
             of mesh i are from `meshlet_begins[i]` to `meshlet_begins[i + 1]`.
+        may_change: (m,) bool, whether a mesh has bounds that were declared, within which its vertices may move.
         with_tangents: the meshes that had tangents, which normal maps need; others have the same for all
             vertices.
     """
@@ -323,6 +324,7 @@ class Meshes:
         self.with_tangents = frozenset(i for i, g in enumerate(geometries) if "tangent" in g.attributes)
         geometries = [g.with_attributes(attributes) for g in geometries]
         fixed = bounds or [None] * count
+        self.may_change: NDArray[np.bool_] = np.array([box is not None for box in fixed], bool)
         self.vertices: NDArray[Any] = np.concatenate(
             [_replace_missing_normals(g.vertices, g.indices) for g in geometries] or [np.empty(0, VERTEX)]
         )

@@ -22,6 +22,7 @@ from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.attachments import Attachments
 from renderer.scene.clips import Clip
+from renderer.scene.decals import Decals, check_decals
 from renderer.scene.depth_of_field import DepthOfField
 from renderer.scene.environment import Environment
 from renderer.scene.features import MaterialFeatures
@@ -97,6 +98,7 @@ class Scene:
         clips: the animations of models by name, which can be played, sought and blended.
         views: named cameras, the first of which is the default. Those at nodes are as of the last update.
         attachments: the lights and views that follow nodes.
+        decals: images that are projected on surfaces.
         paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
         files: those that `load_model` has read it from or looked for, and would again; none of other scenes.
@@ -104,6 +106,7 @@ class Scene:
     """
 
     environment: Environment | None = None
+    fog: Fog | None = None
     blocks: Mapping[int, ImageBlocks] = MappingProxyType({})
     _response: tuple[bytes | None, float] = (None, 0.0)  # the strongest, and the materials that have it
 
@@ -130,14 +133,15 @@ class Scene:
         table: MaterialTable | None = None,
         parameters: tuple[NDArray[Any], ...] = (),
         attachments: Attachments | None = None,
+        decals: Decals | None = None,
     ) -> None:
         self.name = name
+        self.decals = decals or Decals()
         self.attachments = attachments or Attachments()
         self.simulated = simulated
         self.clips = clips
         self.background = background
         self.haze = haze
-        self.fog: Fog | None = None
         self.bloom: Bloom | None = None
         self.ambient_occlusion: AmbientOcclusion | None = None
         self.depth_of_field: DepthOfField | None = None
@@ -226,6 +230,7 @@ class Scene:
             self.objects.is_shown[:] = ~hidden & ~self._unseen & ~self._waiting
             self._edits += 1
         self.attachments.follow(self.nodes, self.lights, self.views)
+        self.decals.follow(self.nodes)
         self.lights.refresh()
         if not has_moved:
             return np.zeros(0, np.int64)
@@ -248,6 +253,7 @@ class Scene:
             self._features.version,
             self._edits,
             *map(np.ndarray.tobytes, arrays),
+            self.decals.array.tobytes(),
             objects.casts_shadow.tobytes(),
             self.fog,
             self.bloom,
@@ -316,7 +322,8 @@ class Scene:
         content = self.materials.tobytes()  # every frame asks
         if content != self._response[0]:
             self._response = content, strongest_response(self.materials, self._bounds)
-        return self._response[1]
+        # Where decals cover them, colors are at most 1.
+        return self._response[1] + (1.0 if len(self.decals.seen) else 0.0)
 
     def count_features(self) -> Mapping[str, int]:
         """Return the number of materials, images, textures or meshes with each feature that a scene may lack, as
@@ -479,10 +486,13 @@ class Scene:
         checked = {name: getattr(lights, name) for name in KIND_NAMES}
         others = {"materials": self.materials, "sky, ground, background, haze": air}
         self._finite.check(call, checked | others, dict.fromkeys(checked, check_lights))
+        if len(self.decals):
+            self._finite.check(call, {"decals": self.decals.array}, {"decals": check_decals})
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
-        return Simulator(self.simulated, self.nodes, self.objects, self.meshes, self.attachments.nodes)
+        followed = np.union1d(self.attachments.nodes, self.decals.nodes)
+        return Simulator(self.simulated, self.nodes, self.objects, self.meshes, followed)
 
     def view_at(self, name: str, seconds: float) -> Camera:
         """Return the view `name` at the time `seconds`, also if its node moves. The scene is then updated to that

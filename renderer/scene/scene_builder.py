@@ -22,6 +22,7 @@ from renderer.scene.ambient_occlusion import AmbientOcclusion
 from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.attachments import AttachedLights, AttachedView, Attachments
 from renderer.scene.clips import Clips, make_clips
+from renderer.scene.decals import CLAMPED, Decals, make_decal
 from renderer.scene.depth_of_field import DepthOfField
 from renderer.scene.environment import Environment
 from renderer.scene.finite import check_finite
@@ -108,6 +109,7 @@ class SceneBuilder:
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
         self._attached_lights: list[tuple[LightKind, Indices, Indices]] = []
         self._attached_views: dict[str, int] = {}
+        self._decals: list[NDArray[Any]] = []
 
     def add_mesh(
         self,
@@ -487,6 +489,53 @@ class SceneBuilder:
             refuse(rules.SHARED_LIGHT, "attach_lights(indices=...)", "a light twice", "each light once")
         self._attached_lights.append((light_kind, lights, np.broadcast_to(rows, lights.shape).copy()))
 
+    def add_decal(
+        self,
+        node: int,
+        image: int,
+        size: ArrayLike = (1.0, 1.0, 1.0),
+        *,
+        color: ArrayLike = (1.0, 1.0, 1.0),
+        strength: float = 1.0,
+        inner_angle: float = 1.0,
+        outer_angle: float = 1.4,
+        order: int = 0,
+    ) -> int:
+        """Add a decal, which projects an image on the opaque surfaces in a box at a node, along the node's -z axis;
+        return its index in `Scene.decals`.
+
+        Args:
+            image: its id; where its alpha is 0, the surface stays as it is.
+            size: the width, the height and the depth of the box in the space of the node, in metres.
+            color: multiplies the image's colour, 0 to 1, linear.
+            strength: multiplies its alpha, 0 to 1.
+            inner_angle, outer_angle: in radians, the angles to the node's z axis between which it fades out on
+                surfaces that are turned away.
+            order: decals of a higher order lie over others, and of the same those that were added later.
+
+        Raises:
+            ValidationError: `scene-bad-index`, `scene-bad-decal`.
+        """
+        (row,) = read_ids("add_decal(node=...)", [node], len(self._node_names)).tolist()
+        (pixels,) = read_ids("add_decal(image=...)", [image], len(self._images)).tolist()
+        if self._is_bright(pixels):
+            refuse(rules.BAD_DECAL, "add_decal(image=...)", "texels above 1", "texels of at most 1")
+        if order not in range(-(2**31), 2**31):
+            refuse(rules.BAD_DECAL, "add_decal(order=...)", order, "a whole number of 32 bits")
+        values: dict[str, ArrayLike] = {
+            "order": order,
+            "size": size,
+            "color": color,
+            "strength": strength,
+            "inner_angle": inner_angle,
+            "outer_angle": outer_angle,
+        }
+        decal = make_decal("add_decal", values)
+        decal["node"] = row
+        decal["texture"] = self._textures.add(TextureMap(pixels, sampler=CLAMPED), is_color=True)
+        self._decals.append(decal)
+        return len(self._decals) - 1
+
     def attach_view(self, name: str, node: int) -> None:
         """Attach the view `name` to a node, which it follows: its camera is from now on in the space of the node.
 
@@ -630,6 +679,7 @@ class SceneBuilder:
             table=self._table,
             parameters=parameters,
             attachments=self._make_attachments(nodes),
+            decals=Decals.make(self._decals, nodes.index_of_id),
         )
         scene.blocks = dict(self.blocks)
         scene.fog, scene.bloom, scene.ambient_occlusion = self.fog, self.bloom, self.ambient_occlusion

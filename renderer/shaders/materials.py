@@ -26,10 +26,18 @@ from typing import Any, ClassVar, Final
 
 import rhi.shading as sl
 from renderer.scene import AlphaMode
+from renderer.shaders.decals import Decal, DecalGrid, step_along_plane
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.lighting_models import check_lighting_model
 from renderer.shaders.pixels import ViewRayShader
-from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, TextureUse, ViewConstants
+from renderer.shaders.structs import (
+    TABLE_WIDTH,
+    Material,
+    SurfaceInput,
+    SurfaceParameters,
+    TextureUse,
+    ViewConstants,
+)
 from rhi.shading.language.function import ShadingFunction
 
 _NO_NORMAL: Final = 5e-5
@@ -43,6 +51,13 @@ shader binds arrays."""
 _MASK: Final = int(AlphaMode.MASK)
 _ROUNDING: Final = 2.0**-16
 """The most that an alpha may be below the cut and still be at it: filtering rounds."""
+
+
+@sl.function
+def color_scale(material: Material) -> float:
+    """Return the unit of the colors of surfaces with decals: 1, unless the material's base color is brighter."""
+    base = material.base_color.rgb
+    return sl.max(sl.max(sl.max(base.r, base.g), base.b), 1.0)
 
 
 class MaterialShader(ViewRayShader):
@@ -94,6 +109,9 @@ class MaterialShader(ViewRayShader):
     maps_7: sl.Texture2DArray
     image_table: sl.TextureTable
     map_table: sl.TextureTable
+    decals: sl.Storage[Decal]
+    decal_cells: sl.UintTexture2D
+    decal_grid: sl.Uniform[DecalGrid]
     image_arrays = 1
     map_arrays = 1
     """The number of arrays of data, `IN_TABLE` where they are images of a texture table. 0 if there are none,
@@ -113,6 +131,7 @@ class MaterialShader(ViewRayShader):
     has_color = True
     """Whether the derived shader needs the colour."""
     has_images = False
+    has_decals = False
     has_second_uvs = False
     has_vertex_colors = False
     has_masks = False
@@ -150,6 +169,8 @@ class MaterialShader(ViewRayShader):
         cut."""
         described = self.describe(at)
         self.discard_below_cutoff(described.color.a, at)
+        if self.has_decals and self.has_color:
+            return self.apply_decals(at, described)
         return described
 
     def discard_masked(self, at: SurfaceInput) -> None:
@@ -245,6 +266,48 @@ class MaterialShader(ViewRayShader):
     def world_position(self, at: SurfaceInput) -> sl.vec3:
         """Return the position of the point in the world: to 1e-7 of its distance from the world's origin."""
         return at.position + self.view.eye_low + self.view.eye_high
+
+    def apply_decals(self, at: SurfaceInput, described: SurfaceParameters) -> SurfaceParameters:
+        """Return a surface whose color is the material's base color with the decals over it, in units of
+        `color_scale`."""
+        material = self.materials[at.material]
+        color = material.base_color.rgb * described.color.rgb
+        grid = self.decal_grid
+        corner = (grid.high - self.view.eye_high) + (grid.low - self.view.eye_low)
+        cell = sl.floor((at.position - corner) * grid.density)
+        above = grid.counts - 1.0 - cell
+        if sl.min(sl.min(cell.x, cell.y), cell.z) >= 0.0 and sl.min(sl.min(above.x, above.y), above.z) >= 0.0:
+            to_eye = self.direction_to_eye(at.position)
+            right = step_along_plane(self.rays, at.position, at.normal, to_eye, sl.vec3(1.0, 0.0, 0.0))
+            below = step_along_plane(self.rays, at.position, at.normal, to_eye, sl.vec3(0.0, 1.0, 0.0))
+            number = int((cell.z * grid.counts.y + cell.y) * grid.counts.x + cell.x)
+            for entry in range(self.read_cell(number), self.read_cell(number + 1)):
+                color = self.project_decal(self.decals[self.read_cell(entry)], at, color, right, below)
+        described.color = sl.vec4(color / color_scale(material), described.color.a)
+        return described
+
+    def read_cell(self, entry: int) -> int:
+        """Return a number of the table of cells of decals."""
+        return int(self.decal_cells.load(sl.ivec2(entry % TABLE_WIDTH, entry // TABLE_WIDTH)).x)
+
+    def project_decal(
+        self, decal: Decal, at: SurfaceInput, color: sl.vec3, right: sl.vec3, below: sl.vec3
+    ) -> sl.vec3:
+        """Return the color of a surface with a decal over it. `right` and `below` lead to the next pixels."""
+        center = (decal.high - self.view.eye_high) + (decal.low - self.view.eye_low)
+        inside = decal.to_box @ (at.position - center)
+        away = sl.abs(inside)
+        facing = sl.saturate((sl.dot(at.normal, decal.axis) - decal.outer) * decal.fade)
+        if sl.max(sl.max(away.x, away.y), away.z) > 0.5 or facing <= 0.0:
+            return color
+        step_right = decal.to_box @ right
+        step_below = decal.to_box @ below
+        texel = self.read_images(
+            decal.array,
+            sl.vec3(inside.x + 0.5, 0.5 - inside.y, decal.layer),
+            sl.vec4(step_right.x, -step_right.y, step_below.x, -step_below.y),
+        )
+        return sl.mix(color, texel.rgb * decal.color, texel.a * decal.strength * facing)
 
     def read_color(self, texture: int, at: SurfaceInput) -> sl.vec4:
         """Return the texel of the texture of colours of this row."""

@@ -243,7 +243,7 @@ class SurfaceParameters(Struct):
     """The properties of a surface at a point, as a material's shader computes them.
 
     Attributes:
-        color: multiplies the material's `base_color`: 0 to 1, linear.
+        color: multiplies the material's `base_color`: 0 to 1, linear. With decals it holds the product instead.
         normal: of length 1, on the side that is seen.
         metallic, roughness: 0 to 1, of the metallic-roughness model.
         occlusion: the share of ambient light that arrives.

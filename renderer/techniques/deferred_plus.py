@@ -3,7 +3,7 @@ material is evaluated afterwards, and lit by its cluster's lights in the same st
 
 1. `geometry` draws the packed geometry buffer (`packed_geometry`), as the visibility algorithm decides: with
    `two_pass`, first what the last frame's depth doesn't hide, then what this frame's depth doesn't hide.
-2. `light lists` lists the lights of clusters.
+2. `light lists` lists the lights of clusters; with `tiled`, those of tiles, which end at their surfaces.
 3. `shading` reads each pixel's surface and material, filters the textures and adds up the light, in one pass
    over the screen. A depth test leaves out the pixels without a surface, before anything is shaded: a shader
    that discards them would cost llvmpipe as much as one that lights them. What the test leaves is placed by a
@@ -15,6 +15,8 @@ has the shaders of pixels as depth, which these draws test.
 With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth,
 `rectangles` finds where each is seen, and `shading` draws the rectangles with a depth test
 (`material_rectangles`).
+
+With `object_rectangles` the rectangles are the chapter's: one for each material, around the boxes of its objects.
 
 With `binned`, each pixel is listed with those of its material (`bins`), `shading` is a compute shader for
 each shader of materials that goes through its list, and `resolve` copies what they have stored.
@@ -40,6 +42,8 @@ from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.geometry_buffer import GEOMETRY_SHADERS
 from renderer.techniques.parts.light_list_reader import (
     CLUSTERS,
+    TILES,
+    ClusterSettings,
     ForwardByCells,
     LightListReader,
     bind_light_lists,
@@ -59,6 +63,7 @@ from renderer.techniques.parts.material_rectangles import (
     RectangleShader,
     draw_rectangles,
     ids_pass,
+    object_rectangles_pass,
     rectangles_pass,
 )
 from renderer.techniques.parts.packed_geometry import (
@@ -91,8 +96,8 @@ from rhi import DepthFunction, Program, refuse
 
 
 class PackedLight(PackedReader, LightListReader, ShadingShader):
-    """Lights the surfaces of the packed geometry buffer, by the light lists of clusters if there are local
-    lights."""
+    """Lights the surfaces of the packed geometry buffer, by the light lists of tiles or clusters if there
+    are local lights."""
 
     has_local_lights = False
 
@@ -103,6 +108,8 @@ class PackedLight(PackedReader, LightListReader, ShadingShader):
         at = self.read_input(position, sample)
         material = self.materials[at.material]
         described = self.describe(at)
+        if self.has_decals:
+            described = self.apply_decals(at, described)
         surface = self.make_surface(position, at.normal, described, material)
         if self.has_anisotropy:
             surface = self.stretch(surface, at)
@@ -200,14 +207,28 @@ class DeferredPlus:
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, samples: int = 1, *, multi_pass: bool = False, binned: bool = False) -> None:
+    def __init__(
+        self,
+        samples: int = 1,
+        *,
+        multi_pass: bool = False,
+        object_rectangles: bool = False,
+        binned: bool = False,
+        tiled: bool = False,
+        tiles: ClusterSettings = TILES,
+    ) -> None:
         """`samples` is the number of samples per pixel, as for `Forward`. `multi_pass` finds the pixels of
         each material by a depth test and shades them in draws of their own; `binned` lists pixels by
-        material and shades them in compute. They exclude each other and several samples."""
+        material and shades them in compute. They exclude each other and several samples. `object_rectangles`
+        is `multi_pass` with a rectangle for each material, around the boxes of its objects. `tiled` lights
+        pixels by the lists of `tiles` instead of those of clusters."""
         self.samples = rules.check_count(rules.BAD_TECHNIQUE, "DeferredPlus(samples=...)", samples)
-        check_passes(multi_pass, binned, self.samples, "DeferredPlus")
+        check_passes(multi_pass or object_rectangles, binned, self.samples, "DeferredPlus")
         self.multi_pass = multi_pass
+        self.object_rectangles = object_rectangles
         self.binned = binned
+        self.tiled = tiled
+        self.cells = tiles if tiled else CLUSTERS
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `geometry`, `light lists` if there are local lights, `shading`, and those of
@@ -217,14 +238,19 @@ class DeferredPlus:
         samples = self.samples
         if not can_pack(effects) or (samples > 1 and Effect.MATERIAL_SHADERS in effects.enabled):
             return cluster_passes(effects, samples)
-        lists = (light_list_pass(effects, CLUSTERS),) if local_light_effects(effects) else ()
+        # Depth of one sample doesn't bound what is lit with several: tiles then have no ends in depth.
+        ends_at_surfaces = self.tiled and samples == 1
+        lists: tuple[FramePass[Frame], ...] = ()
+        if local_light_effects(effects):
+            lists = (light_list_pass(effects, self.cells, depth="depth" if ends_at_surfaces else None),)
         material_passes: dict[
             str, FramePass[Frame]
         ] = {}  # the passes that find the pixels of materials, by their resource
         if self.binned:
             material_passes = {"bins": bins_pass()}
-        elif self.multi_pass:
-            material_passes = {"material ids": ids_pass(), "rectangles": rectangles_pass()}
+        elif self.multi_pass or self.object_rectangles:
+            rectangles = object_rectangles_pass() if self.object_rectangles else rectangles_pass()
+            material_passes = {"material ids": ids_pass(), "rectangles": rectangles}
         elif Effect.MATERIAL_SHADERS in effects.enabled:
             material_passes = {"material ids": ids_pass(by_shader=True)}
         # A pass can't read the depth that it tests. Others test `material ids`.
@@ -244,13 +270,14 @@ class DeferredPlus:
         resolve = (
             (resolve_pass(effects, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
         )
-        lighting = lit_by_cells(CLUSTERS) if lists else FORWARD
+        # Transparent surfaces lie before those that tiles end at.
+        lighting = lit_by_cells(self.cells) if lists and not ends_at_surfaces else FORWARD
         passes = packed_pass(effects, samples=samples), *lists, *material_passes.values(), shading, *resolve
         return frame_samples(effects, *passes, samples=samples, lighting=lighting)
 
     def _shade(self, frame: Frame) -> None:
         targets, has_local_lights = frame.targets, bool(local_light_effects(frame.effects))
-        shader_bindings: dict[str, Any] = bind_light_lists(frame, CLUSTERS) if has_local_lights else {}
+        shader_bindings: dict[str, Any] = bind_light_lists(frame, self.cells) if has_local_lights else {}
         switches = {**PACKED_READER_SWITCHES, "has_local_lights": has_local_lights}
         if self.samples > 1:
             shader_bindings |= bind_samples(frame)
@@ -262,7 +289,7 @@ class DeferredPlus:
         if self.binned:
             _shade_bins(frame, shader_bindings, switches)
             return
-        if self.multi_pass:
+        if self.multi_pass or self.object_rectangles:
             draw_rectangles(frame, PackedRectangles, shader_bindings, switches)
             return
         if Effect.MATERIAL_SHADERS in frame.effects.enabled:

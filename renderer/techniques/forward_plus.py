@@ -9,6 +9,9 @@ With several samples per pixel, a surface may cover samples of a tile, but no pi
 sample doesn't bound what is lit. So tiles then have no ends in depth: their lists hold all lights that reach
 any place of the tile, as those of clusters do.
 
+Transparent surfaces are lit by the lists of their objects. With `tiled_transparency` they have lists of tiles of
+their own (Thatcher 2014, 5.2), from the near plane to the tile's farthest opaque surface.
+
 Without point and spot lights in view there is nothing to list, and both are plain forward shading.
 """
 
@@ -17,7 +20,7 @@ from __future__ import annotations
 from typing import Final
 
 from renderer import rules
-from renderer.frame import Frame, FrameEffects, FramePass
+from renderer.frame import Effect, Frame, FrameEffects, FramePass
 from renderer.techniques.parts.clustered_passes import clustered_passes
 from renderer.techniques.parts.depth import DEPTH_SHADERS
 from renderer.techniques.parts.finish import FINISH_SHADERS, draw_once, forward_passes
@@ -26,10 +29,11 @@ from renderer.techniques.parts.light_list_reader import (
     TILES,
     ClusterSettings,
     ForwardByCells,
+    TilesInFront,
     light_list_pass,
     lit_by_cells,
 )
-from renderer.techniques.parts.variants import local_light_effects
+from renderer.techniques.parts.variants import FORWARD, local_light_effects
 from rhi.shading import Shader
 
 
@@ -45,25 +49,40 @@ class ForwardPlus:
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, samples: int = 1, *, tiles: ClusterSettings = TILES) -> None:
+    def __init__(
+        self, samples: int = 1, *, tiles: ClusterSettings = TILES, tiled_transparency: bool = False
+    ) -> None:
         """`samples` is the number of samples per pixel, as for `Forward`; `tiles` are the tiles whose
-        lights are listed."""
+        lights are listed. `tiled_transparency` lights transparent surfaces by lists of tiles instead of those
+        of their objects."""
         self.samples = rules.check_count(rules.BAD_TECHNIQUE, "ForwardPlus(samples=...)", samples)
         self.cells = tiles
+        self.tiled_transparency = tiled_transparency
 
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         """The passes `depth`, `light lists` and `forward`; with several samples also `depth samples` and
-        `resolve`. Without local lights, those of `Forward`."""
+        `resolve`. `tiled_transparency` adds `transparent light lists` if a transparent object is in view. Without
+        local lights, those of `Forward`."""
         if not local_light_effects(effects):
             return forward_passes(effects, samples=self.samples)
+        depth = "depth" if self.samples == 1 else None
+        lists, transparent = [light_list_pass(effects, self.cells, depth=depth)], FORWARD
+        if self.tiled_transparency and Effect.TRANSPARENCY in effects.enabled:
+            if depth is None:  # tiles without ends in depth hold for all surfaces
+                transparent = lit_by_cells(self.cells)
+            else:
+                in_front, name = TilesInFront(self.cells), "transparent light lists"
+                lists.append(light_list_pass(effects, in_front, depth=depth, name=name))
+                transparent = lit_by_cells(in_front, name)
         return draw_once(
             effects,
             lit_by_cells(self.cells),
             "draws what is seen, lit by its tile's lights",
             samples=self.samples,
             depth_first="lights are listed for what is seen" if self.samples == 1 else "finds what is seen",
-            lists=(light_list_pass(effects, self.cells, depth="depth" if self.samples == 1 else None),),
-        )  # transparent surfaces have the lists of their objects: those of tiles end at opaque surfaces
+            lists=tuple(lists),
+            transparent=transparent,
+        )
 
 
 class Clustered:

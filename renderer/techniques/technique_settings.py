@@ -32,7 +32,9 @@ class TechniqueSettings:
             `clustered_deferred` and `deferred_plus`; more than one is refused for others. `auto` is then
             `forward`.
         fxaa: whether the edges of the image are smoothed.
-        tiles: the tiles of `forward_plus`.
+        tiles: the tiles of `forward_plus`, and of `deferred_plus` if it is `tiled`.
+        tiled_transparency: whether `forward_plus` lights transparent surfaces by lists of tiles of their own
+            instead of those of their objects.
         clusters: those of `clustered`.
         scale: the size of the light buffers of `inferred`, in that of the image.
         stippled: whether it draws transparent surfaces to them, too.
@@ -47,13 +49,16 @@ class TechniqueSettings:
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer.
         depth_first: whether `clustered` draws depth before.
         multi_pass: whether `deferred_plus` shades each material by draws of its own.
+        object_rectangles: whether it does so in a rectangle for each material, around the boxes of its objects.
         binned: whether it lists pixels by material, and shades the lists. Images are the same.
+        tiled: whether it lights pixels by the lists of tiles instead of those of clusters.
     """
 
     name: str = AutoTechnique.name
     samples: int = 1
     fxaa: bool = False
     tiles: ClusterSettings = TILES
+    tiled_transparency: bool = False
     clusters: ClusterSettings = CLUSTERS
     scale: float = 0.6
     stippled: bool = True
@@ -65,7 +70,9 @@ class TechniqueSettings:
     stencil: bool = False
     depth_first: bool = False
     multi_pass: bool = False
+    object_rectangles: bool = False
     binned: bool = False
+    tiled: bool = False
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_TECHNIQUE)
@@ -95,7 +102,7 @@ class TechniqueSettings:
         check_bits(self.light_bits, SUM_FORMATS, "TechniqueSettings(light_bits=...)")
         check_bits(self.normal_bits, NORMAL_BITS, "TechniqueSettings(normal_bits=...)")
         samples = self.samples if self.name == DeferredPlus.name else 1
-        check_passes(self.multi_pass, self.binned, samples, "TechniqueSettings")
+        check_passes(self.multi_pass or self.object_rectangles, self.binned, samples, "TechniqueSettings")
 
     def get_cluster_settings(self, name: str) -> ClusterSettings | None:
         """The cluster settings of the setting of this name; None for all but `tiles` and `clusters`."""

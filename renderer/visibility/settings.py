@@ -16,6 +16,7 @@ from renderer import rules
 from renderer.scene.file_versions import KEY
 from renderer.scene.files import read_json
 from renderer.scene.settings_versions import SETTINGS_VERSIONS
+from renderer.visibility.boxes.polytopes import PLANE_COUNTS
 from rhi import RhiError, refuse
 
 
@@ -39,6 +40,8 @@ class VisibilitySettings:
             last level, which is at most 16 texels wide and high, there may be more.
         meshlets: whether `depth_pyramid` and `two_pass` cull the meshlets of meshes that are cut into them
             (`SceneBuilder.add_mesh`); else they draw these whole.
+        proxy_planes: the number of planes of the convex polytopes that `two_pass` tests in place of boxes: 14 (the
+            box with its corners cut), 18 (its edges) or 26 (both); 0 for boxes. Meshes with bounds keep boxes.
     """
 
     batch: int = 50
@@ -50,6 +53,7 @@ class VisibilitySettings:
     occluder_pixels: int = 1
     pyramid_texels: int = 8
     meshlets: bool = True
+    proxy_planes: int = 0
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_PARAMETER)
@@ -58,6 +62,11 @@ class VisibilitySettings:
             if value < least:
                 text, allowed = repr(value), f"a whole number of {least} or more"
                 refuse(rules.BAD_PARAMETER, f"VisibilitySettings({name}=…)", text, allowed)
+        if self.proxy_planes not in (0, *PLANE_COUNTS):
+            allowed = "0, 14, 18 or 26"
+            refuse(
+                rules.BAD_PARAMETER, "VisibilitySettings(proxy_planes=…)", repr(self.proxy_planes), allowed
+            )
 
     def save(self, path: Path, **metadata: Any) -> None:
         """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores

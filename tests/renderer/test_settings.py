@@ -239,9 +239,12 @@ def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
         ("forward", "all_lights"),
         ("deferred", "stencil"),
         ("light_pre_pass", "stencil"),
+        ("forward_plus", "tiled_transparency"),
         ("clustered", "depth_first"),
         ("deferred_plus", "multi_pass"),
+        ("deferred_plus", "object_rectangles"),
         ("deferred_plus", "binned"),
+        ("deferred_plus", "tiled"),
     ],
 )
 def test_other_ways_of_techniques_can_be_set(technique: str, way: str, null: rhi.Device) -> None:

@@ -98,6 +98,8 @@ class _GltfWriter:
         for attribute in ("fog", "bloom", "ambient_occlusion", "depth_of_field", "environment"):
             if getattr(self._scene, attribute) is not None:
                 self.omissions.add(attribute.replace("_", " "), "scene")
+        if len(self._scene.decals):
+            self.omissions.add("decals", "scene", len(self._scene.decals))
         for custom in self._scene.shaders:
             if custom.shader is not Brushed:
                 self.omissions.add("shaders of materials", custom.shader.__name__)

@@ -136,6 +136,21 @@ def _add_textured(builder: SceneBuilder) -> int:
     return material
 
 
+def _add_poster(builder: SceneBuilder) -> int:
+    rows, columns = np.indices((64, 64)) - 31.5
+    image = np.full((64, 64, 4), (20, 60, 150, 255), np.uint8)
+    image[..., 3] = np.where(np.hypot(rows, columns) < 30.0, 255, 0)
+    image[np.abs(np.hypot(rows, columns) - 15.0) < 5.0, :3] = 240
+    builder.add_decal(
+        builder.add_node(translation((-0.7, 0.7, 0.1))), builder.add_image(image), (0.7, 0.7, 0.5)
+    )
+    return -1
+
+
+def _switch_poster(renderer: Renderer, _: int, is_on: bool) -> None:
+    renderer.scene.decals.array["strength"] = float(is_on)
+
+
 def _add_ball(at: tuple[float, float, float], material_values: dict[str, Any], builder: SceneBuilder) -> int:
     material = builder.add_material(**material_values)
     node = builder.add_node(translation(at) @ np.diag([0.45, 0.45, 0.45, 1.0]))
@@ -332,6 +347,18 @@ EFFECT_STEPS: Final = (
         "a box with an image",
         EffectPattern("texture", words=("sampler2DArray",), bindings=("images*",), resources=("images*",)),
         _add_textured,
+    ),
+    EffectStep(
+        "decal",
+        "an image that a box projects",
+        EffectPattern(
+            "decal",
+            words=("project_decal",),
+            bindings=("decals", "decal_*"),
+            resources=("decals", "decal cells", "DecalGrid"),
+        ),
+        _add_poster,
+        _switch_poster,
     ),
     EffectStep(
         "metal",

@@ -68,7 +68,7 @@ def make_view(title: str) -> Camera:
     return Camera.look_at(eye, target, projection=projection)
 
 
-def _name_colors(image: NDArray[np.generic]) -> NDArray[np.int64]:
+def name_colors(image: NDArray[np.generic]) -> NDArray[np.int64]:
     """Return for each pixel (h, w) the number of its colour, 0 for black: a bit for each channel that is lit."""
     channels = image[..., :3].astype(np.float64)
     numbers: NDArray[np.int64] = (channels > 0.1 * max(float(channels.max()), 1e-9)) @ np.array([1, 2, 4])
@@ -78,12 +78,12 @@ def _name_colors(image: NDArray[np.generic]) -> NDArray[np.int64]:
 @cache  # the same for each device
 def trace_room(title: str) -> NDArray[np.int64]:
     """The colours (h, w) that rays to all triangles meet."""
-    return _name_colors(RayTracer(make_room()).draw(make_view(title), _SIZE))
+    return name_colors(RayTracer(make_room()).draw(make_view(title), _SIZE))
 
 
-def _flag_wrong(image: NDArray[np.uint8], title: str) -> NDArray[np.bool_]:
-    """Flag the pixels (h, w) whose colour no ray nearby meets."""
-    drawn, expected = _name_colors(image), np.pad(trace_room(title), 1, mode="edge")
+def flag_wrong(image: NDArray[np.uint8], traced: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Flag the pixels (h, w) whose colour none of the rays (h, w) nearby has met."""
+    drawn, expected = name_colors(image), np.pad(traced, 1, mode="edge")
     height, width = drawn.shape
     wrong = np.ones(drawn.shape, bool)
     for y in range(3):
@@ -106,7 +106,7 @@ def measure_meshlets(device: Device) -> CaseResult:
             for title in _VIEWS:
                 part = f"{title}, {name}"
                 drawn = [renderer.render(make_view(title)).image.read() for _ in range(3)]
-                wrong = [_flag_wrong(image, title) for image in drawn]
+                wrong = [flag_wrong(image, trace_room(title)) for image in drawn]
                 error = largest_error(error, float(max(flags.sum() for flags in wrong)))
                 counts = _count_states(algorithm)
                 numbers |= {f"{part}: {cause}": counts[state] for state, cause in _CAUSES.items()}

@@ -33,6 +33,7 @@ from renderer.techniques.parts.geometry_buffer import geometry_buffer_switches
 from renderer.techniques.parts.light_list_reader import (
     CLUSTERS,
     LightListReader,
+    LightListsFactory,
     bind_light_lists,
     lit_by_cells,
 )
@@ -182,7 +183,7 @@ def find_counting_pass(technique: techniques.Technique) -> FramePass[Frame] | No
         case techniques.ClusteredDeferred(samples=1):
             return _declare(_count_pixels, "light lists", "surface", "material", "depth")
         case techniques.DeferredPlus(samples=1):
-            return _declare(_count_clusters, "light lists", "depth")
+            return _declare(partial(_count_cells, cells=technique.cells), "light lists", "depth")
         case techniques.TiledDeferred(samples=1):
             return _declare(_count_tiles, "surface", "material", "depth", format=LIGHT_FORMAT)
         case techniques.Deferred() | techniques.LightPrePass():
@@ -240,10 +241,8 @@ def _count_pixels(frame: Frame) -> None:
     )
 
 
-def _count_clusters(frame: Frame) -> None:
-    draw_full_screen(
-        frame, ClusterLightCounter, frame.targets[EVALUATIONS], bind_light_lists(frame, CLUSTERS)
-    )
+def _count_cells(frame: Frame, *, cells: LightListsFactory) -> None:
+    draw_full_screen(frame, ClusterLightCounter, frame.targets[EVALUATIONS], bind_light_lists(frame, cells))
 
 
 def _count_tiles(frame: Frame) -> None:

@@ -112,6 +112,28 @@ class ReduceTileMasks(ReduceTileDepths):
         return mask
 
 
+class ReduceTileEnds(ReduceTileDepths):
+    """Computes where each tile ends behind the near plane: at its farthest pixel. Pixels without a surface have the
+    farthest depth of all."""
+
+    def compute(self) -> None:
+        tile = sl.global_id().xy
+        if tile.x >= self.grid.count.x or tile.y >= self.grid.count.y:
+            return
+        first = tile * self.grid.tile
+        end = sl.min(first + self.grid.tile, self.grid.size)
+        least = 2.0
+        greatest = -1.0
+        for y in range(first.y, end.y):
+            for x in range(first.x, end.x):
+                depth = self.depth.load(sl.ivec2(x, y)).r
+                least = sl.min(least, depth)
+                greatest = sl.max(greatest, depth)
+        far = distance_range(self.grid, least, greatest).y
+        mask = self.depth_mask_of(first, end, self.grid.near, far)
+        self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=self.grid.near, far=far, mask=mask)
+
+
 class CollectLights(sl.Shader):
     """Marks and counts the lights of each cell. Subclasses add tests of cones, depths and masks;
     `collect_variant` combines them."""

@@ -19,6 +19,7 @@ from renderer.lights.culling.kernels import (
     CollectCounted,
     CollectLights,
     ReduceTileDepths,
+    ReduceTileEnds,
     ReduceTileMasks,
     TileDepths,
     WriteLists,
@@ -97,6 +98,7 @@ class LightLists:
         cone_test: str = "tight",
         block_test: str = "planes",
         depth_mask: bool = True,
+        from_near: bool = False,
         counted: bool = False,
         capacity: int | None = None,
     ) -> None:
@@ -109,6 +111,8 @@ class LightLists:
             block_test: the name of the test of blocks of cells; with "none" all cells are tested against all
                 lights.
             depth_mask: whether, with a depth texture, 32 slices of a tile's depths are told apart.
+            from_near: whether, with a depth texture, cells begin at the near plane instead of the nearest surface
+                of their tile: for what is lit in front of it. There is no mask then.
             counted: whether to count tests, for `read`.
             capacity: number of lights for which lists have room at first; by default 64 for each cell, also
                 of later frames with more cells.
@@ -127,7 +131,11 @@ class LightLists:
             lookup_cone_test(cone_test, f"{call}(cone_test=...)"),
             lookup_sphere_test(block_test, f"{call}(block_test=...)"),
         )
-        self._by_depth: tuple[type[CollectLights], ...] = (CollectByMask if depth_mask else CollectByDepth,)
+        has_mask = depth_mask and not from_near
+        self._by_depth: tuple[type[CollectLights], ...] = (CollectByMask if has_mask else CollectByDepth,)
+        self._reduce: type[ReduceTileDepths] = (
+            ReduceTileEnds if from_near else ReduceTileMasks if has_mask else ReduceTileDepths
+        )
         self._counted: tuple[type[CollectLights], ...] = (CollectCounted,) if counted else ()
         self._buffers = BufferSet(device, "light grid")
         self._pending: Readback | None = None
@@ -198,14 +206,12 @@ class LightLists:
         features: tuple[type[CollectLights], ...] = self._counted
         program_buffers: dict[str, Any] = {name: buffers[name] for name in ("masks", "counts")}
         uploads = self._uploads.bindings
-        find: Any = ReduceTileMasks if CollectByMask in self._by_depth else ReduceTileDepths
         work: list[tuple[Any, Any, dict[str, Any]]] = []
         if depth is not None:
             features += self._by_depth
             program_buffers["depths"] = buffers["depths"]
-            work.append(
-                (find, blocks, {"grid": self.parameters, "depth": depth, "depths": buffers["depths"]})
-            )
+            reduced = {"grid": self.parameters, "depth": depth, "depths": buffers["depths"]}
+            work.append((self._reduce, blocks, reduced))
         if self._counted:
             buffers["tests"].write(np.zeros(1, np.uint32))
             program_buffers["tests"] = buffers["tests"]

@@ -22,6 +22,7 @@ from renderer.light_kinds.directional import DirectionalLight
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.scene.material_instances import MAX_SHADERS
+from renderer.shaders.decals import Decal, DecalGrid
 from renderer.shaders.environment import EnvironmentConstants
 from renderer.shaders.fog import FogConstants
 from renderer.shaders.pixels import PixelRays
@@ -184,6 +185,21 @@ class FrameBindings:
     maps_5 = ImageArrayBinding(5, is_color=False)
     maps_6 = ImageArrayBinding(6, is_color=False)
     maps_7 = ImageArrayBinding(7, is_color=False)
+
+    @property
+    def decals(self) -> StorageBuffer[Decal] | None:
+        """The decals that may cover something."""
+        return self.frame.resources.decals.decals.buffer
+
+    @property
+    def decal_cells(self) -> Texture | None:
+        """The table of the decals in each cell of their grid."""
+        return self.frame.resources.decals.cells.texture
+
+    @property
+    def decal_grid(self) -> UniformBuffer[DecalGrid] | None:
+        """The constants of that grid."""
+        return self.frame.resources.decals.grid
 
     # Light
 

@@ -205,7 +205,8 @@ def geometry_buffer_formats(
     has_own = Effect.MATERIAL_SHADERS in enabled  # which may say anything
     has_emissive = has_own or Effect.EMISSIVE_MAPS in enabled
     has_details = has_emissive or not enabled.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
-    has_color_texels = has_details or not enabled.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
+    colors = Effect.IMAGES, Effect.VERTEX_COLORS, Effect.DECALS
+    has_color_texels = has_details or not enabled.isdisjoint(colors)
     material = Format.RG32UI if has_color_texels else Format.R32UI
     formats = {"surface": surface_format(effects, normal_bits), "material": material}
     return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})

@@ -58,10 +58,31 @@ class ClusterSettings:
         return LightLists(device, tile=self.tile, slices=self.slices, sphere_test=self.sphere_test)
 
 
+@dataclass(frozen=True, slots=True)
+class TilesInFront:
+    """The part of tiles between the near plane and their farthest opaque surface, where transparent surfaces
+    are seen. Calling it with a device creates the view's `LightLists`.
+
+    Attributes:
+        tiles: the sizes of the tiles.
+    """
+
+    tiles: ClusterSettings
+
+    def __call__(self, device: Device) -> LightLists:
+        """Create the light lists of a view."""
+        tiles = self.tiles
+        return LightLists(
+            device, tile=tiles.tile, slices=tiles.slices, sphere_test=tiles.sphere_test, from_near=True
+        )
+
+
 LightListsFactory = Callable[[Device], LightLists]
 """The function that makes the lists of a view: `ClusterSettings`, or another function that is always the same
 one."""
 
+LIGHT_LISTS: Final = "light lists"
+"""The resource with the light lists of opaque surfaces."""
 TILES: Final = ClusterSettings(16)
 """Tiles of 16 × 16 pixels, between the nearest and the farthest surface of each."""
 CLUSTERS: Final = ClusterSettings(64, 24)
@@ -154,11 +175,12 @@ class LightListReader(PixelShader, CellBoundsReader):
 
 
 def light_list_pass(
-    effects: FrameEffects, cells: LightListsFactory, *, depth: str | None = None
+    effects: FrameEffects, cells: LightListsFactory, *, depth: str | None = None, name: str = LIGHT_LISTS
 ) -> FramePass[Frame]:
-    """The pass that lists the lights of tiles or clusters, as the resource `light lists`.
+    """The pass that lists the lights of tiles or clusters.
 
     Args:
+        name: the name of the pass and of the resource that it writes.
         depth: the resource with the depth of all that is lit; cells then end at the surfaces of their tile.
     """
 
@@ -169,9 +191,7 @@ def light_list_pass(
         frame.view.commands.next().dispatch(work)
 
     reads = () if depth is None else (depth,)
-    return FramePass(
-        "light lists", collect, explain_local_lights(effects), reads=reads, writes=("light lists",)
-    )
+    return FramePass(name, collect, explain_local_lights(effects), reads=reads, writes=(name,))
 
 
 def bind_light_lists(frame: Frame, cells: LightListsFactory) -> dict[str, Any]:
@@ -188,6 +208,6 @@ class ForwardByCells(LightListReader, ForwardShader):
         return self.shade_cell_lights(surface, sl.dot(v.position, self.rays.forward))
 
 
-def lit_by_cells(cells: LightListsFactory) -> Lighting:
-    """Lighting by the light lists of tiles or clusters."""
-    return Lighting((ForwardByCells,), bind=partial(bind_light_lists, cells=cells), reads=("light lists",))
+def lit_by_cells(cells: LightListsFactory, name: str = LIGHT_LISTS) -> Lighting:
+    """Lighting by the light lists of tiles or clusters, which are the resource `name`."""
+    return Lighting((ForwardByCells,), bind=partial(bind_light_lists, cells=cells), reads=(name,))

@@ -8,7 +8,8 @@ used all over the scene then has the whole screen, and the depth tests are as ma
 Here a material has a rectangle in each *tile* of the screen that shows it, around its pixels there. So the
 tests grow with the pixels that are covered and with the materials that meet in a tile, however many the scene
 has; and it doesn't matter which algorithm found the visible objects. With a tile as large as the screen it is
-the chapter's one rectangle.
+the chapter's one rectangle. `bound_materials` finds that rectangle as the chapter does, on the CPU from the boxes of
+objects.
 
 A tile is examined by one invocation, which takes its materials in ascending order and looks at all pixels
 once for each: no shared memory, and no limit on their number. A dispatch takes `_MATERIALS_PER_DISPATCH` of
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -28,12 +30,14 @@ from numpy.typing import NDArray
 import rhi.shading as sl
 from renderer.frame import Frame, FramePass, Target
 from renderer.frame.mirrors import MirroredValue
+from renderer.scene import Camera, Depth, Scene
 from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import Material
 from renderer.techniques.parts.full_screen import make_triangle
 from renderer.techniques.parts.geometry_buffer import MAX_MATERIALS
 from renderer.techniques.parts.variants import bind, list_shaders, shader_variant
+from renderer.visibility.boxes.volumes import select_in_view
 from rhi import (
     CullMode,
     DepthFunction,
@@ -248,6 +252,21 @@ class MaterialRectangles:
                 progress=self._progress,
             )
 
+    def write(self, rectangles: NDArray[np.int64]) -> None:
+        """Write rectangles (k, 5): material, first x and y, width and height in pixels."""
+        if self.rectangles.count < len(rectangles):
+            listed = self._device.storage(MaterialRectangle, len(rectangles), label="rectangles")
+            old_rectangles, self.rectangles = self.rectangles, listed
+            old_rectangles.destroy()
+        rows = np.zeros(len(rectangles), MaterialRectangle.dtype)
+        material, x, y, width, height = rectangles.T
+        rows["material"], rows["first"], rows["size"] = material, x | y << 16, width | height << 16
+        if len(rows):
+            self.rectangles.write(rows)
+        draw = np.zeros(1, RectangleDraw.dtype)
+        draw["count"], draw["instances"] = 6, len(rows)
+        self.draw.write(draw)
+
     def read(self) -> NDArray[Any]:
         """Rectangles (k, 5): material, first x and y, width and height in pixels. Waits for the device."""
         rows = self.rectangles.read()[: int(self.draw.read()[0]["instances"])]
@@ -296,6 +315,47 @@ def rectangles_pass() -> FramePass[Frame]:
         reads=("material ids",),
         writes=("rectangles",),
     )
+
+
+def object_rectangles_pass() -> FramePass[Frame]:
+    """The pass that bounds materials by the boxes of their objects in view, as the resource `rectangles`."""
+
+    def bound(frame: Frame) -> None:
+        rows = bound_materials(frame.resources.scene, frame.camera, frame.targets.size)
+        frame.view.workspace(MaterialRectangles).write(rows)
+
+    return FramePass(
+        "rectangles", bound, "a material is shaded where its objects are", writes=("rectangles",)
+    )
+
+
+def bound_materials(scene: Scene, camera: Camera, size: tuple[int, int]) -> NDArray[np.int64]:
+    """The rectangle of each material in view around the boxes of its objects: (k, 5) material, first x and y, width
+    and height in pixels. A box that reaches before the near plane has the whole image."""
+    objects = scene.objects
+    object_indices = select_in_view(scene, camera, np.arange(len(objects)))
+    ends = np.stack([objects.lower[object_indices], objects.upper[object_indices]], axis=1)
+    corners = np.stack([ends[:, [a, b, c], [0, 1, 2]] for a, b, c in product((0, 1), repeat=3)], axis=1)
+    toward = (corners - camera.position) @ camera.rotation.T
+    matrix = np.asarray(camera.projection.matrix, np.float64)
+    clip = toward @ matrix[:, :3].T + matrix[:, 3]
+    near = clip[..., 3] - clip[..., 2] if camera.projection.depth is Depth.REVERSED else clip[..., 2]
+    is_before = (near < 0.0) | (clip[..., 3] <= 0.0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        on_screen = clip[..., :2] / clip[..., 3:]
+    pixels = (0.5 + 0.5 * on_screen * (1.0, -1.0)) * size
+    is_whole = np.asarray(is_before.any(axis=1) | ~np.isfinite(pixels).all(axis=(1, 2)))
+    # A pixel more on each side is for rounding, of the rasteriser, too.
+    first = np.where(is_whole[:, None], 0.0, pixels.min(axis=1) - 1.0).clip(0.0, size)
+    last = np.where(is_whole[:, None], size, pixels.max(axis=1) + 1.0).clip(0.0, size)
+    material_indices, slots = np.unique(objects.material[object_indices], return_inverse=True)
+    begin = np.tile(np.asarray(size, np.float64), (len(material_indices), 1))
+    end = np.zeros_like(begin)
+    np.minimum.at(begin, slots, first)
+    np.maximum.at(end, slots, last)
+    begin, end = np.floor(begin).astype(np.int64), np.ceil(end).astype(np.int64)
+    rows = np.column_stack([material_indices, begin, end - begin])
+    return rows[(end > begin).all(axis=1)]
 
 
 def draw_rectangles(

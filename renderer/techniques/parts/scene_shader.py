@@ -28,7 +28,7 @@ from renderer.shaders.lighting import (
     reflected_light,
     safe_normalize,
 )
-from renderer.shaders.materials import MaterialShader
+from renderer.shaders.materials import MaterialShader, color_scale
 from renderer.shaders.metals import (
     ambient_light_metallic,
     anisotropic_terms,
@@ -184,6 +184,7 @@ class ReflectingShader(ViewRayShader):
     has_anisotropy = False
     has_lighting_models = False
     """Whether surfaces may have lighting models of their materials' own (`renderer.techniques.parts.own_lighting`)."""
+    has_decals = False
     has_any_material = False
     """Whether the surfaces may be of materials with different shaders."""
 
@@ -196,7 +197,8 @@ class ReflectingShader(ViewRayShader):
             normal=described.normal,
             geometric_normal=geometric_normal,
             to_eye=self.direction_to_eye(position),
-            base_color=material.base_color.rgb * described.color.rgb,
+            base_color=(sl.vec3(color_scale(material)) if self.has_decals else material.base_color.rgb)
+            * described.color.rgb,
             specular_color=material.specular_color,
             shininess=material.shininess,
             occlusion=described.occlusion,

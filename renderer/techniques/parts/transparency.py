@@ -247,8 +247,13 @@ def _draw(
         shader,
         *lighting.bases,
         shader_bindings=lighting.bind(frame),
-        # Ambient occlusion and contact shadows are those of the opaque surfaces behind.
-        switches={**lighting.switches, "has_ambient_occlusion": False, "has_contact_shadows": False},
+        # Ambient occlusion, contact shadows and decals are those of the opaque surfaces behind.
+        switches={
+            **lighting.switches,
+            "has_ambient_occlusion": False,
+            "has_contact_shadows": False,
+            "has_decals": False,
+        },
         color=[targets[name] for name in resources],
         depth=targets[depth],
         clear=clear,

@@ -9,9 +9,9 @@ import numpy as np
 from rhi import Device, Mesh
 from rhi.shading import Struct, mat4, vec3
 
-_CORNERS: Final = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], np.float32)
+CORNERS: Final = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], np.float32)
 
-_FACES: Final = np.array(
+FACES: Final = np.array(
     [(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)], np.uint16
 )
 """The corners of each face, counter-clockwise seen from outside."""
@@ -35,5 +35,5 @@ class BoxCamera(Struct):
 def make_cube(device: Device) -> Mesh:
     """Create the mesh of a cube from -1 to 1, with vertices of `CubeCorner` and two triangles for each
     face."""
-    triangles = np.ascontiguousarray(_FACES[:, [0, 1, 2, 0, 2, 3]]).reshape(-1)
-    return device.mesh({"position": _CORNERS}, triangles, label="unit cube")
+    triangles = np.ascontiguousarray(FACES[:, [0, 1, 2, 0, 2, 3]]).reshape(-1)
+    return device.mesh({"position": CORNERS}, triangles, label="unit cube")

@@ -22,6 +22,7 @@ from renderer.visibility.gpu.draw_lists import IndirectDrawList, count_parts
 from renderer.visibility.gpu.level_choice import LevelChoice
 from renderer.visibility.gpu.meshlet_culling import MeshletCulling
 from renderer.visibility.gpu.occludees import ComputeOccludees, Occludees
+from renderer.visibility.gpu.proxies import ProxyOccludees
 from renderer.visibility.scene_drawer import SceneArrays, SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder, refuse
@@ -48,12 +49,17 @@ class DeviceCulling(ABC):
         device: Device,
         occludee_shader: type[ComputeOccludees],
         settings: VisibilitySettings = DEFAULTS,
+        proxy_planes: int = 0,
     ) -> None:
+        """`occludee_shader` computes the boxes; of `proxy_planes` are the polytopes that are tested in their place."""
         if not (device.capabilities.compute and device.capabilities.draws):
             lacking = f"a {device.backend_name} device that lacks them"
             refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", lacking)
         self._device = device
-        self._occludees = Occludees(device, len(scene.objects), occludee_shader)
+        if proxy_planes:
+            self._occludees: Occludees = ProxyOccludees(device, scene, proxy_planes, occludee_shader)
+        else:
+            self._occludees = Occludees(device, len(scene.objects), occludee_shader)
         parts = count_parts(scene)
         self.first, self.second = (
             IndirectDrawList(device, self._occludees, parts, has_instances=self.has_instances)
@@ -119,6 +125,11 @@ class DeviceCulling(ABC):
         else:
             self._repeated.execute(key, issue)
         return self._count()
+
+    def count_polytopes(self) -> int:
+        """Return the number of objects of the last frame that were tested as polytopes. Waits for the device."""
+        occludees = self._occludees
+        return occludees.count_polytopes() if isinstance(occludees, ProxyOccludees) else 0
 
     @abstractmethod
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:

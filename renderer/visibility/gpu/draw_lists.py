@@ -248,7 +248,7 @@ class IndirectDrawList:
         objects, object_positions: (n,) copies of the elements of the visible objects, in the order of the
             instances.
         hidden: (n,) indices of the hidden objects.
-        box_draw: a draw of as many boxes.
+        box_draw: a draw of as many boxes, or of what is tested in their place.
         generation: how often the list was renewed.
     """
 
@@ -266,7 +266,7 @@ class IndirectDrawList:
         self.generation = 0
         self.totals = device.storage(sl.uint, parts + 1, label="list counts")
         self.hidden = device.storage(sl.uint, count, label="hidden objects")
-        self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
+        self.box_draw = device.storage(DrawArguments, occludees.mesh.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
         self._has_instances = has_instances

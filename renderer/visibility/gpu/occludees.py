@@ -30,6 +30,7 @@ from rhi import (
     Encoder,
     FrontFace,
     IndirectDraws,
+    Mesh,
     Program,
     StateScope,
     StorageBuffer,
@@ -48,8 +49,9 @@ DRAWN: Final = 3
 
 GROUP: Final = 64
 """Number of objects per work-group."""
+MIN_VOLUME: Final = 0.5
+"""A box is replaced if the volume spanned by its unit axes is less than this."""
 
-_MIN_VOLUME: Final = 0.5  # a box is replaced if the volume spanned by its unit axes is less than this
 _RADIUS_MARGIN: Final = 1.0001
 _NEARER: Final = {
     Depth.REVERSED: DepthFunction.GREATER_EQUAL,
@@ -130,7 +132,7 @@ class ComputeOccludees(sl.Shader):
         z = columns[2] / sl.max(sl.length(columns[2]), 1e-30)
         volume = sl.dot(x, sl.cross(y, z))
         sides = sl.abs(box.x) + sl.abs(box.y) + sl.abs(box.z) + margin
-        if sl.abs(volume) > _MIN_VOLUME:
+        if sl.abs(volume) > MIN_VOLUME:
             padding = margin / sl.abs(volume)
             box.x += x * padding
             box.y += y * padding
@@ -249,6 +251,11 @@ class Occludees:
     def groups(self) -> int:
         """Number of work-groups of `GROUP` that have an invocation for each row."""
         return -(-self.count // GROUP)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh that objects are tested as."""
+        return self.cube
 
     @property
     def culling_camera(self) -> UniformBuffer[CullingCamera]:

@@ -4,6 +4,8 @@
    drawn against it; a fragment that passes the depth test marks its object, which is drawn.
 2. The boxes of all other objects are drawn against the resulting depth, at full resolution. Objects that are
    marked now were wrongly hidden, and are drawn too.
+
+`VisibilitySettings(proxy_planes=…)` draws polytopes in place of boxes (`proxies`).
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ class TwoPassCulling(DeviceCulling):
     """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""
 
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
-        super().__init__(scene, device, ComputeOccludees, settings)
+        super().__init__(scene, device, ComputeOccludees, settings, settings.proxy_planes)
         self._reprojected = ReprojectedDepth(device)
         self._reprojected_camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))

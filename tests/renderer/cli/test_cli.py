@@ -445,6 +445,7 @@ def test_plan_states_the_reason_of_each_pass_and_of_omitted_passes(
         ("clustered", "--depth-first", ["depth"]),
         ("deferred_plus", "--multi-pass", ["material ids", "rectangles"]),
         ("deferred_plus", "--binned", ["bins", "resolve"]),
+        ("deferred_plus", "--tiled", []),
         ("forward", "--multi-pass", []),
     ],
 )

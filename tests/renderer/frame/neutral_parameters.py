@@ -193,6 +193,7 @@ SCENE_PARTS: dict[str, str] = {
     "reserved": "`spread_objects`",
     "background": "is seen wherever nothing else is",
     "name": "is a text",
+    "decals": "`spread_decals`: no strength, no size, hidden",
     "attachments": "move lights and views, which are in the world when a frame begins",
     "views": "choose a camera, and aren't drawn",
     "paths": "choose a camera, and aren't drawn",
@@ -447,6 +448,20 @@ def spread_air() -> Iterator[Neutral]:
     yield Neutral("focus", partial(_set, name="depth_of_field", value=DepthOfField(5.0, 1e-12)))
 
 
+def spread_decals() -> Iterator[Neutral]:
+    """Decals that project nothing."""
+
+    def project(builder: SceneBuilder, transform: Any, is_hidden: bool = False, **values: Any) -> None:
+        node = builder.add_node(transform)
+        builder.add_decal(node, builder.add_image(np.full((4, 4, 4), 255, np.uint8)), (9, 9, 9), **values)
+        if is_hidden:
+            builder.hide([node])
+
+    yield Neutral("a decal of no strength", partial(project, transform=np.eye(4), strength=0.0))
+    yield Neutral("a decal of no size", partial(project, transform=scaling((1, 0, 1))))
+    yield Neutral("a hidden decal", partial(project, transform=np.eye(4), is_hidden=True))
+
+
 def _set(builder: SceneBuilder, name: str, value: Any) -> None:
     setattr(builder, name, value)
 
@@ -459,6 +474,7 @@ def spread_all() -> list[Neutral]:
         *spread_equal_materials(),
         *spread_objects(),
         *spread_air(),
+        *spread_decals(),
     ]
 
 
@@ -477,9 +493,12 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "technique.all_lights": (True,),
     "technique.lights_per_draw": (4, 1000),
     "technique.stencil": (True,),
+    "technique.tiled_transparency": (True,),
     "technique.depth_first": (True,),
     "technique.multi_pass": (True,),
+    "technique.object_rectangles": (True,),
     "technique.binned": (True,),
+    "technique.tiled": (True,),
     "visibility.batch": (1, 1000),
     "visibility.persistence": (1, 1000),
     "visibility.leaf_size": (16,),
@@ -489,6 +508,7 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "visibility.occluder_pixels": (100,),
     "visibility.pyramid_texels": (64,),
     "visibility.meshlets": (False,),
+    "visibility.proxy_planes": (14, 18, 26),
     "shadows.filter": tuple(ShadowFilter),
     "shadows.cascades": (1, 6),
     "shadows.cascade_size": (16, 2048),

@@ -39,6 +39,11 @@ PASSES: dict[str, tuple[Callable[[], Technique], list[str], dict[str, tuple[int,
         ["geometry", "shading"],
         {"geometry": (0, 1), "light lists": (3, 0), "shading": (0, 1)},
     ),
+    "deferred_plus, tiles": (
+        lambda: DeferredPlus(tiled=True),
+        ["geometry", "shading"],
+        {"geometry": (0, 1), "light lists": (4, 0), "shading": (0, 1)},
+    ),
     "deferred_plus, multi-pass": (
         lambda: DeferredPlus(multi_pass=True),
         ["geometry", "material ids", "rectangles", "shading"],

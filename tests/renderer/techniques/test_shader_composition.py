@@ -46,10 +46,11 @@ OPTIONS: dict[str, list[dict[str, Any]]] = {
     "forward": [{}, {"samples": 4}, {"all_lights": True}],
     "forward_multipass": [{}, {"lights_per_draw": 4}],
     "light_pre_pass": [{}, {"specular_channels": 1}],
+    "forward_plus": [{}, {"tiled_transparency": True}],
     "clustered": [{}, {"depth_first": True}],
     "tiled_deferred": [{}, {"samples": 4}],
     "clustered_deferred": [{}, {"samples": 4}],
-    "deferred_plus": [{}, {"samples": 4}, {"multi_pass": True}, {"binned": True}],
+    "deferred_plus": [{}, {"samples": 4}, {"multi_pass": True}, {"binned": True}, {"tiled": True}],
 }
 """The parameters by which a technique draws with other shaders."""
 

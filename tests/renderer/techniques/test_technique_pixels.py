@@ -37,7 +37,9 @@ OTHERS: dict[str, Callable[[], Technique]] = {
     "light_pre_pass, stencil": lambda: LightPrePass(stencil=True),
     "inferred at full size": lambda: Inferred(scale=1.0),
     "deferred_plus, a pass for each material": lambda: DeferredPlus(multi_pass=True),
+    "deferred_plus, rectangles of objects": lambda: DeferredPlus(object_rectangles=True),
     "deferred_plus, lists of pixels": lambda: DeferredPlus(binned=True),
+    "deferred_plus, lists of tiles": lambda: DeferredPlus(tiled=True),
 }
 EYE = Camera.look_at((0, 3, 9), (0, 0.5, 0))
 

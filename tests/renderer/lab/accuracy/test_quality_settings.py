@@ -65,10 +65,13 @@ def test_a_technique_has_the_settings_that_its_parameters_name(name: str) -> Non
         "stencil": True,
         "depth_first": True,
         "multi_pass": False,
+        "object_rectangles": False,
         # Those of several samples: neither of the two.
         "light_bits": 16,
         "normal_bits": 8,
         "binned": False,
+        "tiled": True,
+        "tiled_transparency": True,
     }
     arguments = {field: others[field] for field in inspect.signature(TECHNIQUES[name]).parameters}
     technique = TechniqueSettings(**{"name": name, **arguments}).make_technique(name)
