@@ -24,6 +24,7 @@ from renderer.techniques.parts.resolve import SUM_FORMATS
 from renderer.viewer.display_settings import SHADOWS, DisplaySettings
 from renderer.viewer.session import ViewerSession
 from renderer.visibility import list_algorithms
+from renderer.visibility.boxes.polytopes import PLANE_COUNTS
 
 _DEFAULTS: Final = RenderSettings()
 
@@ -36,6 +37,7 @@ _CHOICES: Final[Mapping[str, Callable[[ViewerSession], Iterable[Any]]]] = {
     "technique.light_bits": lambda _: SUM_FORMATS,
     "technique.normal_bits": lambda _: NORMAL_BITS,
     "bloom.bits": lambda _: LIGHT_FORMATS,
+    "visibility.proxy_planes": lambda _: (0, *PLANE_COUNTS),
     "algorithm": lambda session: list_algorithms(session.renderer.device),
     "show": ViewerSession.list_show_choices,
     "shadows": lambda _: SHADOWS,

@@ -70,7 +70,7 @@ def draw(device: rhi.Device, scene: Scene, technique: str = "forward", camera: C
         return np.asarray(renderer.render(camera).image.read()[..., :3], np.int64)
 
 
-@pytest.mark.nightly_cases("cl", "wgpu", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("cl-*", "wgpu-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize(
     ("material", "sizes"), [(None, 1), ({"shader": Marble, "frequency": 3.0}, 1), (None, 11)], ids=str
 )
