@@ -10,9 +10,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from renderer.content.material_shaders import Brushed
-from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
-from renderer.lab.exam.ray_traced_cases import draw
-from renderer.lab.exam.scenes import shows_something
+from renderer.lab.exam.case import CaseResult, Measures
+from renderer.lab.exam.lit_planes import FIELD_OF_VIEW, intersect_plane, measure_views, normalize
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, make_geometry
 from renderer.scene.arrays import Floats
 from renderer.shaders.tone_mapping import tone_map
@@ -70,7 +69,7 @@ def make_brushed_scene(view: BrushedView) -> tuple[Scene, Camera]:
     builder.add_objects(builder.add_node(translation(middle)), builder.add_mesh(geometry), material)
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
     builder.lights.add_point(middle + unit * _LIGHT, _RANGE * unit, intensity=1.5 * unit**2)
-    projection = Perspective(0.9, _SIZE[0] / _SIZE[1], near=0.05 * unit)
+    projection = Perspective(FIELD_OF_VIEW, _SIZE[0] / _SIZE[1], near=0.05 * unit)
     return builder.build(), Camera.look_at(
         middle + unit * _EYE, middle + unit * _TARGET, projection=projection
     )
@@ -78,15 +77,14 @@ def make_brushed_scene(view: BrushedView) -> tuple[Scene, Camera]:
 
 def compute_levels(view: BrushedView) -> Floats:
     """The levels (h, w, 3) of a view, by the equation of Burley (2012) and glTF's KHR_materials_anisotropy."""
-    rays = _compute_rays()
-    hit = _EYE + rays * (-_EYE[2] / rays[..., 2])[..., None]
+    hit = intersect_plane(_SIZE, _EYE, _TARGET)
     normal = np.array((0.0, 0.0, 1.0))
     tangent = np.array((np.cos(view.rotation), np.sin(view.rotation), 0.0))
     bitangent = np.cross(normal, tangent)
     across = max(view.roughness, 0.1) ** 2
     along = across + (1.0 - across) * view.anisotropy**2
-    to_eye, to_light = _unit(_EYE - hit), _unit(_LIGHT - hit)
-    halfway = _unit(to_eye + to_light)
+    to_eye, to_light = normalize(_EYE - hit), normalize(_LIGHT - hit)
+    halfway = normalize(to_eye + to_light)
     parts = (halfway @ tangent / along) ** 2 + (halfway @ bitangent / across) ** 2 + (halfway @ normal) ** 2
     lobe = 1.0 / (along * across * parts**2)  # times π
     for direction in (to_eye, to_light):
@@ -104,33 +102,9 @@ def compute_levels(view: BrushedView) -> Floats:
     return np.asarray(255.0 * to_srgb(np.asarray(evaluate(tone_map, light), np.float64)))
 
 
-def _compute_rays() -> Floats:
-    """The directions (h, w, 3) of the pixels of every view."""
-    width, height = _SIZE
-    camera = Camera.look_at(_EYE, _TARGET, projection=Perspective(0.9, width / height))
-    x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * np.tan(0.45) * width / height
-    y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * np.tan(0.45)
-    return np.asarray(np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1) @ camera.rotation)
-
-
-def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
-
-
 def measure_anisotropy(device: Device) -> CaseResult:
     """Draw the views, and measure by how many levels they are off."""
-    numbers, holds, images = dict[str, object](), dict[str, bool](), dict[str, CaseImage]()
-    error = 0.0
-    for title, view in _VIEWS.items():
-        scene, camera = make_brushed_scene(view)
-        image = draw(device, scene, camera, _SIZE, technique=view.technique)
-        off = np.abs(image[..., :3].astype(np.float64) - compute_levels(view)).max(axis=2)
-        numbers[f"{title}: levels off"] = round(float(off.max()), 3)
-        error = largest_error(error, float(off.max()))
-        for description, is_true in shows_something([image]).items():
-            holds[f"{title}: {description}"] = is_true
-        images |= {title: image, f"{title}, off": off}
-    return CaseResult(error, numbers, holds, lambda: images)
+    return measure_views(device, _SIZE, _VIEWS, make_brushed_scene, compute_levels)
 
 
 MEASURES: Final[Measures] = {92: measure_anisotropy}

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
-from renderer.lab.exam.ray_traced_cases import draw
-from renderer.lab.exam.scenes import shows_something
+from renderer.lab.exam.case import CaseImage, CaseResult, Measures
+from renderer.lab.exam.lit_planes import FIELD_OF_VIEW, intersect_plane, measure_views
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, make_geometry
 from renderer.scene.arrays import Floats
 from renderer.shaders.tone_mapping import tone_map
@@ -115,40 +115,51 @@ def make_decal_scene(view: DecalView) -> tuple[Scene, Camera]:
         builder.add_decal(node, image, **arguments)
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
     builder.lights.add_point(middle + unit * _LIGHT, _RANGE * unit, intensity=unit**2 * 1.5)
-    projection = Perspective(0.9, _SIZE[0] / _SIZE[1], near=0.05 * unit)
+    projection = Perspective(FIELD_OF_VIEW, _SIZE[0] / _SIZE[1], near=0.05 * unit)
     eye, target = middle + unit * _EYE, middle + unit * _TARGET
     return builder.build(), Camera.look_at(eye, target, projection=projection)
 
 
-def compute_levels(view: DecalView) -> tuple[Floats, Floats]:
-    """The levels (h, w, 3) of a view, and how far each pixel (h, w) is from a face of a box, in that of the box."""
-    width, height = _SIZE
-    camera = Camera.look_at(_EYE, _TARGET, projection=Perspective(0.9, width / height))
-    x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * np.tan(0.45) * width / height
-    y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * np.tan(0.45)
-    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1) @ camera.rotation
-    hit = _EYE + rays * (-_EYE[2] / rays[..., 2])[..., None]
+def compute_levels(view: DecalView) -> Floats:
+    """The levels (h, w, 3) of a view."""
+    hit = intersect_plane(_SIZE, _EYE, _TARGET)
     color = np.broadcast_to(np.array(view.base), hit.shape)
-    nearest = np.full(hit.shape[:2], np.inf)
     for decal in sorted(PROJECTIONS, key=lambda decal: decal.order):
-        inverse = np.linalg.inv(decal.local)
-        inside = (hit @ inverse[:3, :3].T + inverse[:3, 3]) / decal.size
-        x_axis, y_axis, z_axis = decal.local[:3, :3].T
-        across = np.cross(x_axis, y_axis)  # at right angles to the box's front, on the side of +z
-        cosine = across[2] * np.sign(across @ z_axis) / np.linalg.norm(across)
-        low, high = np.cos(decal.outer_angle), np.cos(decal.inner_angle)
-        opacity = decal.strength * np.clip((cosine - low) / (high - low), 0.0, 1.0)
-        distance = 0.5 - np.abs(inside).max(axis=2)
-        if opacity > 0.0:
-            nearest = np.minimum(nearest, np.abs(distance))
+        inside = locate_inside(decal, hit)
         texels = sample_bilinear(inside[..., 0] + 0.5, 0.5 - inside[..., 1])
-        alpha = np.where(distance > 0.0, texels[..., 3] * opacity, 0.0)[..., None]
+        is_inside = np.abs(inside).max(axis=2) < 0.5
+        alpha = np.where(is_inside, texels[..., 3] * compute_opacity(decal), 0.0)[..., None]
         color = (1.0 - alpha) * color + alpha * texels[..., :3] * decal.color
     away = _LIGHT - hit
     squared = (away**2).sum(axis=-1)
     irradiance = 1.5 * np.clip(1.0 - (squared / _RANGE**2) ** 2, 0.0, 1.0) ** 2 / squared
     light = color * (irradiance * away[..., 2] / np.sqrt(squared))[..., None]
-    return np.asarray(255.0 * to_srgb(np.asarray(evaluate(tone_map, light), np.float64))), nearest
+    return np.asarray(255.0 * to_srgb(np.asarray(evaluate(tone_map, light), np.float64)))
+
+
+def locate_inside(decal: BoxProjection, hit: Floats) -> Floats:
+    """The coordinates (h, w, 3) of points in a decal's box, which is from -1/2 to 1/2."""
+    inverse = np.linalg.inv(decal.local)
+    return np.asarray((hit @ inverse[:3, :3].T + inverse[:3, 3]) / decal.size)
+
+
+def compute_opacity(decal: BoxProjection) -> float:
+    """The strength of a decal on the plane, by the angle between both."""
+    x_axis, y_axis, z_axis = decal.local[:3, :3].T
+    across = np.cross(x_axis, y_axis)  # at right angles to the box's front, on the side of +z
+    cosine = across[2] * np.sign(across @ z_axis) / np.linalg.norm(across)
+    low, high = np.cos(decal.outer_angle), np.cos(decal.inner_angle)
+    return float(decal.strength * np.clip((cosine - low) / (high - low), 0.0, 1.0))
+
+
+def select_edges() -> NDArray[np.bool_]:
+    """The pixels (h, w) that are within `_EDGE` of a face of a box that is seen."""
+    hit = intersect_plane(_SIZE, _EYE, _TARGET)
+    is_edge = np.zeros(hit.shape[:2], bool)
+    for decal in PROJECTIONS:
+        if compute_opacity(decal) > 0.0:
+            is_edge |= np.abs(0.5 - np.abs(locate_inside(decal, hit)).max(axis=2)) < _EDGE
+    return is_edge
 
 
 def sample_bilinear(u: Floats, v: Floats) -> Floats:
@@ -167,20 +178,7 @@ def sample_bilinear(u: Floats, v: Floats) -> Floats:
 
 def measure_decals(device: Device) -> CaseResult:
     """Draw the views, and measure by how many levels they are off."""
-    numbers, holds, images = dict[str, object](), dict[str, bool](), dict[str, CaseImage]()
-    error = 0.0
-    for title, view in _VIEWS.items():
-        scene, camera = make_decal_scene(view)
-        image = draw(device, scene, camera, _SIZE, technique=view.technique)
-        expected, nearest = compute_levels(view)
-        off = np.abs(image[..., :3].astype(np.float64) - expected).max(axis=2)
-        off[nearest < _EDGE] = 0.0
-        numbers[f"{title}: levels off"] = round(float(off.max()), 3)
-        error = largest_error(error, float(off.max()))
-        for description, is_true in shows_something([image]).items():
-            holds[f"{title}: {description}"] = is_true
-        images |= {title: image, f"{title}, off": off}
-    return CaseResult(error, numbers, holds, lambda: images)
+    return measure_views(device, _SIZE, _VIEWS, make_decal_scene, compute_levels, select_edges())
 
 
 MEASURES: Final[Measures] = {98: measure_decals}

@@ -11,9 +11,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from renderer.content.material_shaders import Cloth, Skin, Toon
-from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
-from renderer.lab.exam.ray_traced_cases import draw
-from renderer.lab.exam.scenes import shows_something
+from renderer.lab.exam.case import CaseResult, Measures
+from renderer.lab.exam.lit_planes import FIELD_OF_VIEW, intersect_plane, measure_views, normalize
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, make_geometry
 from renderer.scene.arrays import Floats
 from renderer.shaders.tone_mapping import tone_map
@@ -70,20 +69,15 @@ def make_model_scene(view: ModelView) -> tuple[Scene, Camera]:
         builder.add_objects(node, builder.add_mesh(geometry), material)
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
     builder.lights.add_point(middle + unit * _LIGHT, _RANGE * unit, intensity=unit**2)
-    projection = Perspective(0.9, _SIZE[0] / _SIZE[1], near=0.05 * unit)
+    projection = Perspective(FIELD_OF_VIEW, _SIZE[0] / _SIZE[1], near=0.05 * unit)
     eye, target = middle + unit * _EYE, middle + unit * _TARGET
     return builder.build(), Camera.look_at(eye, target, projection=projection)
 
 
 def compute_levels(view: ModelView) -> Floats:
     """The levels (h, w, 3) of a view by the equations of its models."""
-    width, height = _SIZE
-    camera = Camera.look_at(_EYE, _TARGET, projection=Perspective(0.9, width / height))
-    x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * np.tan(0.45) * width / height
-    y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * np.tan(0.45)
-    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1) @ camera.rotation
-    hit = _EYE + rays * (-_EYE[2] / rays[..., 2])[..., None]
-    to_eye, to_light = _unit(_EYE - hit), _unit(_LIGHT - hit)
+    hit = intersect_plane(_SIZE, _EYE, _TARGET)
+    to_eye, to_light = normalize(_EYE - hit), normalize(_LIGHT - hit)
     squared = ((_LIGHT - hit) ** 2).sum(axis=-1)
     irradiance = np.clip(1.0 - (squared / _RANGE**2) ** 2, 0.0, 1.0) ** 2 / squared
     facing = to_light[..., 2]
@@ -105,7 +99,7 @@ def reflect(model: str, facing: Floats, to_eye: Floats, to_light: Floats) -> Flo
     if model == "skin":
         wrap = np.array(_WRAP)
         return np.asarray(_BASE * np.maximum(facing[..., None] + wrap, 0.0) / (1.0 + wrap) ** 2)
-    sine = np.sqrt(1.0 - _unit(to_eye + to_light)[..., 2] ** 2)
+    sine = np.sqrt(1.0 - normalize(to_eye + to_light)[..., 2] ** 2)
     inverse = 1.0 / _ROUGHNESS**2
     lobe = (2.0 + inverse) / (2.0 * np.pi) * sine**inverse
     lobe = np.pi * lobe / (4.0 * (facing + to_eye[..., 2] - facing * to_eye[..., 2]))
@@ -113,24 +107,9 @@ def reflect(model: str, facing: Floats, to_eye: Floats, to_light: Floats) -> Flo
     return np.asarray(facing[..., None] * (scattered + np.array(_SHEEN) * lobe[..., None]))
 
 
-def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
-
-
 def measure_lighting_models(device: Device) -> CaseResult:
     """Draw the views, and measure by how many levels they are off."""
-    numbers, holds, images = dict[str, object](), dict[str, bool](), dict[str, CaseImage]()
-    error = 0.0
-    for title, view in _VIEWS.items():
-        scene, camera = make_model_scene(view)
-        image = draw(device, scene, camera, _SIZE, technique=view.technique)
-        off = np.abs(image[..., :3].astype(np.float64) - compute_levels(view)).max(axis=2)
-        numbers[f"{title}: levels off"] = round(float(off.max()), 3)
-        error = largest_error(error, float(off.max()))
-        for description, is_true in shows_something([image]).items():
-            holds[f"{title}: {description}"] = is_true
-        images |= {title: image, f"{title}, off": off}
-    return CaseResult(error, numbers, holds, lambda: images)
+    return measure_views(device, _SIZE, _VIEWS, make_model_scene, compute_levels)
 
 
 MEASURES: Final[Measures] = {96: measure_lighting_models}

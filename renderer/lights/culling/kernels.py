@@ -75,6 +75,8 @@ class ReduceTileDepths(sl.Shader):
     grid: sl.Uniform[ClusterGrid]
     depth: sl.Texture2D
     depths: sl.StorageRW[TileDepths]
+    is_from_near = False
+    """Whether tiles begin at the near plane, and end at their farthest pixel."""
 
     def compute(self) -> None:
         tile = sl.global_id().xy
@@ -87,10 +89,12 @@ class ReduceTileDepths(sl.Shader):
         for y in range(first.y, end.y):
             for x in range(first.x, end.x):
                 depth = self.depth.load(sl.ivec2(x, y)).r
-                if depth != self.grid.background:
+                if self.is_from_near or depth != self.grid.background:
                     least = sl.min(least, depth)
                     greatest = sl.max(greatest, depth)
         ends = distance_range(self.grid, least, greatest)
+        if self.is_from_near:
+            ends.x = self.grid.near
         mask = self.depth_mask_of(first, end, ends.x, ends.y)
         self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=ends.x, far=ends.y, mask=mask)
 
@@ -116,22 +120,7 @@ class ReduceTileEnds(ReduceTileDepths):
     """Computes where each tile ends behind the near plane: at its farthest pixel. Pixels without a surface have the
     farthest depth of all."""
 
-    def compute(self) -> None:
-        tile = sl.global_id().xy
-        if tile.x >= self.grid.count.x or tile.y >= self.grid.count.y:
-            return
-        first = tile * self.grid.tile
-        end = sl.min(first + self.grid.tile, self.grid.size)
-        least = 2.0
-        greatest = -1.0
-        for y in range(first.y, end.y):
-            for x in range(first.x, end.x):
-                depth = self.depth.load(sl.ivec2(x, y)).r
-                least = sl.min(least, depth)
-                greatest = sl.max(greatest, depth)
-        far = distance_range(self.grid, least, greatest).y
-        mask = self.depth_mask_of(first, end, self.grid.near, far)
-        self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=self.grid.near, far=far, mask=mask)
+    is_from_near = True
 
 
 class CollectLights(sl.Shader):

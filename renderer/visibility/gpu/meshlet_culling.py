@@ -30,7 +30,6 @@ from renderer.shaders import (
     Meshlet,
     Object,
     ObjectPosition,
-    ViewConstants,
     relative_position,
 )
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR
@@ -41,9 +40,9 @@ from renderer.visibility.gpu.occludees import (
     OUTSIDE,
     VISIBLE,
     CullingCamera,
+    FrustumShader,
     Occludee,
     Occludees,
-    is_behind,
 )
 from renderer.visibility.scene_drawer import SceneArrays
 from rhi import Device, Encoder, Program, StorageBuffer
@@ -60,11 +59,10 @@ _SLACK: Final = 0.005
 _ROUNDING: Final = 1e-6
 
 
-class CullMeshlets(sl.Shader):
+class CullMeshlets(FrustumShader):
     """Writes the box and the first state of each entry."""
 
     work_group = (GROUP,)
-    view: sl.Uniform[ViewConstants]
     culling_camera: sl.Uniform[CullingCamera]
     objects: sl.Storage[Object]
     object_positions: sl.Storage[ObjectPosition]
@@ -125,17 +123,6 @@ class CullMeshlets(sl.Shader):
 
     def is_drawn(self, entry: ListEntry, meshlet: Meshlet) -> bool:
         return True
-
-    def is_outside(self, box: Occludee) -> bool:
-        m = self.view.relative_view_projection
-        return (
-            is_behind(m[3] + m[0], box)
-            or is_behind(m[3] - m[0], box)
-            or is_behind(m[3] + m[1], box)
-            or is_behind(m[3] - m[1], box)
-            or is_behind(m[2], box)
-            or is_behind(m[3] - m[2], box)
-        )
 
     def faces_away(self, meshlet: Meshlet, entry: ListEntry, relative: sl.vec3) -> bool:
         if not meshlet.cosine > 0.0:

@@ -91,11 +91,27 @@ def is_behind(plane: sl.vec4, box: Occludee) -> bool:
     return sl.dot(n, box.centre) + plane.w + reach < 0.0
 
 
-class ComputeOccludees(sl.Shader):
+class FrustumShader(sl.Shader):
+    """Base of shaders that test boxes against the frustum."""
+
+    view: sl.Uniform[ViewConstants]
+
+    def is_outside(self, box: Occludee) -> bool:
+        m = self.view.relative_view_projection
+        return (
+            is_behind(m[3] + m[0], box)
+            or is_behind(m[3] - m[0], box)
+            or is_behind(m[3] + m[1], box)
+            or is_behind(m[3] - m[1], box)
+            or is_behind(m[2], box)
+            or is_behind(m[3] - m[2], box)
+        )
+
+
+class ComputeOccludees(FrustumShader):
     """Writes the box and the first mark of each object."""
 
     work_group = (GROUP,)
-    view: sl.Uniform[ViewConstants]
     culling_camera: sl.Uniform[CullingCamera]
     objects: sl.Storage[Object]
     object_positions: sl.Storage[ObjectPosition]
@@ -175,17 +191,6 @@ class ComputeOccludees(sl.Shader):
     def initial_mark(self, object_index: int) -> int:
         return HIDDEN
 
-    def is_outside(self, box: Occludee) -> bool:
-        m = self.view.relative_view_projection
-        return (
-            is_behind(m[3] + m[0], box)
-            or is_behind(m[3] - m[0], box)
-            or is_behind(m[3] + m[1], box)
-            or is_behind(m[3] - m[1], box)
-            or is_behind(m[2], box)
-            or is_behind(m[3] - m[2], box)
-        )
-
 
 class BoxVarying(sl.Struct):
     """The varyings of `MarkBoxes`."""
@@ -233,7 +238,11 @@ class Occludees:
     Attributes:
         boxes, marks: buffers with a row for each object.
         cube: the mesh that boxes are drawn as.
+        mark_shader, mark_listed_shader: the shaders that mark the objects that are tested as `mesh`.
     """
+
+    mark_shader: type[MarkBoxes] = MarkBoxes
+    mark_listed_shader: type[MarkBoxes] = MarkListedBoxes
 
     def __init__(self, device: Device, count: int, shader: type[ComputeOccludees] = ComputeOccludees) -> None:
         """`shader` is the shader that finds the boxes and decides their first marks."""
@@ -284,7 +293,16 @@ class Occludees:
 
     def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
         """Mark the objects whose boxes are visible in the open pass; `camera` leads to its clip space."""
-        self.mark_boxes(encoder, camera, depth, self.boxes, self.marks)
+        with self._states(encoder, depth):
+            encoder.draw(
+                self._device.program(self.mark_shader),
+                self.mesh,
+                self.count,
+                camera=camera,
+                boxes=self.boxes,
+                marks=self.marks,
+                **self._shape_bindings(),
+            )
 
     def mark_boxes(
         self,
@@ -294,7 +312,7 @@ class Occludees:
         boxes: StorageBuffer[Occludee],
         marks: StorageBuffer[sl.uint],
     ) -> None:
-        """Mark like `mark_all`, for other boxes, with a mark for each."""
+        """Mark like `mark_all`, for boxes of anything, with a mark for each."""
         with self._states(encoder, depth):
             mark = self._device.program(MarkBoxes)
             encoder.draw(mark, self.cube, boxes.count, camera=camera, boxes=boxes, marks=marks)
@@ -310,14 +328,19 @@ class Occludees:
         """Mark like `mark_all`, for the boxes of `object_indices` only, whose number `draw` holds."""
         with self._states(encoder, depth):
             encoder.draw_indirect(
-                self._device.program(MarkListedBoxes),
-                self.cube,
+                self._device.program(self.mark_listed_shader),
+                self.mesh,
                 IndirectDraws(draw, 1),
                 camera=camera,
                 boxes=self.boxes,
                 marks=self.marks,
                 object_indices=object_indices,
+                **self._shape_bindings(),
             )
+
+    def _shape_bindings(self) -> dict[str, Any]:
+        """The bindings of the marking shaders that say what each object's shape is."""
+        return {}
 
     def _states(self, encoder: Encoder, depth: Depth) -> StateScope:
         return encoder.states(

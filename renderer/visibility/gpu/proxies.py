@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.scene import Depth, Scene
+from renderer.scene import Scene
 from renderer.scene.meshes import Meshes
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING
-from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner
+from renderer.visibility.boxes.cubes import CubeCorner
 from renderer.visibility.boxes.polytopes import compute_polytope, count_triangles, list_box_corners
 from renderer.visibility.gpu.occludees import (
     GROUP,
@@ -35,7 +35,7 @@ from renderer.visibility.gpu.occludees import (
     Occludees,
 )
 from renderer.visibility.scene_drawer import SceneArrays
-from rhi import Device, Encoder, IndirectDraws, Mesh, StorageBuffer, UniformBuffer
+from rhi import Device, Encoder, Mesh
 
 _MOST_GROWTH: Final = 0.125
 _ROUNDED_DOWN: Final = 1.0 - 2.0**-20
@@ -163,6 +163,9 @@ class ProxyOccludees(Occludees):
         polytopes: the number of meshes that have a polytope.
     """
 
+    mark_shader = MarkProxies
+    mark_listed_shader = MarkListedProxies
+
     def __init__(
         self, device: Device, scene: Scene, planes: int, shader: type[ComputeOccludees] = ComputeOccludees
     ) -> None:
@@ -203,41 +206,8 @@ class ProxyOccludees(Occludees):
             first_corners=self._first_corners,
         )
 
-    def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
-        """Mark the objects whose polytopes are visible in the open pass; `camera` leads to its clip space."""
-        with self._states(encoder, depth):
-            encoder.draw(
-                self._device.program(MarkProxies),
-                self._mesh,
-                self.count,
-                camera=camera,
-                boxes=self.boxes,
-                marks=self.marks,
-                first_corners=self._first_corners,
-                corners=self._corners,
-            )
-
-    def mark_listed(
-        self,
-        encoder: Encoder,
-        camera: UniformBuffer[BoxCamera],
-        depth: Depth,
-        object_indices: StorageBuffer[sl.uint],
-        draw: StorageBuffer[Any],
-    ) -> None:
-        """Mark like `mark_all`, for the polytopes of `object_indices` only, whose number `draw` holds."""
-        with self._states(encoder, depth):
-            encoder.draw_indirect(
-                self._device.program(MarkListedProxies),
-                self._mesh,
-                IndirectDraws(draw, 1),
-                camera=camera,
-                boxes=self.boxes,
-                marks=self.marks,
-                object_indices=object_indices,
-                first_corners=self._first_corners,
-                corners=self._corners,
-            )
+    def _shape_bindings(self) -> dict[str, Any]:
+        return {"first_corners": self._first_corners, "corners": self._corners}
 
     def count_polytopes(self) -> int:
         """Return the number of boxes that the last `compute_boxes` replaced. Waits for the device."""
