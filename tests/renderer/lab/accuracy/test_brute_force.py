@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from busy_kit import busy_processes
+from numpy.typing import NDArray
 
 import rhi
 from renderer.content import load_scene
@@ -154,13 +155,31 @@ def test_a_choice_beside_busy_processes_is_that_of_a_quiet_machine(name: str, gl
     assert busy_most.milliseconds == pytest.approx(most.milliseconds, rel=0.35)
 
 
+def list_shortfalls(
+    selected: Sequence[tuple[str, ...]],
+    errors: Mapping[tuple[str, ...], float],
+    times: Mapping[tuple[str, ...], NDArray[np.float64]],
+) -> list[str]:
+    """Budgets within which a combination is certainly to be had that is more accurate than each of `selected` that
+    may be within them. Rounds bound what a time may be: all of them are within the budget of the former, one is
+    for the latter."""
+    shortfalls = []
+    for budget in np.quantile([np.median(samples) for samples in times.values()], (0.25, 0.5, 0.75, 1.0)):
+        within = [errors[combination] for combination, samples in times.items() if samples.max() <= budget]
+        reached = [errors[combination] for combination in selected if times[combination].min() <= budget]
+        if within and (not reached or min(reached) > _MORE * min(within)):
+            shortfalls.append(
+                f"{budget:.2f}: {min(reached, default=np.inf):.2f} levels, not {min(within):.2f}"
+            )
+    return shortfalls
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("backend", ["gl", "cl"])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, backend: str) -> None:
-    """Times are of the processor, in the median of all combinations' in the same round. A combination is as
-    fast as a budget if its slowest round is, and one that the search has kept if its median is, or noise
-    would be compared."""
+    """Times are of the processor, in the median of all combinations' in the same round. The control leaves out the
+    most accurate points of the front."""
     setup = SweepSetup(name, backend=backend, size=(96, 54), views=2, rounds=5, settings=RenderSettings())
     values = SCENES[name]
     with open_device(backend):
@@ -189,14 +208,6 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, b
     by_round = np.array(list(times.values()))
     taken = dict(zip(times, by_round / np.median(by_round, axis=0), strict=True))
     assert len(everything) == 192
-    for budget in np.quantile([np.median(samples) for samples in taken.values()], (0.25, 0.5, 0.75, 1.0)):
-        sure = [errors[combination] for combination, samples in taken.items() if samples.max() <= budget]
-        errors_within = [
-            errors[combination] for combination in front_keys if np.median(taken[combination]) <= budget
-        ]
-        if sure:
-            best = min(sure)
-            assert errors_within, f"{budget:.2f}: nothing, where {best:.2f} levels are to be had"
-            assert min(errors_within) <= _MORE * best, (
-                f"{budget:.2f}: {min(errors_within):.2f} levels, where {best:.2f} are to be had"
-            )
+    least = min(errors.values())
+    assert not list_shortfalls(front_keys, errors, taken)
+    assert list_shortfalls([key for key in front_keys if errors[key] > 1.5 * least], errors, taken)
