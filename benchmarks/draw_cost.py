@@ -32,6 +32,7 @@ because llvmpipe runs the GPU's work on the same cores. Triangles stop before th
 In a page it measures the web backend, whole frames with their submission, against loops of JavaScript that make
 the same calls of WebGPU. `one mesh`: the vertex buffer is set once. `value`: each draw's constants are numbers.
 `all set`: as most programs have it, each draw also sets the pipeline, and passes its offsets as a new array.
+`another pass each frame`: a further draw has another number of instances in each frame, so no pass is repeated.
 
     RHI_WEB_DAWN_OPTIONS=backend=null python scripts/run_in_node.py benchmarks/draw_cost.py --draws 1000
 """
@@ -446,32 +447,42 @@ def measure_frames(arguments: argparse.Namespace) -> Iterator[Record]:
         for offset, color in values:
             draw(program, mesh, camera=camera, object=Object(offset=offset, color=color))
 
-    def frame(draw: Callable[[], None]) -> Callable[[], None]:
+    numbers_of_frames = itertools.count(1)
+
+    def frame(draw: Callable[[], None], changes: bool = False) -> Callable[[], None]:
         def run() -> None:
             with device.render_pass(work.image, clear=(0, 0, 0, 1)):
+                if changes:
+                    instances = next(numbers_of_frames)
+                    program.draw(work.meshes[0], instances, camera=work.camera, object=work.ranges[0])
                 draw()
             device.present()
 
         return run
 
-    own_mesh, shared_mesh = "device.draw", "device.draw, one mesh"
+    own_mesh, shared_mesh, value = "device.draw", "device.draw, one mesh", "device.draw, value"
+    changing = "{}, another pass each frame"
     groups: list[dict[str, Callable[[], None]]] = [
         {
             "JavaScript": lambda: bare(True, False, False),
             own_mesh: frame(variants[own_mesh]),
+            changing.format(own_mesh): frame(variants[own_mesh], changes=True),
             "device.draw_many": frame(variants["device.draw_many"]),
         },
         {
             "JavaScript, one mesh": lambda: bare(False, False, False),
             shared_mesh: frame(variants[shared_mesh]),
+            changing.format(shared_mesh): frame(variants[shared_mesh], changes=True),
         },
         {
             "JavaScript, value": lambda: bare(False, True, False),
-            "device.draw, value": frame(draw_values),
+            value: frame(draw_values),
+            changing.format(value): frame(draw_values, changes=True),
         },
         {
             "JavaScript, value, all set": lambda: bare(False, True, True),
-            "device.draw, value": frame(draw_values),
+            value: frame(draw_values),
+            changing.format(value): frame(draw_values, changes=True),
         },
     ]
     columns = {"microseconds": time(1e6 / arguments.draws), "ratio": ratio()}

@@ -8,6 +8,9 @@ bytecode, as those of an installed package are: a first run writes it and isn't 
 - sines: a triangle whose fragment stage computes five `sin` of a vec3.
 - lit: 30 shaders with different lights, one triangle each, into one image.
 - prepared: the same 30, after `device.prepare` has finished for all of them.
+- engine: the example `mini_engine.py`, whose scene has shadows with nine taps, an image of entities' numbers, bloom
+  and tone mapping.
+- city: the renderer's generated city, with what it draws with by default; loading is included.
 - states: in a process that has drawn with a program before, the longest and the median time of a draw and its
   end with each of 20 new combinations of blending, depth test and formats.
 
@@ -126,17 +129,40 @@ with rhi.create_device(sys.argv[1]) as device:
         figures = {"seconds": sorted(times)[-1], "processor": sorted(times)[len(times) // 2]}
 print(json.dumps(figures))
 """
+ENGINE: Final = """
+import json, sys, time
+began, spent = time.perf_counter(), time.process_time()
+import rhi
+from examples.mini_engine import render
+with rhi.create_device(sys.argv[1]) as device:
+    render(device, (640, 480)).read()
+print(json.dumps({"seconds": time.perf_counter() - began, "processor": time.process_time() - spent}))
+"""
+CITY: Final = """
+import json, sys, time
+began, spent = time.perf_counter(), time.process_time()
+import rhi
+from renderer.content import load_scene
+from renderer.renderer import Renderer
+scene = load_scene("city")
+with rhi.create_device(sys.argv[1]) as device, Renderer(device, scene, size=(640, 480)) as renderer:
+    renderer.render(scene.views["street"].with_aspect(4 / 3)).image.read()
+print(json.dumps({"seconds": time.perf_counter() - began, "processor": time.process_time() - spent}))
+"""
+ONE_SHADER: Final = HEAD + LIT_IMAGE.format(number=1) + TAIL
+SHADERS: Final = (
+    HEAD + "".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)) + TAIL
+)
 SCENES: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "triangle": (LIT_IMAGE.format(number=1), ()),
-    "sines": (SINES, ()),
-    "lit": ("".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)), ()),
-    "prepared": (
-        "".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)),
-        ("prepare",),
-    ),
-    "states": (LIT_IMAGE.format(number=1), ("states",)),
+    "triangle": (ONE_SHADER, ()),
+    "sines": (HEAD + SINES + TAIL, ()),
+    "lit": (SHADERS, ()),
+    "prepared": (SHADERS, ("prepare",)),
+    "engine": (ENGINE, ()),
+    "city": (CITY, ()),
+    "states": (ONE_SHADER, ("states",)),
 }
-"""The shaders of each scene, and the arguments of its program."""
+"""The program of each scene, and its arguments."""
 
 
 def environment() -> dict[str, str]:
@@ -165,11 +191,11 @@ def time_import(name: str) -> dict[str, float]:
 def time_scene(scene: str, backend: str) -> dict[str, float]:
     """Return the figures of a scene, drawn in new interpreters with empty caches and with what the first one
     left."""
-    shaders, arguments = SCENES[scene]
+    program, arguments = SCENES[scene]
     figures = {}
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / f"{scene}.py"  # shaders are read from files
-        script.write_text(HEAD + shaders + TAIL, encoding="utf-8")
+        script.write_text(program, encoding="utf-8")
         for state, is_off in (("cold", "true"), ("warm", "false")):
             variables = {"RHI_CACHE": f"{folder}/cache", "MESA_SHADER_CACHE_DISABLE": is_off}
             figures_alone = run_alone(str(script), backend, *arguments, **variables)

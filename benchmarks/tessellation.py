@@ -26,7 +26,7 @@ from renderer.frame import SceneResources
 from renderer.lab.comparison import Record, Subject, compare, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField
-from renderer.scene.height_fields import bisect
+from renderer.scene.tessellated_surfaces import bisect
 from renderer.tessellation import TessellationSettings
 
 Floats = NDArray[np.float64]
@@ -91,10 +91,10 @@ class Edge:
     def measure_views(self, cameras: Iterable[Camera]) -> Record:
         """Return the numbers of triangles and the errors of all views, which are the same in each round."""
         counts, errors = [], []
-        row, field = next(iter(self.resources.scene.height_fields.items()))
+        row, field = next(iter(self.resources.scene.tessellated.items()))
         for self.camera in cameras:
             self.choose()
-            counts.append(self.tessellator.fields[0].read_count())
+            counts.append(self.tessellator.surfaces[0].read_count())
             errors.append(compute_errors(field, read_triangles(self.resources, row, counts[-1]), self.camera))
         every = np.concatenate(errors)
         return {

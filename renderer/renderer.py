@@ -57,7 +57,7 @@ from renderer.frame.motion import SceneMotion
 from renderer.frame.scene_images import SceneImages
 from renderer.frame.temporal import STILL_AFTER, TemporalHistory, compute_offset, shift_samples
 from renderer.frame.uploads import SceneUploads, check_uploads
-from renderer.scene import Camera, Projection, Scene, Simulator
+from renderer.scene import Camera, Perspective, Projection, Scene, Simulator
 from renderer.scene.catch_up import count_steps
 from renderer.scene.finite import LONGEST_TIME, check_finite, check_time
 from renderer.shadows import ShadowFilter, ShadowMaps, shadow_passes
@@ -68,17 +68,18 @@ from renderer.techniques.parts.ambient_occlusion import occlusion_passes
 from renderer.techniques.parts.contact_shadows import contact_passes
 from renderer.techniques.parts.depth import bind_depth_programs
 from renderer.techniques.parts.environment import environment_passes
+from renderer.techniques.parts.repeated_frame import RepeatedDraw, repeat_frame
 from renderer.techniques.parts.scaling import scale_image
 from renderer.techniques.parts.temporal import temporal_passes
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, to_visibility
 from renderer.visibility.detail import DetailLimit
-from rhi import Device, Format, Texture
+from rhi import Device, Format, Statistics, Texture
 from rhi.math import is_parallel
 from rhi.shading import Precision
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(eq=False, slots=True)
 class _SteadyFrame:
     """The part of a frame that the next one shares, if only the camera moves.
 
@@ -90,6 +91,8 @@ class _SteadyFrame:
         values: the `Frame.values`.
         watch: tells whether a frame has the same effects; None if the effects must be collected for that.
         events: a label for each pass of the plan.
+        repeat: a function that draws the frames after the second one; None if there is none.
+        is_repeated: whether that was sought.
     """
 
     settings: tuple[object, ...]
@@ -99,6 +102,8 @@ class _SteadyFrame:
     values: dict[object, Any]
     watch: LightWatch | None
     events: Sequence[AbstractContextManager[None]]
+    repeat: RepeatedDraw | None = None
+    is_repeated: bool = False
 
 
 _LONGEST_PAUSE: Final = 0.5
@@ -278,6 +283,12 @@ class Renderer:
         self._steady: _SteadyFrame | None = None  # None if the last frame has nothing that can be kept
         self._snapshot: tuple[object, ...] | None = None  # of the scene, when the last frame began
         self._size, self._scale = size, 1.0
+        projection: Projection = Perspective()
+        self._fitted = (
+            (0, 0),
+            projection,
+            projection,
+        )  # the last size and projection, and that with the aspect
         self._pair: EyePair | None = None
         with ExitStack() as stack:
             self._targets = Targets(device, size)
@@ -434,7 +445,7 @@ class Renderer:
 
     @property
     def tessellator(self) -> Tessellator:
-        """The tessellator of height fields; its `settings` may be exchanged between any two frames."""
+        """The tessellator of surfaces; its `settings` may be exchanged between any two frames."""
         return self._resources.workspace(Tessellator)
 
     @property
@@ -505,14 +516,17 @@ class Renderer:
     def _draw(self, camera: Camera, seconds: float) -> tuple[FrameResult, FrameEffects]:
         """Draw a frame; return it and its effects."""
         device, resources, pair = self.device, self._resources, self._pair
-        before = device.statistics
         if camera.__class__ is not Camera:
             rules.check_type("Renderer.render(camera)", camera, Camera)
-        total = np.add.reduce(camera.position) + np.add.reduce(camera.rotation, axis=None)
-        if not isfinite(total):  # one that isn't finite makes all of it so
+        if not isfinite(sum(camera.position.tolist(), sum(camera.rotation.ravel().tolist()))):
+            # one number that isn't finite makes all of it so
             check_finite("render", position=camera.position, rotation=camera.rotation)
         if seconds.__class__ is not float or not -LONGEST_TIME <= seconds <= LONGEST_TIME:
             check_time("render", seconds)
+        last = self._steady
+        if last is not None and last.repeat is not None and (result := self._repeat(last, camera, seconds)):
+            return result, last.effects
+        before = device.statistics
         steady = self._begin_steady(camera, seconds) or self._begin(camera, seconds)
         effects, plan, values = steady.effects, steady.plan, steady.values
         eyes = self._list_eyes()
@@ -531,6 +545,8 @@ class Renderer:
             left.scene_layers = [layer.render for layer in self.layers if isinstance(layer, SceneLayer)]
         frames = [left]
         self._run(plan, left, steady.events)
+        if steady is last and not steady.is_repeated:  # the first that follows a full frame
+            self._prepare_repeat(steady)
         if resources.may_simulate and resources.hidden.is_tracking and left.statistics is not None:
             left.draw_result.record_hidden()
         takes_turns = pair is not None and pair.stereo.takes_turns
@@ -560,7 +576,16 @@ class Renderer:
             with device.event("both eyes"):
                 image = pair.show(*frames)
         self.show(image)
-        simulator = resources.simulator
+        turn = None
+        if pair is not None and takes_turns:
+            turn, pair.turn = pair.turn, 1 - pair.turn
+        return self._finish(before, after, image, frames, turn), effects
+
+    def _finish(
+        self, before: Statistics, after: Statistics, image: Texture, frames: Sequence[Frame], turn: int | None
+    ) -> FrameResult:
+        """Return the result of a frame, with the difference of the device's counters."""
+        simulator, left = self._resources.simulator, frames[0]
         counters = {
             "queries": after.queries - before.queries,
             "software_state_changes": after.software_state_changes - before.software_state_changes,
@@ -569,13 +594,57 @@ class Renderer:
             "simulation_steps": simulator.steps,
             "skipped_simulations": len(simulator) - simulator.drawn_count if len(simulator.objects) else 0,
         }
-        turn = None
-        if pair is not None and takes_turns:
-            turn, pair.turn = pair.turn, 1 - pair.turn
-        result = FrameResult(
-            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters, turn
+        targets = left.targets
+        return FrameResult(image, targets.depth, targets, left.statistics, tuple(frames), counters, turn)
+
+    def _repeat(self, steady: _SteadyFrame, camera: Camera, seconds: float) -> FrameResult | None:
+        """Draw a frame in which only the camera differs from the last one's by `steady.repeat`. Return None, before
+        any command, if the frame needs more than that."""
+        repeat, scene, view, targets = steady.repeat, self.scene, self._view, self._targets
+        if (
+            repeat is None
+            or self.layers
+            or (camera := self._fit(camera)).projection is not steady.projection
+            or not scene.nodes.is_current
+            or scene.snapshot() != self._snapshot
+            or steady.settings != self._settings()
+        ):
+            return None
+        before = self.device.statistics
+        self._steady = None  # until all has gone well
+        record = repeat(camera)
+        self._steady = steady
+        if record is None:
+            return None
+        self._set_time(seconds)
+        scene.skip_refresh()
+        frame = Frame(
+            self.device,
+            view,
+            self._resources,
+            targets,
+            steady.effects,
+            precision=self.precision,
+            values=steady.values,
+            _seen={view: record},
         )
-        return result, effects
+        after = self.device.statistics
+        self.show(targets.image)
+        return self._finish(before, after, targets.image, [frame], None)
+
+    def _prepare_repeat(self, steady: _SteadyFrame) -> None:
+        """Find the function that repeats a frame which the last one's commands have drawn."""
+        steady.is_repeated = True
+        if steady.watch is not None and self._targets.output_image is None:
+            steady.repeat = repeat_frame(
+                steady.plan,
+                steady.values,
+                steady.events[0],
+                self._view,
+                self._resources,
+                self._recent_features,
+                steady.watch,
+            )
 
     def _list_eyes(self) -> list[tuple[View, Targets]]:
         """The views that a frame draws, each with its targets: one, or the left and the right eye's."""
@@ -627,7 +696,7 @@ class Renderer:
         else:
             scene.seconds = seconds
         scene.skip_refresh()
-        resources.follow(camera)
+        resources.follow(self._view)
         self._steady = steady
         return steady
 
@@ -788,8 +857,14 @@ class Renderer:
         return self._still_frames
 
     def _fit(self, camera: Camera) -> Camera:
-        width, height = self._size
-        return camera.with_aspect(width / height)
+        """The camera with the image's aspect. Equal projections become one, so that frames know them again."""
+        size, unfitted, fitted = self._fitted
+        projection = camera.projection
+        if size != self._size or (projection is not unfitted and projection != unfitted):
+            width, height = self._size
+            fitted = projection.with_aspect(width / height)
+            self._fitted = self._size, projection, fitted
+        return camera if fitted is projection else camera.with_projection(fitted)
 
     def _label(self, plan: Plan[Frame]) -> list[AbstractContextManager[None]]:
         """Return the label of each pass of a plan."""

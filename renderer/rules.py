@@ -75,8 +75,8 @@ BAD_HEIGHTS: Final = Rule(
 )
 SHARED_HEIGHTS: Final = Rule(
     "scene-shared-heights",
-    "a height field can belong to only one object",
-    "add a mesh for each object: add_height_field",
+    "a height field or a tessellated mesh can belong to only one object",
+    "add a mesh for each object: add_height_field, add_tessellated_mesh",
 )
 BAD_TRANSFORM: Final = Rule(
     "scene-bad-transform", "a transform is a finite, affine 4x4 matrix for column vectors: last row 0 0 0 1"
@@ -130,7 +130,7 @@ FIXED_PARENT: Final = Rule(
 FIXED_MESH: Final = Rule(
     "scene-fixed-mesh",
     "a mesh can be replaced only on a dynamic node outside of declared bounds, and only if neither mesh is "
-    "simulated or a height field",
+    "simulated or tessellated",
     "give the object a dynamic node that is neither animated within bounds nor below such a node",
 )
 NO_TANGENTS: Final = Rule(

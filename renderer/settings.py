@@ -48,7 +48,7 @@ class RenderSettings:
         visibility: that algorithm's parameters.
         shadows: the choices of shadow maps.
         textures: how well textures are read.
-        tessellation: how small the triangles of height fields are.
+        tessellation: how small the triangles of tessellated surfaces are.
         blending: how transparent surfaces that cover each other are blended.
         bloom: how exactly bloom is computed.
         occlusion: how exactly ambient occlusion is computed.

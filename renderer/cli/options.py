@@ -26,6 +26,7 @@ QUERY_KINDS: Final = ("native", "emulated")
 
 TECHNIQUE_VARIANTS: Final = {
     "all_lights": "forward evaluates all lights of the scene for each fragment, instead of its object's list",
+    "light_volumes": "forward_multipass adds lights by their volumes, over the lit image",
     "stencil": "deferred and light_pre_pass mask each light in a stencil buffer",
     "tiled_transparency": "forward_plus lights transparent surfaces by lists of tiles, instead of their objects'",
     "depth_first": "clustered draws depth before, so that no hidden fragment is lit",

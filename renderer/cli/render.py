@@ -83,7 +83,7 @@ _OPTIONS: Final = (
     options.TEMPORAL,
     option(
         "--edge-pixels",
-        "length in pixels that edges of height fields are split down to",
+        "length in pixels that edges of tessellated surfaces are split down to",
         None,
         "the settings', 8",
         type=float,

@@ -13,7 +13,19 @@ from typing import Final
 import numpy as np
 
 from renderer.content import shapes
-from renderer.content.specs import SEED, Generator, Option
+from renderer.content.specs import (
+    APERTURE,
+    BLOOM,
+    FOCUS,
+    FOG,
+    OCCLUSION,
+    SEED,
+    Generator,
+    Option,
+    add_depth_of_field,
+    add_fog_and_bloom,
+    add_occlusion,
+)
 from renderer.content.surfaces import KINDS, paint_surface
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.materials import TextureMap
@@ -34,6 +46,7 @@ _CIRCLE: Final = 0.6  # the radius of the circles of lights, metres
 _PER_ROOM: Final = 44  # things in a room, walls not counted
 _VARIANTS: Final = 2  # surfaces of each kind
 _TEXELS: Final = 256  # width and height of a surface's images
+_DUST: Final = (0.10, 0.09, 0.08)  # colour of the fog
 
 
 def make_bazaar(
@@ -45,6 +58,11 @@ def make_bazaar(
     seed: int,
     radius: float = 0.0,
     moving: float = 0.0,
+    fog: float = 0.0,
+    bloom: float = 0.0,
+    occlusion: float = 0.0,
+    focus: float = 0.0,
+    aperture: float = 0.05,
 ) -> Scene:
     """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights`
     lights: points, or spheres of a `radius`. A share of them, `moving`, go around in circles."""
@@ -59,6 +77,9 @@ def make_bazaar(
     _add_things(builder, rng, side, used, meshes, instances - walls, detail)
     _add_lights(builder, rng, side, lights, radius, round(moving * lights))
     _add_cameras(builder, side)
+    add_fog_and_bloom(builder, fog, bloom, _DUST, 0.4)
+    add_occlusion(builder, occlusion)
+    add_depth_of_field(builder, focus, aperture)
     return builder.build()
 
 
@@ -74,6 +95,11 @@ BAZAAR: Final = Generator(
         SEED,
         Option("radius", 0.0, "radius of the spheres that the lights are, metres; 0: points", 0.0, 1.0),
         Option("moving", 0.0, "share of the lights that go around in circles", 0.0, 1.0),
+        FOG,
+        BLOOM,
+        OCCLUSION,
+        FOCUS,
+        APERTURE,
     ),
     make_bazaar,
 )

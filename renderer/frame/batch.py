@@ -101,13 +101,7 @@ class FrameBatch:
             for part in parts:
                 counts.append(-(-len(part) // _STEP) * _STEP)
             *self._starts, count = accumulate(counts, initial=0)
-            object_indices = np.empty(count, np.int64)
-            object_indices.fill(len(draws))  # a draw of nothing
-            for part, start in zip(parts, self._starts, strict=True):
-                object_indices[start : start + len(part)] = part
-            if object_indices.tobytes() != self._rows.tobytes():
-                self._buffer.write(self._with_nothing[object_indices])
-                self._rows = object_indices
+            self._write_rows(self._buffer, parts, count)
             self._written = parts
         buffer, counts, starts = self._buffer, self._counts, self._starts  # other passes may change these
 
@@ -119,6 +113,28 @@ class FrameBatch:
             issue(encoder, arguments)
 
         commands.execute((*key, buffer, *counts), issue_batch)
+
+    def repeat(
+        self, commands: CommandCache, key: tuple[object, ...], parts: Sequence[NDArray[np.int64]]
+    ) -> bool:
+        """`execute` recorded commands for other rows, if they draw as many as in the last frame; return whether they
+        are executed."""
+        buffer, counts = self._buffer, [-(-len(part) // _STEP) * _STEP for part in parts]
+        if buffer is None or self._counts != counts:
+            return False
+        self._write_rows(buffer, parts, sum(counts))
+        self._written = parts
+        return commands.repeat((*key, buffer, *counts))
+
+    def _write_rows(self, buffer: Buffer, parts: Sequence[NDArray[np.int64]], count: int) -> None:
+        """Write `count` draws, those of the parts from `_starts` on, unless the buffer has them."""
+        object_indices = np.empty(count, np.int64)
+        object_indices.fill(len(self._with_nothing) - 1)  # a draw of nothing
+        for part, start in zip(parts, self._starts, strict=True):
+            object_indices[start : start + len(part)] = part
+        if object_indices.tobytes() != self._rows.tobytes():
+            buffer.write(self._with_nothing.take(object_indices))  # `take` is much faster than an index
+            self._rows = object_indices
 
     def destroy(self) -> None:
         """Destroy the buffer."""

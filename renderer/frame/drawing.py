@@ -342,15 +342,6 @@ class TechniqueDrawer:
             is_tessellated = np.isin(object_indices, tessellated)
             tessellated, others = object_indices[is_tessellated], object_indices[~is_tessellated]
 
-        def arrange() -> list[NDArray[np.int64]]:
-            ordered = others
-            if len(others) > 1:
-                ordered = others[self._farthest_depths(others).argsort(kind="stable")]
-            draws = resources.select_draws(ordered, resources.detail_limit)
-            if len(resources.groups) == 1:
-                return [draws]
-            return [draws[resources.select_group(ordered, group)] for group in resources.groups]
-
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
             with self._begin(encoder, clears=not self.was_opened):
                 for group, draws in zip(resources.groups, arguments, strict=True):
@@ -364,10 +355,36 @@ class TechniqueDrawer:
                         resources.draw_tessellated(encoder, *choose_program(self._programs, group), row)
 
         view, batch = self._view, self._view.batch
-        parts = batch.order(object_indices, view.camera.rotation[2], arrange)
+        parts = batch.order(object_indices, view.camera.rotation[2], lambda: self._arrange(others))
         key = (*self.key, *tessellated.tolist(), *resources.mirrored[tessellated].tolist())
         batch.execute(view.commands.next(), key, resources.draws, parts, issue)
         self.was_opened = True
+
+    def _arrange(self, object_indices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Return the draws of objects front to back, as a part for each group."""
+        resources, ordered = self._resources, self._sort(object_indices)
+        draws = resources.select_draws(ordered, resources.detail_limit)
+        if len(resources.groups) == 1:
+            return [draws]
+        return [draws[resources.select_group(ordered, group)] for group in resources.groups]
+
+    @property
+    def is_repeatable(self) -> bool:
+        """True if `repeat_alone` may draw all that a frame shows: opaque objects, which nothing simulates."""
+        resources = self._resources
+        return not (resources.uses_levels or resources.may_simulate or self._has_transparent)
+
+    def repeat_alone(self, object_indices: NDArray[np.int64]) -> None:
+        """`draw_alone` as the only pass of a frame, if that `is_repeatable`: in fewer steps, if the recorded commands
+        can be repeated."""
+        view = self._view
+        key = (*self._fixed_key, self._resources.groups, False)
+        if view.batch.repeat(view.commands.next(), key, self._arrange(object_indices)):
+            self.draw_result.add_batch(object_indices)
+            self.was_opened = True
+        else:
+            view.commands.pass_index = 0
+            self.draw_alone(object_indices)
 
     def draw_conditional(
         self, object_indices: NDArray[np.int64], queries: QuerySet, query_indices: NDArray[np.int64]

@@ -34,7 +34,7 @@ from renderer.frame.visible_features import VisibleFeatures
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.shapes import flag_areas, flag_discs, flag_spheres
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
-from renderer.lights.frustum_culling import select_lights_in_view
+from renderer.lights.frustum_culling import LightSpheres, select_lights_in_view
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.lights import Lights
@@ -75,6 +75,7 @@ class Effect(Choice):
     ROUGHNESS_MAPS = "roughness maps"
     OCCLUSION_MAPS = "occlusion maps"
     EMISSIVE_MAPS = "emissive maps"
+    LIGHT_MAPS = "light maps"
     MASKS = "masks"
     TWO_SIDES = "two sides"
     VERTEX_COLORS = "vertex colors"
@@ -89,7 +90,7 @@ class Effect(Choice):
     LOCAL_PENUMBRAS = "penumbras of local lights"
     CONTACT_SHADOWS = "contact shadows"
     TRANSPARENCY = "transparency"
-    HEIGHT_FIELDS = "height fields"
+    TESSELLATION = "tessellation"
 
     __hash__ = object.__hash__
 
@@ -139,7 +140,9 @@ class Blending(Choice):
 
 
 _SURROUNDINGS: Final = frozenset((Effect.HAZE, Effect.FOG, Effect.SKY_BOX))
-_AMBIENT: Final = frozenset((Effect.AMBIENT_OCCLUSION, Effect.ENVIRONMENT, Effect.OCCLUSION_MAPS))
+_AMBIENT: Final = frozenset(
+    (Effect.AMBIENT_OCCLUSION, Effect.ENVIRONMENT, Effect.OCCLUSION_MAPS, Effect.LIGHT_MAPS)
+)
 _EMITTED: Final = frozenset((Effect.EMISSION, Effect.EMISSIVE_COLORS, Effect.EMISSIVE_MAPS))
 _OF_THE_SUN: Final = frozenset(
     (
@@ -241,6 +244,7 @@ _NOUNS: Final = {
     ),
     Effect.OCCLUSION_MAPS: ("material with an occlusion map", "materials with an occlusion map"),
     Effect.EMISSIVE_MAPS: ("material with an emissive map", "materials with an emissive map"),
+    Effect.LIGHT_MAPS: ("material with a light map", "materials with a light map"),
     Effect.MASKS: ("material with a mask", "materials with a mask"),
     Effect.TWO_SIDES: ("material with two sides", "materials with two sides"),
     Effect.VERTEX_COLORS: ("mesh with colors", "meshes with colors"),
@@ -255,7 +259,7 @@ _NOUNS: Final = {
     ),
     Effect.MATERIAL_SHADERS: ("material with a shader of its own", "materials with shaders of their own"),
     Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
-    Effect.HEIGHT_FIELDS: ("height field", "height fields"),
+    Effect.TESSELLATION: ("tessellated surface", "tessellated surfaces"),
     Effect.DIRECTIONAL_SHADOWS: (
         "directional light that casts shadows",
         "directional lights that cast shadows",
@@ -294,7 +298,7 @@ class EffectSources:
         counts: of each effect, how many causes there are.
         features: the names of those that materials and meshes have.
         local_lights: the spheres around what the point and the spot lights may light: centres (k, 3), radii (k,).
-        height_fields: the object indices of the height fields.
+        tessellated: the object indices of the surfaces whose triangles are chosen for each view.
         shaders: those that materials have of their own.
         layers: those of transparent objects.
         contact_light: the index of the first directional light that casts shadows; 0 without any.
@@ -304,7 +308,7 @@ class EffectSources:
     counts: dict[Effect, int]
     features: tuple[str, ...]
     local_lights: tuple[tuple[Floats, Floats], ...]
-    height_fields: Indices
+    tessellated: Indices
     shaders: tuple[type[Any], ...]
     layers: TransparentLayers
     contact_light: int
@@ -320,7 +324,7 @@ class FrameEffects:
         material_count: the number of materials.
         in_view: the rows of the point and of the spot lights whose light may reach something in view; as
             their shadows, the rows of those of them that cast some, none if no object does; as spheres, those
-            that have a radius; and of the transparent objects and of the height fields in view, or that cast
+            that have a radius; and of the transparent objects and of the tessellated surfaces in view, or that cast
             shadows.
         blending: how transparent objects are put together.
         bloom: how bloom is made.
@@ -497,7 +501,7 @@ class FrameEffects:
                 f"the scene has {nouns}" if effect in self.enabled else f"the scene has {nouns}, none in view"
             )
         count_in_view = len(self.in_view[effect])
-        if effect in (Effect.TRANSPARENCY, Effect.HEIGHT_FIELDS, Effect.DECALS):
+        if effect in (Effect.TRANSPARENCY, Effect.TESSELLATION, Effect.DECALS):
             return f"{count_in_view or 'none'} of {nouns} {'is' if count_in_view == 1 else 'are'} in view"
         if count == 1 and not count_in_view:
             return f"the only {noun} doesn't reach what is in view"
@@ -711,23 +715,32 @@ class LightWatch:
         """`reaches`: for each kind of local lights, whether any reaches an object, when the `effects` were
         collected."""
         self._features = effects.visible_features, effects.shows_objects
-        seen = []
-        self._positions, self._ranges = np.zeros((0, 3)), np.zeros(0)
-        for effect, (positions, ranges), reached in zip(
-            LOCAL_LIGHTS, effects.sources.local_lights, reaches, strict=True
+        self._effects, self._reaches = effects, reaches
+        self._spheres: LightSpheres | None = (
+            None  # made for the next frame, since many frames have none after them
+        )
+        self._seen = b""  # which of them are in view
+
+    def _list_spheres(self) -> LightSpheres:
+        """Return the spheres of all lights that reach an object, and note which of them are in view."""
+        positions, ranges, seen = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0, bool)]
+        for effect, spheres, reached in zip(
+            LOCAL_LIGHTS, self._effects.sources.local_lights, self._reaches, strict=True
         ):
             if reached:
-                seen.append(effects.in_view[effect] + len(self._positions))
-                self._positions = np.concatenate([self._positions, positions])
-                self._ranges = np.concatenate([self._ranges, ranges])
-        self._seen = np.concatenate([_NONE, *seen]).tobytes()
+                positions.append(spheres[0])
+                ranges.append(spheres[1])
+                seen.append(np.isin(np.arange(len(spheres[1])), self._effects.in_view[effect]))
+        self._seen = np.concatenate(seen).tobytes()
+        return LightSpheres(np.concatenate(positions), np.concatenate(ranges))
 
     def shows_same(self, camera: Camera, visible_features: frozenset[str], shows_objects: bool) -> bool:
         """Return whether a frame of the same scene and settings needs the same effects, as `are_effects_same`."""
         if (visible_features, shows_objects) != self._features:
             return False
-        seen = select_lights_in_view(camera.frustum.planes, self._positions, self._ranges)
-        return seen.tobytes() == self._seen
+        if self._spheres is None:
+            self._spheres = self._list_spheres()
+        return not self._seen or self._spheres.flag_in_view(camera.frustum.planes).tobytes() == self._seen
 
 
 def watch_lights(effects: FrameEffects, scene: Scene, reaches: Sequence[bool]) -> LightWatch | None:
@@ -736,7 +749,7 @@ def watch_lights(effects: FrameEffects, scene: Scene, reaches: Sequence[bool]) -
     counts = effects.sources.counts
     if (
         len(scene.list_transparent())
-        or len(effects.sources.height_fields)
+        or len(effects.sources.tessellated)
         or counts[Effect.FOG]
         or counts[Effect.AMBIENT_OCCLUSION]
         or counts[Effect.DEPTH_OF_FIELD]
@@ -758,13 +771,13 @@ def _look(
     planes, counts = camera.frustum.planes, sources.counts
     for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True):
         in_view[effect] = select_lights_in_view(planes, *spheres) if reached and len(spheres[0]) else _NONE
-    height_fields = sources.height_fields
-    if len(height_fields):
-        casts = scene.objects.casts_shadow[height_fields] & any(counts[effect] for effect in SHADOW_EFFECTS)
+    tessellated = sources.tessellated
+    if len(tessellated):
+        casts = scene.objects.casts_shadow[tessellated] & any(counts[effect] for effect in SHADOW_EFFECTS)
         if casts.any():  # shadows fall on something in view, or there are no maps
             casts &= bool(len(select_in_view(scene, camera, np.arange(len(scene.objects)))))
-        height_fields = np.union1d(height_fields[casts], select_in_view(scene, camera, height_fields))
-    in_view[Effect.HEIGHT_FIELDS] = height_fields
+        tessellated = np.union1d(tessellated[casts], select_in_view(scene, camera, tessellated))
+    in_view[Effect.TESSELLATION] = tessellated
     unseen = set()
     if counts[Effect.HAZE] and not is_haze_seen(scene, camera):
         unseen.add(Effect.HAZE)
@@ -822,13 +835,13 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         scene.environment,
         _has_ambient_light(scene),
         bool(scene.objects.casts_shadow.any()),
-        tuple(scene.height_fields),
+        tuple(scene.tessellated),
         len(scene.decals.seen),
     )
     if last is not None and last.state == state:
         return last
     features = scene.count_features()
-    height_fields = np.array([*scene.height_fields], np.int64)
+    tessellated = np.array([*scene.tessellated], np.int64)
     counts = {
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.HAZE: int(scene.haze > 0.0),
@@ -839,7 +852,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
         Effect.ENVIRONMENT: int(scene.environment is not None and _has_ambient_light(scene)),
         Effect.SKY_BOX: int(scene.environment is not None and scene.environment.is_visible),
         Effect.TRANSPARENCY: len(scene.list_transparent()),
-        Effect.HEIGHT_FIELDS: len(height_fields),
+        Effect.TESSELLATION: len(tessellated),
         Effect.DECALS: len(scene.decals.seen),
         Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
         Effect.DIRECTIONAL_PENUMBRAS: _count_casting(
@@ -868,7 +881,7 @@ def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | 
     casts = lights.directional["casts_shadow"]
     contact_light = int(np.argmax(casts)) if len(casts) else 0
     return EffectSources(
-        state, counts, tuple(features), tuple(local_lights), height_fields, shaders, layers, contact_light
+        state, counts, tuple(features), tuple(local_lights), tessellated, shaders, layers, contact_light
     )
 
 

@@ -43,7 +43,7 @@ class HiddenObjects:
         """`deformed` are the indices of the objects that don't move as a whole, but whose vertices are
         simulated."""
         self._scene = scene
-        self._fields = np.array(sorted(scene.height_fields), np.int64)
+        self._fields = np.array(sorted(scene.tessellated), np.int64)
         self._object_indices = np.union1d(deformed, self._fields)
         self._frames = np.zeros(len(self._object_indices), np.int64)
         self._camera: Camera | None = None

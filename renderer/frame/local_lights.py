@@ -114,7 +114,6 @@ class _KindBuffers:
         )
         self.shader = KERNELS[kind.name]
         self.packed: NDArray[Any] = np.zeros(0)
-        self.split: Split = split_doubles(np.zeros((0, 3)))  # the positions of `packed`
 
     def destroy(self) -> None:
         for array in (self.positions, *self.by_eye):
@@ -142,6 +141,9 @@ class LocalLightBuffers:
             resources.callback(self._stop_kernels)
             self._resources = resources.pop_all()
         self._state: tuple[object, ...] = ()  # what the lights were packed from
+        self._split: Split = split_doubles(
+            np.zeros((0, 3))
+        )  # the positions of all kinds, one after the other
         self._placed: dict[int, bytes] = {}  # where each eye was that they were placed for
 
     def for_eye(self, eye: int) -> dict[str, MirroredArray[Any]]:
@@ -180,24 +182,29 @@ class LocalLightBuffers:
                 self._run(views, is_new=is_new)
         else:
             for eye in moved:
-                self._move(eye, eyes[eye], is_new=is_new)
+                self._move(eye, split_doubles(eyes[eye]), is_new=is_new)
 
-    def follow(self, position: Floats) -> None:
-        """Make the lights relative to the position (3,) of the only eye, all else being as in the last
-        `update`."""
+    def follow(self, position: Floats, split: Split) -> None:
+        """Make the lights relative to the position (3,) of the only eye, which is also `split`, all else being as in
+        the last `update`."""
         if self._placed.get(0) != position.tobytes():
             self._placed[0] = position.tobytes()
-            self._move(0, position)
+            self._move(0, split)
 
-    def _move(self, eye: int, position: Floats, *, is_new: bool = False) -> None:
-        """Upload the lights relative to the position (3,) of an eye, to the bit as `relative_to_eye` on a device:
-        so a light has the same position for one eye and for that eye of two."""
-        eye_high, eye_low = split_doubles(position)
+    def _move(self, eye: int, position: Split, *, is_new: bool = False) -> None:
+        """Upload the lights relative to the position of an eye, to the bit as `relative_to_eye` on a device: so a
+        light has the same position for one eye and for that eye of two."""
+        eye_high, eye_low = position
+        high, low = self._split
+        relative, begin = (high - eye_high) + (low - eye_low), 0
         for kind in self._kinds:
-            if len(kind.packed) or is_new:
-                high, low = kind.split
-                kind.packed["position"] = (high - eye_high) + (low - eye_low)
+            if count := len(kind.packed):
+                kind.packed["position"] = relative[begin : begin + count]
+                begin += count
+            if is_new:
                 kind.by_eye[eye].write(kind.packed)
+            elif count:
+                kind.by_eye[eye].replace(kind.packed)
 
     def _stop_kernels(self) -> None:
         """Destroy what two eyes need and one doesn't."""
@@ -210,13 +217,13 @@ class LocalLightBuffers:
 
     def _pack(self, needed: Sequence[NDArray[Any]]) -> None:
         """Upload the positions of the lights of each kind that are needed, and pack the rest."""
+        self._split = split_doubles(np.concatenate([lights["position"] for lights in needed]))
         for buffers, lights in zip(self._kinds, needed, strict=True):
             buffers.packed = buffers.kind.pack_lights(lights, np.zeros(3))
-            buffers.split = split_doubles(lights["position"])
             if self._runs:
                 buffers.packed["position"] = 0.0  # which the kernel writes
                 positions = np.zeros(len(lights), SplitPosition.dtype)
-                positions["high"], positions["low"] = buffers.split
+                positions["high"], positions["low"] = split_doubles(lights["position"])
                 buffers.positions.write(positions)
 
     def _write_radii(self, needed: Sequence[NDArray[Any]]) -> None:

@@ -42,6 +42,7 @@ class MirroredArray(Generic[T]):
         self._element = element
         self._label = label
         self._rows: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
+        self._is_replaced = False  # whether the buffer holds other values than `_rows`
 
     def __len__(self) -> int:
         return 0 if self.buffer is None else self.buffer.count
@@ -63,22 +64,28 @@ class MirroredArray(Generic[T]):
             buffer = self._device.storage(self._element, len(array), label=self._label)
             self._upload(buffer, rows, 0)
             self._rows, self.buffer = rows.copy(), buffer  # once both are made
+            self._is_replaced = False
             return
-        if indices is None:
+        if self._is_replaced:
+            changed = np.arange(len(rows))
+            self._is_replaced = False
+        elif indices is None:
             changed = np.logical_or.reduce(rows != self._rows, axis=1).nonzero()[0]
         else:
             changed = indices[(rows[indices] != self._rows[indices]).any(1)]
-        if len(changed) == len(rows):  # such as lights, when the eye has moved
-            if array.dtype == self.buffer.dtype:
-                self.buffer.owner.write(array)  # whose type matches
-            else:  # as `_upload`, without its call
-                base, shape = self.buffer.dtype.subdtype or (self.buffer.dtype, ())
-                self.buffer.write(np.frombuffer(rows, base).reshape(-1, *shape))
-            self._rows[:] = rows
-            return
         for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):
             self._upload(self.buffer, rows[first:end], first)
         self._rows[changed] = rows[changed]
+
+    def replace(self, array: NDArray[Any]) -> None:
+        """As `write`, for an array of structs all of whose elements differ, such as lights when the eye has moved:
+        all are uploaded without a comparison."""
+        buffer = self.buffer
+        if buffer is None or len(array) != len(self._rows):
+            self.write(array)
+            return
+        self._is_replaced = True
+        buffer.owner.write(array if array.dtype == buffer.dtype else array.view(buffer.dtype))
 
     @staticmethod
     def _upload(buffer: StorageBuffer[T], rows: NDArray[np.uint8], first: int) -> None:

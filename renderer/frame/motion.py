@@ -119,7 +119,7 @@ class SceneMotion:
 
     def collect_moved(self, resources: SceneResources, camera: Camera) -> NDArray[Any]:
         """The opaque objects in view that have moved since the last frame: (k,) of `MovedObject`, ascending by
-        group. Height fields that move aren't among them."""
+        group. Tessellated surfaces that move aren't among them."""
         movable = self._movable
         if movable is None or not len(movable):
             return np.zeros(0, MovedObject.dtype)

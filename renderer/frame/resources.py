@@ -42,6 +42,7 @@ from renderer.frame.mirrors import (
 from renderer.frame.scene_images import SAMPLER_DEFAULTS, SceneImages, TextureSettings
 from renderer.frame.turned_surfaces import TurnedSurfaces
 from renderer.frame.uploads import SceneUploads, UploadSettings
+from renderer.frame.view import View
 from renderer.light_kinds.bounds import BOUND_FIELDS
 from renderer.light_kinds.directional import pack_directional
 from renderer.light_kinds.kind import LocalLightKind
@@ -110,10 +111,12 @@ class SceneResources:
             the object's material.
         groups: the numbers of the groups that have objects, ascending.
         parameters: of each of the scene's shaders of materials, the values that it has for each material.
-        tessellated_indices: the indices of the height fields, ascending. The device chooses their triangles;
-            their `draws` have as many as there can be, and unused ones are empty.
+        tessellated_indices: the indices of the objects with tessellated surfaces, ascending. The device chooses
+            their triangles; their `draws` have as many as there can be, and unused ones are empty.
         tessellations: how often triangles were chosen.
-        indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
+        indices: the indices of `mesh`, as shaders write them; only in scenes with tessellated surfaces.
+        vertex_floats: the vertices of `mesh`, as shaders read and write them; only in scenes with tessellated
+            surfaces, or simulations whose vertices the device computes.
         detail_error: the largest error of levels of detail in pixels, and in texels of shadow maps; 0 for none.
         light_cutoff: the irradiance at which local lights end; 0 for none (`Lights.cut`).
         images: the scene's images; None if no material reads any.
@@ -126,7 +129,7 @@ class SceneResources:
         simulator: runs the simulations of what is drawn.
         hidden: the objects that have been hidden for so long that they are paused.
         turned: the surfaces that may show a view only their backs, and then aren't drawn.
-        resume: brings paused height fields to this frame's view, given object indices that include theirs.
+        resume: brings paused tessellated surfaces to this frame's view, given object indices that include theirs.
     """
 
     light_cutoff = 0.0
@@ -147,7 +150,7 @@ class SceneResources:
         created, nothing is left on the device."""
         self.upload_settings = uploads
         self.uploads: SceneUploads | None = None
-        self.may_simulate = bool(scene.simulated or scene.height_fields)
+        self.may_simulate = bool(scene.simulated or scene.tessellated)
         with ExitStack() as stack:
             self._stack = stack
             self._make(device, scene, textures)
@@ -188,7 +191,7 @@ class SceneResources:
         self.mesh: Mesh = self._make_mesh(device, scene)
         self.levels = DetailLevels(scene) if len(scene.meshes.level_ranges) else None
         self.draws = self._make_draws()
-        self.tessellated_indices: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
+        self.tessellated_indices: NDArray[np.int64] = np.array(sorted(scene.tessellated), np.int64)
         self.images = self._make_images(device, scene, textures)
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
@@ -269,8 +272,8 @@ class SceneResources:
         return self.draws[self.select_draws(object_indices, limit)]
 
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
-        """Create the mesh of all meshes. The device writes indices of height fields, and vertices of some
-        simulations."""
+        """Create the mesh of all meshes. The device writes indices of tessellated surfaces, and vertices of
+        some simulations."""
         meshes = scene.meshes
         vertices: NDArray[Any] | Buffer = meshes.vertices
         every_index: NDArray[np.uint32] = meshes.indices
@@ -278,30 +281,30 @@ class SceneResources:
             every_index = np.concatenate([meshes.indices, meshes.level_indices])
         indices: NDArray[Any] | Buffer = every_index
         is_streamed = self.upload_settings is not None
-        if self._is_computed is not None or is_streamed:
+        if self._is_computed is not None or scene.tessellated or is_streamed:
             vertices = self._keep(_make_buffer(device, meshes.vertices, is_streamed, "vertices"))
-        if self._is_computed is not None:
+        if self._is_computed is not None or scene.tessellated:
             assert isinstance(vertices, Buffer)
-            self._vertex_floats = device.storage(float, vertices)
-        if scene.height_fields or is_streamed:
+            self.vertex_floats = device.storage(float, vertices)
+        if scene.tessellated or is_streamed:
             indices = self._keep(_make_buffer(device, every_index, is_streamed, "indices"))
             if is_streamed and len(meshes.level_ranges):
                 indices.write(meshes.level_indices, len(meshes.indices))
-        if scene.height_fields:
+        if scene.tessellated:
             assert isinstance(indices, Buffer)
             self.indices = device.storage(uint, indices)
         return self._keep(device.mesh(vertices, indices, label="meshes"))
 
     @cached_property
     def tessellated_draws(self) -> StorageBuffer[DrawArguments]:
-        """Draw arguments of the height fields, ascending by object; the device writes their numbers of
-        triangles."""
+        """Draw arguments of the tessellated surfaces, ascending by object; the device writes their numbers
+        of triangles."""
         draws = self.draws[self.tessellated_indices].view(DrawArguments.dtype)
-        return self._keep(self._device.storage(DrawArguments, draws, label="height field draws"))
+        return self._keep(self._device.storage(DrawArguments, draws, label="tessellated draws"))
 
     def count_triangles(self, object_indices: NDArray[np.int64], limit: DetailLimit | None = None) -> int:
-        """Number of triangles of the objects `object_indices` (k,), drawn within a limit of the error. For height
-        fields it is the last view's, which is read back from the device."""
+        """Number of triangles of the objects `object_indices` (k,), drawn within a limit of the error. For
+        tessellated surfaces it is the last view's, which is read back from the device."""
         is_tessellated = np.isin(object_indices, self.tessellated_indices)
         draws = self.get_draws(object_indices[~is_tessellated], limit)
         count = int(draws["count"].sum(dtype=np.int64)) // 3
@@ -320,7 +323,7 @@ class SceneResources:
         object_indices: NDArray[np.int64],
         limit: DetailLimit | None,
     ) -> None:
-        """Draw objects in one call within a limit of the error, plus one for each height field."""
+        """Draw objects in one call within a limit of the error, plus one for each tessellated surface."""
         if len(self.tessellated_indices):
             is_tessellated = np.isin(object_indices, self.tessellated_indices)
             for object_index in object_indices[is_tessellated].tolist():
@@ -332,7 +335,7 @@ class SceneResources:
     def draw_tessellated(
         self, encoder: Encoder, program: Program[...], bindings: dict[str, Any], object_index: int
     ) -> None:
-        """Draw a height field with the triangles that the device has selected."""
+        """Draw a tessellated surface with the triangles that the device has selected."""
         draw_index = int(np.searchsorted(self.tessellated_indices, object_index))
         draw = IndirectDraws(self.tessellated_draws, 1, draw_index * DRAW.itemsize)
         encoder.draw_indirect(program, self.mesh, draw, **bindings)
@@ -434,7 +437,7 @@ class SceneResources:
             stride, tangent = _vertex_layout(self.scene.meshes.vertices.dtype)
             with self._device.event(SIMULATION_EVENT):
                 deformed.simulation.deform(
-                    self._device, deformed.members[changed], self._vertex_floats, begins, stride, tangent
+                    self._device, deformed.members[changed], self.vertex_floats, begins, stride, tangent
                 )
             self._vertex_states[deformed.object_indices] = deformed.states
             return
@@ -579,9 +582,9 @@ class SceneResources:
         self.ambient.write(_ambient(scene))
         self.decals.update(scene.decals, self.images)
 
-    def follow(self, eye: Camera) -> None:
-        """Make lights relative to the only eye of a frame, all else being as in the last `update`."""
-        self._local_lights.follow(eye.position)
+    def follow(self, view: View) -> None:
+        """Make lights relative to the eye of a frame's only view, all else being as in the last `update`."""
+        self._local_lights.follow(view.camera.position, view.split_eye)
 
     def look_from(self, eye: int) -> None:
         """Select the eye that `local_lights` are relative to."""

@@ -59,7 +59,7 @@ class TransparentLayers:
             layers = np.array([scene.meshes.count_layers(number) for number in meshes.tolist()])[
                 of.reshape(-1)
             ]
-            deforms = objects.simulated[transparent] | np.isin(transparent, [*scene.height_fields])
+            deforms = objects.simulated[transparent] | np.isin(transparent, [*scene.tessellated])
             layers = np.where(deforms, scene.meshes.triangle_counts[mesh], layers)
             counts[transparent] = layers * np.where(materials["double_sided"] != 0, 2.0, 1.0)
         return cls(alphas, counts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
@@ -29,11 +30,13 @@ class View:
         around: a camera that sees all that the frame's views see, this one's camera if there is only one.
         camera: the camera of this frame. A view must be aimed before it is used.
         buffer: the camera's constants for shaders.
+        split_eye: the eye's position as pairs of floats.
     """
 
     around: Camera
     camera: Camera
     buffer: UniformBuffer[shaders.ViewConstants]
+    split_eye: tuple[NDArray[np.float32], NDArray[np.float32]]
 
     def __init__(
         self, device: Device, name: str, visibility: VisibilityAlgorithm, batch: FrameBatch | None = None
@@ -75,11 +78,14 @@ class View:
         self.around = around or camera
         self.commands.pass_index = 0
         self.batch.last_order = None
-        high, low = split_doubles(camera.position)
+        high, low = self.split_eye = split_doubles(camera.position)
         matrix = camera.relative_view_projection
-        self._constants.write(
-            shaders.ViewConstants(relative_view_projection=matrix, eye_high=high, eye_low=low)
+        constants = shaders.ViewConstants(
+            relative_view_projection=matrix,
+            eye_high=high.tolist(),  # numbers of Python are packed faster than an array
+            eye_low=low.tolist(),
         )
+        self._constants.write(constants)
 
     def destroy(self) -> None:
         """Destroy the buffers and workspaces. The algorithm is not destroyed."""

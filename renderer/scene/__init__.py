@@ -76,6 +76,9 @@ from renderer.scene.simulation import SceneSimulation as SceneSimulation
 from renderer.scene.simulation import Simulator as Simulator
 from renderer.scene.simulation import VersionedSimulation as VersionedSimulation
 from renderer.scene.simulation import VertexSimulation as VertexSimulation
+from renderer.scene.tessellated_meshes import TessellatedMesh as TessellatedMesh
+from renderer.scene.tessellated_meshes import tessellate as tessellate
+from renderer.scene.tessellated_surfaces import TessellatedSurface as TessellatedSurface
 from rhi.errors.exports import list_public as _list_public
 from rhi.math import Camera as Camera
 from rhi.math import Depth as Depth

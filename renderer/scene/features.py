@@ -30,6 +30,7 @@ _FEATURES: Final = (
     "roughness maps",
     "occlusion maps",
     "emissive maps",
+    "light maps",
     "masks",
     "two sides",
     "mixed coordinates",
@@ -142,6 +143,7 @@ class MaterialFeatures:
             "roughness maps": is_metal & has["metallic_roughness_texture"] & tells_metal,
             "occlusion maps": has["occlusion_texture"] & (materials["occlusion_strength"] > 0.0),
             "emissive maps": emits & has["emissive_texture"],
+            "light maps": materials["light_map_texture"] >= 0,
             "masks": flag_cut(materials, self._bounds),
             "two sides": materials["double_sided"] != 0,
             "mixed coordinates": self._flag_mixed_coordinates(materials),
@@ -180,7 +182,8 @@ class MaterialFeatures:
             mixed[read] |= texture["uv_set"] != first_texture["uv_set"]
             mixed[read] |= (texture["transform"] != first_texture["transform"]).any(axis=(1, 2))
             mixed[read] |= ~self._repeats[texture["sampler"]]
-        return mixed
+        # A material's own shader reads its textures by the first texture coordinates.
+        return np.asarray(mixed | ((materials["shader"] > 0) & (materials["light_map_texture"] >= 0)))
 
     def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:
         """Return the number of materials that have each texture (t,) as a base colour, and at all."""

@@ -56,9 +56,11 @@ MATERIAL: Final = np.dtype(
             "shader",
             "<i4",
         ),  # 0 for the renderer's, or 1 more than the place of its own in the scene's `shaders`
+        ("light_map_color", "<f4", 3),  # linear and of any strength; multiplies the light map
+        ("light_map_texture", "<i4"),
     ]
 )
-"""112 bytes: a std430 struct whose alignment is that of a vec4."""
+"""128 bytes: a std430 struct whose alignment is that of a vec4."""
 
 TEXTURE: Final = np.dtype(
     [
@@ -77,8 +79,12 @@ TEXTURES: Final = {
     "metallic_roughness_texture": False,
     "normal_texture": False,
     "occlusion_texture": False,
+    "light_map_texture": False,
 }
 """The fields of a material that refer to textures, and whether these hold colours."""
+
+LIGHT_TEXTURES: Final = {"emissive_texture", "light_map_texture"}
+"""Those whose texels may be brighter than 1."""
 
 
 class ShadingModel(IntEnum, metaclass=ChoiceType):
@@ -155,6 +161,7 @@ RANGES: Final = {
     "normal_scale": (-1e4, 1e4),
     "occlusion_strength": (0.0, 1.0),
     "alpha_cutoff": (0.0, 1e4),
+    "light_map_color": (0.0, 1e6),
 }
 """The least and the greatest value of each number of a material."""
 
@@ -186,6 +193,8 @@ def make_material(
     occlusion_strength: float = 1.0,
     emissive: Sequence[float] = (0.0, 0.0, 0.0),
     emissive_texture: int = -1,
+    light_map_texture: int = -1,
+    light_map_color: Sequence[float] = (1.0, 1.0, 1.0),
     alpha_mode: AlphaMode = AlphaMode.OPAQUE,
     alpha_cutoff: float = 0.5,
     double_sided: bool = False,
@@ -201,6 +210,8 @@ def make_material(
         texture: that of the base colour. Textures are rows of the scene's textures, or -1.
         emission: emitted light, as a multiple of the base colour.
         emissive: emitted light of a colour of its own, of any strength; multiplied with its texture.
+        light_map_texture: the irradiance of the surface, linear, in the unit of the ambient light that it replaces.
+        light_map_color: multiplies the light map.
     """
     arguments = dict(locals())
     is_metallic = metallic is not None or roughness is not None or metallic_roughness_texture != -1

@@ -208,7 +208,7 @@ class Nodes:
     @property
     def is_current(self) -> bool:
         """True if nodes are neither moved, hidden nor shown since the last `update` and `update_hidden`."""
-        return not (self._has_hidden or np.logical_or.reduce(self._dirty))
+        return not (self._has_hidden or 1 in self._dirty.tobytes())  # a quarter of the time of a reduction
 
     def _levels(self) -> list[NDArray[np.int64]]:
         """Return the rows of each level."""

@@ -77,7 +77,7 @@ class Objects:
     def select_shown(self, indices: Indices) -> Indices:
         """Return the shown objects among `indices` (k,); the same array if all objects of the scene are
         shown."""
-        return indices if np.logical_and.reduce(self.is_shown) else indices[self.is_shown[indices]]
+        return indices if 0 not in self.is_shown.tobytes() else indices[self.is_shown[indices]]
 
     def refresh_bounds(self, nodes: Nodes, indices: Indices) -> None:
         """Compute the world bounds of `indices` (k,) again."""

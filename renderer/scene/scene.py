@@ -28,7 +28,6 @@ from renderer.scene.environment import Environment
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.fog_and_bloom import Bloom, Fog
-from renderer.scene.height_fields import HeightField
 from renderer.scene.images import ImageBlocks, ImagePixels
 from renderer.scene.lights import KIND_NAMES, Lights
 from renderer.scene.material_instances import (
@@ -56,6 +55,7 @@ from renderer.scene.simulation import (
     SceneSimulation,
     Simulator,
 )
+from renderer.scene.tessellated_surfaces import TessellatedSurface
 from rhi import FixedStack, SamplerDescriptor
 from rhi.errors import refuse
 from rhi.math import Camera, relative_to
@@ -102,7 +102,7 @@ class Scene:
         paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
         files: those that `load_model` has read it from or looked for, and would again; none of other scenes.
-        height_fields: by the rows of their objects; the triangles of these are chosen for each view.
+        tessellated: the surfaces whose triangles are chosen for each view, by the rows of their objects.
     """
 
     environment: Environment | None = None
@@ -128,7 +128,7 @@ class Scene:
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
-        height_fields: Mapping[int, HeightField] | None = None,
+        tessellated: Mapping[int, TessellatedSurface] | None = None,
         reserved: Indices | None = None,
         table: MaterialTable | None = None,
         parameters: tuple[NDArray[Any], ...] = (),
@@ -157,7 +157,7 @@ class Scene:
         self.paths = dict(paths)
         self.omissions = omissions
         self.files: tuple[Path, ...] = ()
-        self.height_fields: dict[int, HeightField] = dict(height_fields or {})
+        self.tessellated: dict[int, TessellatedSurface] = dict(tessellated or {})
         self._finite = FiniteArrays()
         self._table = MaterialTable() if table is None else table
         self.shaders: tuple[CustomShader, ...] = tuple(self._table.shaders)
@@ -243,7 +243,6 @@ class Scene:
         aren't updated yet aren't among them (`Nodes.is_current`)."""
         lights, objects = self.lights, self.objects
         arrays = [
-            np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64),
             self.materials,
             *self.parameters,
             *map(lights.__getattribute__, KIND_NAMES),
@@ -252,6 +251,7 @@ class Scene:
             self.nodes.version,
             self._features.version,
             self._edits,
+            (*lights.sky, *lights.ground, *self.background, self.haze),
             *map(np.ndarray.tobytes, arrays),
             self.decals.array.tobytes(),
             objects.casts_shadow.tobytes(),
@@ -260,7 +260,7 @@ class Scene:
             self.ambient_occlusion,
             self.depth_of_field,
             self.environment,
-            tuple(self.height_fields),
+            tuple(self.tessellated),
         )
 
     def set_waiting(self, waiting: NDArray[np.bool_]) -> None:
@@ -337,7 +337,7 @@ class Scene:
 
         Raises:
             ValidationError: `scene-bad-index`; `scene-fixed-mesh` for objects on static nodes or within declared
-                bounds, and for meshes that are simulated or height fields; `scene-no-tangents` for a normal map
+                bounds, and for meshes that are simulated or tessellated; `scene-no-tangents` for a normal map
                 on a mesh that was built without one.
         """
         objects = self.objects
@@ -354,7 +354,7 @@ class Scene:
                 read_ids("replace(mesh=...)", mesh, len(self.meshes)), object_indices.shape
             )
             changing = [
-                *self.height_fields,
+                *self.tessellated,
                 *(int(row) for simulated in self.simulated for row in simulated.objects),
             ]
             changing_meshes = objects.mesh[np.array(changing, np.int64)]

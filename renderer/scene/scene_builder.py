@@ -38,6 +38,7 @@ from renderer.scene.material_instances import (
     read_custom_shader,
 )
 from renderer.scene.materials import (
+    LIGHT_TEXTURES,
     TEXTURES,
     AlphaMode,
     TextureList,
@@ -59,6 +60,8 @@ from renderer.scene.simulation import (
     check_simulation,
 )
 from renderer.scene.tangents import add_stretch, add_tangents
+from renderer.scene.tessellated_meshes import TessellatedMesh
+from renderer.scene.tessellated_surfaces import TessellatedSurface
 from renderer.scene.unique_names import UniqueNames
 from rhi.errors import refuse
 from rhi.math import Camera, is_affine, transform_bounds, translation
@@ -87,7 +90,7 @@ class SceneBuilder:
         self._bounds: list[MeshBounds | None] = []
         self._level_counts: list[int] = []
         self._meshlet_sizes: list[int] = []
-        self._height_fields: dict[int, HeightField] = {}  # by mesh
+        self._tessellated: dict[int, TessellatedSurface] = {}  # by mesh
         self._mesh_names: list[str] = []
         self._table = MaterialTable()
         self._mesh_ids: dict[int, int] = {}
@@ -177,9 +180,17 @@ class SceneBuilder:
     def add_height_field(self, field: HeightField, name: str = "") -> int:
         """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for
         each view."""
-        geometry = field.make_mesh()
+        return self._add_tessellated(field, name)
+
+    def add_tessellated_mesh(self, mesh: TessellatedMesh, name: str = "") -> int:
+        """Add a tessellated mesh and return its id, for one object, whose triangles are chosen for each
+        view."""
+        return self._add_tessellated(mesh, name)
+
+    def _add_tessellated(self, surface: TessellatedSurface, name: str) -> int:
+        geometry = surface.make_mesh()
         mesh = self.add_mesh(geometry, name, geometry.bounds)
-        self._height_fields[mesh] = field
+        self._tessellated[mesh] = surface
         return mesh
 
     @property
@@ -306,7 +317,7 @@ class SceneBuilder:
         self._meshlet_sizes = [self._meshlet_sizes[mesh] for mesh in ids]
         self._mesh_names = [self._mesh_names[mesh] for mesh in ids]
         self._mesh_ids = {key: ids[mesh] for key, mesh in self._mesh_ids.items() if mesh in ids}
-        self._height_fields = {ids[mesh]: field for mesh, field in self._height_fields.items() if mesh in ids}
+        self._tessellated = {ids[mesh]: field for mesh, field in self._tessellated.items() if mesh in ids}
 
     def mesh_name(self, mesh: int) -> str:
         """Return the name of a mesh."""
@@ -368,7 +379,7 @@ class SceneBuilder:
                 These follow the parent's (`Scene.set_material`).
             shader: a class derived from `renderer.shaders.MaterialShader`; by default the parent's, or the
                 renderer's.
-                Textures are then read as they are: repeated, by the first texture coordinates.
+                Textures but light maps are then read as they are: repeated, by the first texture coordinates.
         """
         if parent != -1:
             read_ids("add_material(parent=...)", [parent], len(self._table))
@@ -383,10 +394,11 @@ class SceneBuilder:
             maps[name] = texture, is_color
             if not -1 <= texture.image < len(self._images):
                 refuse(rules.BAD_INDEX, f"add_material({name}=...)", texture.image, "an image's id")
-            if name in TEXTURES and name != "emissive_texture" and self._is_bright(texture.image):
-                allowed = "texels of at most 1: only emitted light is brighter"
+            if name in TEXTURES.keys() - LIGHT_TEXTURES and self._is_bright(texture.image):
+                allowed = "texels of at most 1: only emitted light and light maps are brighter"
                 refuse(rules.BAD_MATERIAL, f"add_material({name}=...)", "an image of high range", allowed)
-            if custom is not None and texture != TextureMap(texture.image, sampler=texture.sampler):
+            is_plain = texture == TextureMap(texture.image, sampler=texture.sampler)
+            if custom is not None and not is_plain and name != "light_map_texture":
                 refuse(
                     rules.BAD_MATERIAL,
                     f"add_material({name}=...)",
@@ -593,17 +605,17 @@ class SceneBuilder:
             if self._bounds[mesh[row]] is None:
                 refuse(rules.UNBOUNDED_MESH, "simulate(objects=...)", f"object {row}")
 
-    def _match_height_fields(self, mesh: NDArray[np.int64]) -> dict[int, HeightField]:
-        """Return the height fields by the rows of their objects, and refuse one that several objects have;
-        `mesh` (n,) is the mesh of each object."""
-        fields: dict[int, HeightField] = {}
-        for number, field in self._height_fields.items():
+    def _match_tessellated(self, mesh: NDArray[np.int64]) -> dict[int, TessellatedSurface]:
+        """Return the tessellated surfaces by the rows of their objects, and refuse one that several objects
+        have; `mesh` (n,) is the mesh of each object."""
+        surfaces: dict[int, TessellatedSurface] = {}
+        for number, surface in self._tessellated.items():
             rows = np.flatnonzero(mesh == number).tolist()
             if len(rows) > 1:
                 problem = f"objects {rows[0]} and {rows[1]} with mesh {number}"
                 refuse(rules.SHARED_HEIGHTS, "add_objects(meshes=...)", problem)
-            fields.update((row, field) for row in rows)
-        return fields
+            surfaces.update((row, surface) for row in rows)
+        return surfaces
 
     def build(self) -> Scene:
         """Create the scene. It must have at least one object."""
@@ -674,7 +686,7 @@ class SceneBuilder:
             textures,
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
-            height_fields=self._match_height_fields(table[:, 1]),
+            tessellated=self._match_tessellated(table[:, 1]),
             reserved=np.concatenate([np.zeros(0, np.int64), *self._reserved]),
             table=self._table,
             parameters=parameters,

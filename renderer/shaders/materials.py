@@ -141,6 +141,7 @@ class MaterialShader(ViewRayShader):
     has_roughness_maps = False
     has_occlusion_maps = False
     has_emissive_maps = False
+    has_light_maps = False
 
     @classmethod
     def check(cls) -> None:
@@ -262,6 +263,13 @@ class MaterialShader(ViewRayShader):
         if texture < 0:
             return sl.vec3(1.0)
         return self.read_color(texture, at).rgb
+
+    def sample_light_map(self, at: SurfaceInput) -> sl.vec3:
+        """Return the irradiance of the material's light map, negative without one."""
+        material = self.materials[at.material]
+        if material.light_map_texture < 0:
+            return sl.vec3(-1.0)
+        return material.light_map_color * self.read_data(material.light_map_texture, at).rgb
 
     def world_position(self, at: SurfaceInput) -> sl.vec3:
         """Return the position of the point in the world: to 1e-7 of its distance from the world's origin."""

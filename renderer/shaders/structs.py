@@ -155,6 +155,8 @@ class Material(Struct):
     alpha_cutoff: float
     double_sided: int
     shader: int
+    light_map_color: vec3
+    light_map_texture: int
 
 
 class Vertex(Struct):
@@ -269,6 +271,8 @@ class SurfacePoint(Struct):
     `occlusion` is the share of ambient light that reaches the surface; `emissive` multiplies the light that
     its material emits.
 
+    `irradiance` is that of the light map, which replaces ambient light; negative without one.
+
     `stretch` is for anisotropic materials: at right angles to `normal`, along the direction in which highlights are
     drawn out, and as long as they are longer than round ones, less 1; else 0. Where surfaces may have lighting models
     of their own, it holds the index of the material and the number of its shader.
@@ -283,4 +287,5 @@ class SurfacePoint(Struct):
     shininess: float
     occlusion: float
     emissive: vec3
+    irradiance: vec3
     stretch: vec3

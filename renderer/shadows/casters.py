@@ -67,7 +67,7 @@ class SceneCasters:
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow & objects.is_shown
-        may_move[list(scene.height_fields)] = True  # their triangles do
+        may_move[list(scene.tessellated)] = True  # their triangles do
         self.coverage, self.appearance = coverage_key(scene), appearance_key(scene)
         self.is_masked: NDArray[np.bool_] = scene.flag_cut()[objects.material]
         casts[scene.list_transparent()] = False

@@ -65,7 +65,7 @@ def can_be_cut(scene: Scene, rows: Indices) -> NDArray[np.bool_]:
     objects = scene.objects
     counts = scene.meshes.ranges["index_count"][objects.mesh[rows]]
     return np.asarray(
-        ~objects.simulated[rows] & ~np.isin(rows, list(scene.height_fields)) & (counts <= 3 * MAX_TRIANGLES)
+        ~objects.simulated[rows] & ~np.isin(rows, list(scene.tessellated)) & (counts <= 3 * MAX_TRIANGLES)
     )
 
 

@@ -88,7 +88,7 @@ _COARSE_RECEIVER: Final = (
 )
 _COARSE_CASTER: Final = (
     "the sun's shadow of object %d (mesh %r) is off by up to %.2g m, because float32 rounds its corners, and a "
-    "mask, a simulated mesh, a height field or a mesh of many triangles isn't cut to the map: it is %.3g m wide; "
+    "mask, a simulated or tessellated mesh or a mesh of many triangles isn't cut to the map: it is %.3g m wide; "
     "divide it into objects of at most %.3g m"
 )
 
@@ -732,12 +732,12 @@ def shadow_passes(effects: FrameEffects, bind_programs: BindPrograms) -> list[Fr
 
 def casters_state_key(scene: Scene, rows: Indices, tessellations: int = 0) -> bytes:
     """Return bytes that change when one of the objects `rows` moves; those that are simulated always do.
-    Height fields do if the triangles are chosen again: `tessellations` says how often they were."""
+    Tessellated surfaces do if the triangles are chosen again: `tessellations` says how often they were."""
     if not len(rows):
         return b""
     objects = scene.objects
     seconds = np.float64(scene.seconds).tobytes() if objects.simulated[rows].any() else b""
-    fields = list(scene.height_fields)
+    fields = list(scene.tessellated)
     triangle_choices = np.int64(tessellations).tobytes() if fields and np.isin(fields, rows).any() else b""
     look = np.stack([rows, objects.mesh[rows], objects.material[rows]])
     return look.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds + triangle_choices

@@ -115,6 +115,8 @@ class PackedLight(PackedReader, LightListReader, ShadingShader):
             surface = self.stretch(surface, at)
         if self.has_lighting_models:
             surface = self.note_material(surface, at.material, material.shader)
+        if self.has_light_maps:
+            surface.irradiance = self.sample_light_map(at)
         color = self.shade(surface, material)
         if self.has_local_lights:
             color += self.shade_cell_lights(surface, distance)

@@ -12,6 +12,10 @@ grows with objects × lights. What a light doesn't reach it doesn't draw, and al
 `draw_many`, in the order of the lights, in which an instance is a pair of an object and a light; so are all
 spot lights. With `lights_per_draw`, an instance is an object and up to so many lights that follow each other in its
 list: k lights are ⌈k / lights_per_draw⌉ draws of it.
+
+With `light_volumes`, lights are added as deferred shading does, interlaced with the forward renderer (Malan, 2009): the
+pass before the base pass stores the geometry buffer, not depth alone, and the volumes of lights are drawn over the lit
+image. So no light draws an object again, and all but local lights sees materials as they are, unrounded.
 """
 
 from __future__ import annotations
@@ -41,9 +45,16 @@ from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.scene.arrays import Indices
 from renderer.shaders.structs import Object, SurfaceVarying
+from renderer.techniques.parts.deferred_lighting import LightingShader, light_geometry
 from renderer.techniques.parts.depth import DEPTH_SHADERS, depth_pass
 from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
-from renderer.techniques.parts.light_volumes import declare_lights
+from renderer.techniques.parts.geometry_buffer import (
+    DEFAULT_NORMAL_BITS,
+    GEOMETRY_SHADERS,
+    geometry_buffer_names,
+    geometry_pass,
+)
+from renderer.techniques.parts.light_volumes import VolumeShader, declare_lights
 from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, LightSum, check_bits, sum_pass
 from renderer.techniques.parts.scene_shader import ForwardShader, LocalLightShader, SurfaceShader
 from renderer.techniques.parts.variants import (
@@ -70,7 +81,14 @@ class BaseTexels(sl.Struct):
     visible_objects: sl.uvec4
 
 
-class BasePassShader(ForwardShader):
+class LinearForward(ForwardShader):
+    """Writes linear light of any strength."""
+
+    def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
+        return sl.vec4(color, 1.0)
+
+
+class BasePassShader(LinearForward):
     """Writes linear light of any strength without that of local lights, and the index of the visible
     object. Light lists aren't used here: their varyings carry the object index."""
 
@@ -81,9 +99,6 @@ class BasePassShader(ForwardShader):
         return BaseTexels(
             light=self.light(v, self.materials[v.material]), visible_objects=sl.uvec4(sl.uint(v.lights.x + 1))
         )
-
-    def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
-        return sl.vec4(color, 1.0)
 
 
 class LightPair(sl.Struct):
@@ -216,24 +231,31 @@ class VisibleLightBatches(VisibleBatchReader):
 
 class ForwardMultipass:
     """Draws the scene with a base pass, then each object once more for each light that reaches it, or for each
-    `lights_per_draw`. Without local lights in view, as `Forward`."""
+    `lights_per_draw`; or the volumes of lights. Without local lights in view, as `Forward`."""
 
     name: Final = "forward_multipass"
     shaders: Final[tuple[type[sl.Shader], ...]] = (
+        LinearForward,
         BasePassShader,
         VisibleLightPairs,
         VisibleLightBatches,
+        *GEOMETRY_SHADERS,
+        LightingShader,
+        VolumeShader,
         LightSum,
         *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, light_bits: int = DEFAULT_LIGHT_BITS, lights_per_draw: int = 1) -> None:
+    def __init__(
+        self, *, light_bits: int = DEFAULT_LIGHT_BITS, lights_per_draw: int = 1, light_volumes: bool = False
+    ) -> None:
         """`light_bits` (16 or 32) are the bits per channel of the accumulated light. Each draw of an object adds the
-        light of at most `lights_per_draw` lights."""
+        light of at most `lights_per_draw` lights. With `light_volumes` the volumes of lights are drawn instead, but
+        not in views of materials that no geometry buffer has room for."""
         check_bits(light_bits, SUM_FORMATS, "ForwardMultipass(light_bits=...)")
-        self.light_bits = light_bits
+        self.light_bits, self.light_volumes = light_bits, light_volumes
         self.lights_per_draw = rules.check_count(
             rules.BAD_TECHNIQUE, "ForwardMultipass(lights_per_draw=...)", lights_per_draw
         )
@@ -243,6 +265,8 @@ class ForwardMultipass:
         those of transparent surfaces."""
         if not local_light_effects(effects):
             return forward_passes(effects)
+        if self.light_volumes and not effects.needs_forward:
+            return self._declare_volumes(effects)
         before = (depth_pass(effects.depth_reason),) if effects.shading_reads else ()
         written = Target("light", SUM_FORMATS[self.light_bits]), Target("visible_objects", Format.R32UI)
         base = FramePass(
@@ -264,15 +288,41 @@ class ForwardMultipass:
         )
         return *before, base, *passes, sum_pass(effects, light), *finish_image(effects, FORWARD)
 
+    def _declare_volumes(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The geometry buffer, the base pass, and the passes that add the volumes of lights and map their sum."""
+        reads = geometry_buffer_names(effects)
+        base = FramePass(
+            "base",
+            partial(_draw_base, after_depth=True, shader=LinearForward, targets=("light",)),
+            "draws the visible objects with all light but that of local lights",
+            reads=("depth", *effects.shading_reads),
+            writes=(Target("light", SUM_FORMATS[self.light_bits]),),
+        )
+        passes, (light,) = declare_lights(
+            effects,
+            ["light"],
+            reads,
+            partial(light_geometry, stencil=False),
+            are_written=True,
+            reason="adds lights by their volumes; ",
+        )
+        geometry = geometry_pass(effects, normal_bits=DEFAULT_NORMAL_BITS)
+        return geometry, base, *passes, sum_pass(effects, light), *finish_image(effects, FORWARD)
 
-def _draw_base(frame: Frame, *, after_depth: bool) -> None:
+
+def _draw_base(
+    frame: Frame,
+    *,
+    after_depth: bool,
+    shader: type[LinearForward] = BasePassShader,
+    targets: tuple[str, ...] = ("light", "visible_objects"),
+) -> None:
     switches = {**NO_LOCAL_LIGHTS, "has_haze": False, "has_fog": False}
-    color = [frame.targets["light"], frame.targets["visible_objects"]]
     base = make_scene_drawer(
         frame,
-        BasePassShader,
+        shader,
         switches=switches,
-        color=color,
+        color=[frame.targets[target] for target in targets],
         states=(DepthWrite.OFF,) if after_depth else (),
         clears=not after_depth,
     )

@@ -9,7 +9,7 @@
 - `tiles`, `clusters`: the number of lights in the list of each tile of `forward_plus`, or of the cluster of
   `clustered` that each surface is in, in the colours of `lights`, with lines between tiles, over the lit
   scene, which shows through. They are those of the settings.
-- `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has
+- `tessellation`: the lit scene, and the edges of the triangles of its tessellated surfaces, or of all if it has
   none.
 - `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they
   reach. Their colours are added up in floats, and their mean is laid over the scene, which is so seen through

@@ -44,6 +44,7 @@ class TechniqueSettings:
         normal_bits: 8 or 16, the bits of each of the two numbers that `deferred`, `tiled_deferred` and
             `clustered_deferred` store of a normal.
         lights_per_draw: the lights that each draw of an object adds in `forward_multipass`.
+        light_volumes: whether it draws the volumes of lights instead, over the lit image.
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its
             object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer.
@@ -66,6 +67,7 @@ class TechniqueSettings:
     light_bits: int = DEFAULT_LIGHT_BITS
     normal_bits: int = DEFAULT_NORMAL_BITS
     lights_per_draw: int = 1
+    light_volumes: bool = False
     all_lights: bool = False
     stencil: bool = False
     depth_first: bool = False

@@ -1,6 +1,6 @@
-"""Adaptive tessellation: the triangles of height fields, chosen on the device for each view."""
+"""Adaptive tessellation: the triangles of surfaces, chosen on the device for each view."""
 
 from renderer.tessellation.settings import TessellationSettings
-from renderer.tessellation.tessellator import FieldTessellation, Tessellator, tessellation_passes
+from renderer.tessellation.tessellator import SurfaceTessellation, Tessellator, tessellation_passes
 
-__all__ = ["FieldTessellation", "TessellationSettings", "Tessellator", "tessellation_passes"]
+__all__ = ["SurfaceTessellation", "TessellationSettings", "Tessellator", "tessellation_passes"]

@@ -1,9 +1,10 @@
-"""The shaders that choose a field's triangles: two roots are bisected level by level.
+"""The shaders that choose a surface's triangles: halves of its grids are bisected level by level.
 
-A triangle that is to be split is three vertices of the grid: the ends of its longest edge and the apex
-opposite. A vertex is row · 2^16 + column, so the middle of an edge is half the sum of its ends.
-`BeginBisection` makes the roots, `Bisect` splits the triangles of one level and passes on the children that
-are split, too, and writes the others to the mesh. `FinishBisection` tells the draws how many there are.
+A triangle that is to be split is three vertices of a grid: the ends of its longest edge and the apex opposite.
+A vertex is row · 2^13 + column, where rows count on from grid to grid, so the middle of an edge is half the
+sum of its ends. `BeginBisection` makes the halves, `Bisect` splits the triangles of one level and passes on
+the children that are split, too, and writes the others to the mesh. `FinishBisection` tells the draws how
+many there are.
 
 Whether an edge is split depends on nothing but its middle (`EdgeTest`), so both triangles at the edge agree.
 """
@@ -23,39 +24,52 @@ MAX_LEVELS: Final = 24
 SPLIT_COUNTS: Final = 0
 """Where the numbers of triangles begin that each level splits."""
 WRITTEN_COUNTS: Final = MAX_LEVELS
-"""Where the numbers of triangles begin that each level writes to the mesh."""
-LIMIT_REACHED: Final = 2 * MAX_LEVELS
+"""Where the numbers of triangles begin that are written to the mesh: of halves, then of each level."""
+LIMIT_REACHED: Final = 2 * MAX_LEVELS + 1
 """Where it is noted that the limit was reached."""
 PREVIOUS_INDEX_COUNT: Final = LIMIT_REACHED + 1
 """Where the number of indices before is kept."""
 COUNTER_COUNT: Final = PREVIOUS_INDEX_COUNT + 1
+COLUMN_BITS: Final = 13
+"""The bits of a vertex that are its column: 4,097 columns need as many."""
+MAX_ROWS: Final = 1 << (31 - COLUMN_BITS)
+"""The most rows of all grids: the sum of two vertices then fits into 32 bits."""
 
 
-class GridVertex(sl.Struct):
-    """A vertex of a height field: its height, and the length and the reach of `HeightField.bounds`."""
+class VertexBound(sl.Struct):
+    """The length and the reach of a vertex (`TessellatedSurface.bounds`)."""
 
-    height: float
     length: float
     reach: float
 
 
-class FieldShape(sl.Struct):
-    """The constants of a field: the position of vertex 0, the steps of the grid, its side in vertices, the
-    number of levels, the limit of triangles, the place of its first index, and the rows of its mesh and of
-    its draw."""
+class SurfaceShape(sl.Struct):
+    """The constants of a surface.
 
-    corner: sl.vec2
-    steps: sl.vec2
+    Attributes:
+        side: the vertices along a side of its grids.
+        grids, halves: the number of grids, and of halves that are used: both of the first grids.
+        levels: how often triangles can be bisected.
+        limit: the largest number of triangles.
+        first: the index of its first index.
+        first_float, stride: of its vertices, the first float, and the floats from one to the next.
+        mesh, draw: the indices of its mesh and its draw.
+    """
+
     side: int
+    grids: int
+    halves: int
     levels: int
     limit: int
     first: int
+    first_float: int
+    stride: int
     mesh: int
     draw: int
 
 
-class FieldView(sl.Struct):
-    """A view in the space of a field, where reaches and lengths are as they are.
+class SurfaceView(sl.Struct):
+    """A view in the space of a surface, where reaches and lengths are as they are.
 
     What has n · p >= d is inside a plane (n, d) of `planes`. In perspective, `is_perspective` is 1, `depth`
     is the plane through the eye, and an edge is as long on screen as is wanted if it is its distance from
@@ -87,37 +101,41 @@ def ordered_dot(n: sl.vec3, p: sl.vec3) -> float:
 class EdgeTest(sl.Shader):
     """Decides which edges are split."""
 
-    shape: sl.Uniform[FieldShape]
-    view: sl.Uniform[FieldView]
-    grid: sl.Storage[GridVertex]
+    shape: sl.Uniform[SurfaceShape]
+    view: sl.Uniform[SurfaceView]
+    bounds: sl.Storage[VertexBound]
+    vertices: sl.Storage[float]
 
     def is_split(self, left: sl.uint, right: sl.uint) -> bool:
         """Return whether an edge is: it is long on screen and in view, or close enough to the eye
         otherwise."""
-        middle = (left + right) >> sl.uint(1)
-        row = int(middle >> sl.uint(16))
-        column = int(middle & sl.uint(65535))
-        vertex = self.grid[row * self.shape.side + column]
-        x = self.shape.corner.x + self.shape.steps.x * float(column)
-        z = self.shape.corner.y + self.shape.steps.y * float(row)
-        p = sl.vec3(x, vertex.height, z)
-        depth = ordered_dot(self.view.depth.xyz, p) - self.view.is_perspective * vertex.reach
-        should_split = depth - vertex.length * self.view.scale <= self.view.depth.w
+        vertex = self.index((left + right) >> sl.uint(1))
+        at = self.shape.first_float + self.shape.stride * int(vertex)
+        p = sl.vec3(self.vertices[at], self.vertices[at + 1], self.vertices[at + 2])
+        length = self.bounds[vertex].length
+        reach = self.bounds[vertex].reach
+        depth = ordered_dot(self.view.depth.xyz, p) - self.view.is_perspective * reach
+        should_split = depth - length * self.view.scale <= self.view.depth.w
         for i in range(6):
             plane = self.view.planes[i]
-            should_split = should_split and ordered_dot(plane.xyz, p) + vertex.reach >= plane.w
+            should_split = should_split and ordered_dot(plane.xyz, p) + reach >= plane.w
         away = p - self.view.eye
         perspective = self.view.is_perspective
-        near = vertex.length * self.view.out_of_view_scale + perspective * vertex.reach
+        near = length * self.view.out_of_view_scale + perspective * reach
         return (
             should_split
             or perspective * self.view.squared_axis_ratio * ordered_dot(away, away) + (1.0 - perspective)
             <= near * near
         )
 
+    def index(self, vertex: sl.uint) -> sl.uint:
+        """Return the index of a vertex in the mesh."""
+        column = vertex & sl.uint((1 << COLUMN_BITS) - 1)
+        return (vertex >> sl.uint(COLUMN_BITS)) * sl.uint(self.shape.side) + column
+
 
 class BeginBisection(EdgeTest):
-    """Begins with the two halves of the field. There is one group."""
+    """Begins with the halves of the grids. There is one group."""
 
     work_group = (GROUP,)
     counters: sl.StorageRW[sl.uint]
@@ -132,26 +150,28 @@ class BeginBisection(EdgeTest):
                 self.draws[self.shape.draw].count if lane == PREVIOUS_INDEX_COUNT else sl.uint(0)
             )
         sl.barrier()
-        if lane < 2:
-            n = self.shape.side - 1
-            near = 65536 * n
-            left = sl.uint(0 if lane == 0 else near + n)
-            apex = sl.uint(near if lane == 0 else n)
-            right = sl.uint(near + n if lane == 0 else 0)
+        last = self.shape.side - 1
+        pairs = self.shape.halves - self.shape.grids
+        half = lane
+        while half < self.shape.halves:
+            is_second = half < 2 * pairs and half % 2 == 1
+            grid = half // 2 if half < 2 * pairs else half - pairs
+            origin = (grid * self.shape.side) << COLUMN_BITS
+            below = last << COLUMN_BITS
+            left = sl.uint(origin + (below + last if is_second else 0))
+            apex = sl.uint(origin + (last if is_second else below))
+            right = sl.uint(origin + (0 if is_second else below + last))
             if self.shape.levels > 0 and self.is_split(left, right):
-                self.split[3 * lane] = left
-                self.split[3 * lane + 1] = apex
-                self.split[3 * lane + 2] = right
-                if lane == 0:
-                    self.counters[SPLIT_COUNTS] = sl.uint(2)
+                slot = int(sl.atomic_add(self.counters[SPLIT_COUNTS], sl.uint(1)))
+                self.split[3 * slot] = left
+                self.split[3 * slot + 1] = apex
+                self.split[3 * slot + 2] = right
             else:
-                first = self.shape.first + 3 * lane
-                last = self.shape.side * self.shape.side - 1
-                self.indices[first] = sl.uint(0 if lane == 0 else last)
-                self.indices[first + 1] = sl.uint(last - n if lane == 0 else n)
-                self.indices[first + 2] = sl.uint(last if lane == 0 else 0)
-                if lane == 0:
-                    self.counters[WRITTEN_COUNTS] = sl.uint(2)
+                at = self.shape.first + 3 * int(sl.atomic_add(self.counters[WRITTEN_COUNTS], sl.uint(1)))
+                self.indices[at] = self.index(left)
+                self.indices[at + 1] = self.index(apex)
+                self.indices[at + 2] = self.index(right)
+            half += GROUP
 
 
 class Bisect(EdgeTest):
@@ -169,10 +189,8 @@ class Bisect(EdgeTest):
         level = self.level.number
         count = int(self.counters[SPLIT_COUNTS + level])
         written = 0
-        for earlier in range(level):
+        for earlier in range(level + 1):
             written += int(self.counters[WRITTEN_COUNTS + earlier])
-        if level == 0 and count == 0:
-            return  # `BeginBisection` has kept the roots
         is_cut = written + 2 * count > self.shape.limit
         is_last = level + 1 == self.shape.levels
         triangle = sl.global_id().x
@@ -183,7 +201,7 @@ class Bisect(EdgeTest):
             if is_cut:
                 self.counters[LIMIT_REACHED] = sl.uint(1)
                 self.write_triangle(
-                    written + int(sl.atomic_add(self.counters[WRITTEN_COUNTS + level], sl.uint(1))),
+                    written + int(sl.atomic_add(self.counters[WRITTEN_COUNTS + level + 1], sl.uint(1))),
                     left,
                     apex,
                     right,
@@ -199,7 +217,7 @@ class Bisect(EdgeTest):
                 written_slot = 0
                 if deeper < 2:
                     written_slot = written + int(
-                        sl.atomic_add(self.counters[WRITTEN_COUNTS + level], sl.uint(2 - deeper))
+                        sl.atomic_add(self.counters[WRITTEN_COUNTS + level + 1], sl.uint(2 - deeper))
                     )
                 if goes_left:
                     self.push_child(slot, apex, middle, left)
@@ -226,16 +244,12 @@ class Bisect(EdgeTest):
         self.indices[at + 1] = self.index(apex)
         self.indices[at + 2] = self.index(right)
 
-    def index(self, vertex: sl.uint) -> sl.uint:
-        """Return the index of a vertex in the mesh."""
-        return (vertex >> sl.uint(16)) * sl.uint(self.shape.side) + (vertex & sl.uint(65535))
-
 
 class FinishBisection(sl.Shader):
     """Writes the number of triangles to the draws, and empty triangles over what is left of those before."""
 
     work_group = (GROUP,)
-    shape: sl.Uniform[FieldShape]
+    shape: sl.Uniform[SurfaceShape]
     counters: sl.Storage[sl.uint]
     indices: sl.StorageRW[sl.uint]
     draws: sl.StorageRW[DrawArguments]
@@ -243,7 +257,7 @@ class FinishBisection(sl.Shader):
 
     def compute(self) -> None:
         count = 0
-        for level in range(MAX_LEVELS):
+        for level in range(MAX_LEVELS + 1):
             count += 3 * int(self.counters[WRITTEN_COUNTS + level])
         slot = count + sl.global_id().x
         while slot < int(self.counters[PREVIOUS_INDEX_COUNT]):

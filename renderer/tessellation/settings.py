@@ -1,4 +1,4 @@
-"""Settings of how small the triangles of height fields are."""
+"""Settings of how small the triangles of surfaces are."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from rhi import refuse
 
 @dataclass(frozen=True, slots=True)
 class TessellationSettings:
-    """Settings of the size of height fields' triangles.
+    """Settings of the size of tessellated triangles.
 
     Attributes:
-        edge_pixels: the length in pixels that edges are split down to, where the heights are fine enough. In
+        edge_pixels: the length in pixels that edges are split down to, where the vertices are fine enough. In
             the middle of the image no edge is longer; off the middle, at an angle a to the camera's
             direction, it is at most 1 / cos(a) times as long. Half the length gives up to four times as many
             triangles.

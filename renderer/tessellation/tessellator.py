@@ -1,6 +1,6 @@
-"""Chooses the triangles of a scene's height fields for the view of a frame, before its first pass.
+"""Chooses the triangles of a scene's tessellated surfaces for the view of a frame, before its first pass.
 
-The triangles are written over the indices of the field's mesh, so that all techniques, visibility algorithms
+The triangles are written over the indices of the surface's mesh, so that all techniques, visibility algorithms
 and shadow maps draw them as they draw any mesh. Nothing depends on earlier frames: after any move of the
 camera the triangles are those of the new view at once. While the view stays the same nothing is issued.
 """
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import Effect, Frame, FrameEffects, FramePass, SceneResources
-from renderer.scene import Camera, HeightField
+from renderer.scene import Camera, TessellatedSurface
 from renderer.scene.arrays import Floats, Indices
 from renderer.tessellation.kernels import (
     COUNTER_COUNT,
@@ -22,11 +22,11 @@ from renderer.tessellation.kernels import (
     WRITTEN_COUNTS,
     BeginBisection,
     Bisect,
-    FieldShape,
-    FieldView,
     FinishBisection,
-    GridVertex,
     Level,
+    SurfaceShape,
+    SurfaceView,
+    VertexBound,
 )
 from renderer.tessellation.settings import TessellationSettings
 from renderer.visibility.command_cache import CommandCache
@@ -40,48 +40,48 @@ many there are is known to the device only, and on a CPU each group that finds n
 dispatches."""
 
 
-class FieldTessellation:
-    """The triangles of one height field on one device.
+class SurfaceTessellation:
+    """The triangles of one surface on one device.
 
     Attributes:
-        field: the height field. row: the row of its object.
-        limited_views: how many of the views so far needed more triangles than the field's limit, as far as is
-            known without waiting. Their triangles are those of as many levels as fit.
+        surface: the surface.
+        object_index: the index of its object.
+        limited_views: how many of the views so far needed more triangles than the surface's limit, as far as
+            is known without waiting. Their triangles are those of as many levels as fit.
     """
 
     def __init__(self, device: Device, resources: SceneResources, object_index: int) -> None:
         scene = resources.scene
-        self.field: HeightField = scene.height_fields[object_index]
+        self.surface: TessellatedSurface = scene.tessellated[object_index]
         self.object_index = object_index
         self.limited_views = 0
         self._device = device
         self._resources = resources
-        mesh, steps = int(scene.objects.mesh[object_index]), self.field.steps
-        side, size = len(self.field.heights), self.field.size
+        mesh, surface = int(scene.objects.mesh[object_index]), self.surface
+        stride = scene.meshes.vertices.itemsize // 4
         self._shape = device.uniform(
-            FieldShape(
-                corner=(-0.5 * size[0], -0.5 * size[1]),
-                steps=steps,
-                side=side,
-                levels=self.field.levels,
-                limit=self.field.limit,
+            SurfaceShape(
+                side=surface.side,
+                grids=surface.grid_count,
+                halves=surface.half_count,
+                levels=surface.levels,
+                limit=surface.limit,
                 first=int(scene.meshes.ranges["first_index"][mesh]),
+                first_float=stride * int(scene.meshes.ranges["base_vertex"][mesh]),
+                stride=stride,
                 mesh=mesh,
                 draw=int(np.searchsorted(resources.tessellated_indices, object_index)),
             )
         )
-        length, reach = self.field.bounds
-        grid: Any = np.zeros(side * side, GridVertex.dtype)
-        grid["height"] = self.field.heights.reshape(-1)
+        length, reach = surface.bounds
+        bounds: Any = np.zeros(length.size, VertexBound.dtype)
         for name, values in (("length", length), ("reach", reach)):
-            grid[name] = np.nextafter(values.reshape(-1).astype(np.float32), np.float32(np.inf))
-        self._grid = device.storage(GridVertex, grid, label="height field")
+            bounds[name] = np.nextafter(values.reshape(-1).astype(np.float32), np.float32(np.inf))
+        self._bounds = device.storage(VertexBound, bounds, label="tessellated surface")
         self._counters = device.storage(uint, COUNTER_COUNT, label="triangle counts")
-        self._split = [
-            device.storage(uint, 3 * self.field.limit, label="triangles to split") for _ in range(2)
-        ]
-        self._levels = [device.uniform(Level(number=number)) for number in range(self.field.levels)]
-        self._view: FieldView | None = None
+        self._split = [device.storage(uint, 3 * surface.limit, label="triangles to split") for _ in range(2)]
+        self._levels = [device.uniform(Level(number=number)) for number in range(surface.levels)]
+        self._view: SurfaceView | None = None
         self._constants = device.uniform(_no_view())
         self._repeated = CommandCache(device, "tessellation")
         self._pending: Readback | None = None
@@ -90,7 +90,7 @@ class FieldTessellation:
         """Choose the triangles for a view in an image of `height` pixels; see `Tessellator`."""
         self._read_limit()
         node = self._resources.scene.objects.node[self.object_index]
-        view = view_field(self._resources.scene.nodes.world[node], camera, settings, height)
+        view = view_surface(self._resources.scene.nodes.world[node], camera, settings, height)
         if view == self._view:
             return
         self._view = view
@@ -112,7 +112,11 @@ class FieldTessellation:
             "counters": self._counters,
             "indices": resources.indices,
         }
-        test: dict[str, Any] = {"view": self._constants, "grid": self._grid}
+        test: dict[str, Any] = {
+            "view": self._constants,
+            "bounds": self._bounds,
+            "vertices": resources.vertex_floats,
+        }
         encoder.dispatch(
             device.program(BeginBisection),
             1,
@@ -122,7 +126,7 @@ class FieldTessellation:
             **test,
         )
         for number, level in enumerate(self._levels):
-            most = min(2 << number, self.field.limit)
+            most = min(self.surface.half_count << number, self.surface.limit)
             encoder.dispatch(
                 device.program(Bisect),
                 min(-(-most // GROUP), _GROUPS),
@@ -142,7 +146,7 @@ class FieldTessellation:
 
     def read_count(self) -> int:
         """Return the number of triangles of the last view. Waits for the device."""
-        counts = self._counters.read(WRITTEN_COUNTS, MAX_LEVELS)
+        counts = self._counters.read(WRITTEN_COUNTS, MAX_LEVELS + 1)
         return int(counts.sum())
 
     def destroy(self) -> None:
@@ -150,7 +154,7 @@ class FieldTessellation:
         self._repeated.forget()
         for resource in (
             self._shape,
-            self._grid,
+            self._bounds,
             self._counters,
             self._constants,
             *self._split,
@@ -160,48 +164,51 @@ class FieldTessellation:
 
 
 class Tessellator:
-    """The height fields of a scene on one device; `Renderer.tessellator` is the one of a renderer.
+    """The tessellated surfaces of a scene on one device; `Renderer.tessellator` is the one of a renderer.
 
     Attributes:
         settings: how small triangles are; they may be exchanged between any two frames.
-        fields: the height fields, as they are drawn; none before the first frame.
+        surfaces: the surfaces, as they are drawn; none before the first frame.
     """
 
     def __init__(self, device: Device) -> None:
         self.settings = TessellationSettings()
-        self.fields: list[FieldTessellation] = []
+        self.surfaces: list[SurfaceTessellation] = []
         self._device = device
 
     def update(
         self, resources: SceneResources, camera: Camera, height: int, *, has_shadows: bool = False
     ) -> None:
-        """Choose the triangles for what `camera` sees in an image of `height` pixels. Paused fields that cast
-        no shadow keep theirs until they are drawn, and then get those of this frame."""
-        if not self.fields:
-            object_indices = resources.scene.height_fields
-            self.fields = [
-                FieldTessellation(self._device, resources, object_index) for object_index in object_indices
+        """Choose the triangles for what `camera` sees in an image of `height` pixels. Paused surfaces that
+        cast no shadow keep theirs until they are drawn, and then get those of this frame. Those that wait for
+        their uploads have none to choose."""
+        objects = resources.scene.objects
+        if not self.surfaces:
+            self.surfaces = [
+                SurfaceTessellation(self._device, resources, object_index)
+                for object_index in resources.scene.tessellated
             ]
 
         def choose(object_indices: Indices) -> None:
-            for field in self.fields:
-                if field.object_index in object_indices:
-                    field.update(camera, self.settings, height)
+            for surface in self.surfaces:
+                index = surface.object_index
+                if index in object_indices and objects.is_shown[index]:
+                    surface.update(camera, self.settings, height)
 
-        casts = resources.scene.objects.casts_shadow & has_shadows
+        casts = objects.casts_shadow & has_shadows
         choose(np.flatnonzero(~resources.hidden.paused | casts))
         resources.resume = choose
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for field in self.fields:
-            field.destroy()
-        self.fields = []
+        for surface in self.surfaces:
+            surface.destroy()
+        self.surfaces = []
 
 
 def tessellation_passes(effects: FrameEffects) -> list[FramePass[Frame]]:
-    """Return the pass that chooses triangles, if the scene has a height field."""
-    effect = Effect.HEIGHT_FIELDS
+    """Return the pass that chooses triangles, if the scene has a tessellated surface."""
+    effect = Effect.TESSELLATION
     if effect not in effects.enabled:
         return []
     return [FramePass("tessellation", _update, effects.explain(effect), has_side_effects=True)]
@@ -214,11 +221,11 @@ def _update(frame: Frame) -> None:
         tessellator.update(frame.resources, frame.view.around, frame.targets.size[1], has_shadows=has_shadows)
 
 
-def view_field(world: Floats, camera: Camera, settings: TessellationSettings, height: int) -> FieldView:
-    """Return a view in the space of a height field.
+def view_surface(world: Floats, camera: Camera, settings: TessellationSettings, height: int) -> SurfaceView:
+    """Return a view in the space of a surface.
 
     Args:
-        world: the transform (4, 4) of the field.
+        world: the transform (4, 4) of the surface.
     """
     linear = world[:3, :3]
     most, _, least = np.linalg.svd(linear, compute_uv=False).tolist()
@@ -233,7 +240,7 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
     inside[: len(planes), :3] = planes[:, :3] @ linear / most
     inside[: len(planes), 3] = -(planes[:, :3] @ offset + ends) / most
     if is_parallel(camera.projection):
-        return FieldView(
+        return SurfaceView(
             depth=(0.0, 0.0, 0.0, -1.0),
             eye=(0.0, 0.0, 0.0),
             scale=scale * most,
@@ -243,7 +250,7 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
             planes=inside,
         )
     depth = np.append(camera.forward @ linear, -camera.forward @ offset) / most
-    return FieldView(
+    return SurfaceView(
         depth=depth,
         eye=np.linalg.solve(linear, -offset),
         scale=scale,
@@ -254,9 +261,9 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
     )
 
 
-def _no_view() -> FieldView:
+def _no_view() -> SurfaceView:
     """Return a view that splits nothing."""
-    return FieldView(
+    return SurfaceView(
         depth=(0.0, 0.0, 0.0, -1.0),
         eye=(0.0, 0.0, 0.0),
         scale=0.0,

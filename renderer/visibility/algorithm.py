@@ -10,7 +10,7 @@ constructor takes, so all algorithms can be exchanged at run time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -70,6 +70,16 @@ class VisibilityAlgorithm(Protocol):
 
     def destroy(self) -> None:
         """Destroy the algorithm's resources on the device."""
+        ...
+
+
+@runtime_checkable
+class SelectingAlgorithm(Protocol):
+    """An algorithm that selects all objects of a frame before any is drawn."""
+
+    def select(self, camera: Camera) -> tuple[Indices, VisibilityStatistics] | None:
+        """Return the indices (k,), ascending, of the objects that `render` would draw, and their cost; None if this
+        frame has to be rendered, since its objects are found otherwise."""
         ...
 
 

@@ -8,7 +8,8 @@ from time import perf_counter
 from typing import Final
 
 from renderer.scene import Camera, Depth, Scene
-from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
+from renderer.scene.arrays import Indices
+from renderer.visibility.algorithm import SelectingAlgorithm, VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.speed_trial import CandidateSelector, SpeedTrial
 from renderer.visibility.traversal import CullingTraversal, TraversalSource
@@ -74,6 +75,23 @@ class AutoCulling(CandidateSelector):
         statistics = _render(candidate, camera, scene_drawer)
         trial.idle(statistics.visible)
         return statistics
+
+    def select(self, camera: Camera) -> tuple[Indices, VisibilityStatistics] | None:
+        """Select what the chosen algorithm does, unless the frame is on trial or something is being prepared."""
+        trial, latest = self._trial, self.latest
+        trial.check_view(camera)
+        if (
+            trial.is_trying
+            or self._warm_up_left
+            or self._prepare is not None
+            or latest is not self.candidates.get(trial.current_name)
+            or not isinstance(latest, SelectingAlgorithm)
+        ):
+            return None
+        selected = latest.select(camera)
+        if selected is not None:
+            trial.idle(selected[1].visible)
+        return selected
 
     def traversal(self) -> CullingTraversal | None:
         """Return the nodes that the last frame's algorithm reached, None if it walked no hierarchy."""

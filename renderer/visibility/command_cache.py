@@ -38,12 +38,21 @@ class CommandCache:
             issue(self._device)
             self._key = key
             return
-        if self._commands is None or self._commands.is_stale:  # a program was exchanged
-            commands = self._device.record(label=self._label)
-            with commands:
-                issue(commands)
-            self._commands = commands
-        self._device.submit(self._commands)
+        if self.repeat(key):
+            return
+        commands = self._device.record(label=self._label)
+        with commands:
+            issue(commands)
+        self._commands = commands
+        self._device.submit(commands)
+
+    def repeat(self, key: tuple[object, ...]) -> bool:
+        """Execute the commands if they are recorded with this key; return whether they are."""
+        commands = self._commands
+        if commands is None or commands.is_stale or key != self._key:  # stale: a program was exchanged
+            return False
+        self._device.submit(commands)
+        return True
 
     def dispatch(self, work: Sequence[Dispatch]) -> None:
         """Execute dispatches, in order."""

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
+from renderer.scene.arrays import Indices
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.culling import BruteForceCuller, CullingCounts, HierarchyCuller, select_visible
 from renderer.visibility.boxes.hierarchy import build_by_area
@@ -37,11 +38,18 @@ class NoCulling(DevicelessCulling):
         """Neither a device nor settings are needed."""
         self._objects, self._rows = scene.objects, np.arange(len(scene.objects))
 
+    def select(self, camera: Camera) -> tuple[Indices, VisibilityStatistics]:
+        """Return every object that is shown (k,), and what finding them has cost."""
+        object_indices = self._objects.select_shown(self._rows)
+        return object_indices, VisibilityStatistics(
+            len(self._rows), len(object_indices), is_frustum_only=True
+        )
+
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw every object that is shown."""
-        object_indices = self._objects.select_shown(self._rows)
+        object_indices, statistics = self.select(camera)
         scene_drawer.draw_alone(object_indices)
-        return VisibilityStatistics(len(self._rows), len(object_indices), is_frustum_only=True)
+        return statistics
 
 
 class FrustumCulling(DevicelessCulling):
@@ -65,8 +73,15 @@ class FrustumCulling(DevicelessCulling):
 
     def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw the objects whose bounds are not outside the frustum."""
-        objects = self._scene.objects
-        planes = scene_drawer.widen(camera).frustum.planes
+        visible, statistics = self.select(scene_drawer.widen(camera))
+        if len(visible):
+            scene_drawer.draw_alone(visible)
+        return statistics
+
+    def select(self, camera: Camera) -> tuple[Indices, VisibilityStatistics]:
+        """Return the shown objects (k,), ascending, whose bounds are not outside the frustum of `camera`, and what
+        finding them has cost."""
+        objects, planes = self._scene.objects, camera.frustum.planes
         static, counts = self._static.select_visible(planes)
         visible = objects.fixed_indices[static]
         moving = objects.following_indices
@@ -75,9 +90,7 @@ class FrustumCulling(DevicelessCulling):
             visible = np.sort(np.concatenate([visible, moving[is_visible]]))
             counts = counts + CullingCounts(0, len(moving), len(moving) * len(planes))
         visible = objects.select_shown(visible)
-        if len(visible):
-            scene_drawer.draw_alone(visible)
-        return VisibilityStatistics(
+        return visible, VisibilityStatistics(
             objects=len(objects.node),
             visible=len(visible),
             batches=int(len(visible) > 0),

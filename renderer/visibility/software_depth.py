@@ -105,11 +105,11 @@ class SoftwareDepth:
         """Return those of the objects `object_indices` (k,) with the largest surface over squared distance,
         near ones first."""
         objects = self._scene.objects
-        # Simulated objects are where the renderer has last drawn them, the triangles of height fields aren't
+        # Simulated objects are where the renderer has last drawn them, the triangles of tessellated surfaces aren't
         # those that it draws, and others than opaque ones hide only a part.
         is_opaque = self._scene.materials["alpha_mode"][objects.material[object_indices]] == AlphaMode.OPAQUE
         is_fixed = ~(
-            objects.simulated[object_indices] | np.isin(object_indices, list(self._scene.height_fields))
+            objects.simulated[object_indices] | np.isin(object_indices, list(self._scene.tessellated))
         )
         object_indices = object_indices[is_opaque & is_fixed]
         lower, upper = objects.lower[object_indices], objects.upper[object_indices]

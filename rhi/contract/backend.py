@@ -232,6 +232,16 @@ class SupportsPreparedDraws(Protocol):
         another context of the process becoming current."""
 
 
+class SupportsOrderedWrites(Protocol):
+    """Optional part of the contract, for platforms on which a write to a STREAM buffer never reaches the commands
+    that were signalled before it, and doesn't wait for them either. So each frame's memory begins at the same
+    offset."""
+
+    def prepare_uniform_write(self, buffer: Id) -> Callable[[int, int, bytes], object]:
+        """Return a function of (slot, offset, data) that is equivalent to `Backend.write_buffer` of this STREAM
+        buffer and `Backend.bind_uniform` of what was written. It is called only while a program is bound."""
+
+
 class SupportsCurrentContext(Protocol):
     """Optional part of the contract, for platforms whose calls go to a context that is current on the calling
     thread, and that any other code of the process may replace (OpenGL). These calls aren't commands; no

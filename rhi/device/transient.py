@@ -77,7 +77,15 @@ class TransientMemory(DeviceObject):
         memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
         if arena is None:
             for label in ("transient constants", "transient vertices", "transient indices", "draw arguments"):
-                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label, check=core.check_ready)
+                ring = Ring(
+                    core.backend,
+                    core.timeline,
+                    core.new_id,
+                    capacity,
+                    label,
+                    check=core.check_ready,
+                    restarts=core.orders_writes,
+                )
                 core.frame_rings.append(ring)
                 memories.append(ring)
             core.frame_rings.append(self)

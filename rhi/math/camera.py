@@ -6,10 +6,11 @@ A camera is an immutable value, so what follows from it is computed once, in arr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
-from functools import cached_property
-from math import cos, isfinite, sin
+from functools import cached_property, lru_cache
+from math import cos, isfinite, sin, sqrt
 from typing import Final
 
 import numpy as np
@@ -56,7 +57,8 @@ class Frustum:
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, depth: Depth = Depth.REVERSED) -> Frustum:
         """Extract the planes of a clip matrix (4, 4) from its rows (Gribb and Hartmann, 2001)."""
-        return cls(_extract_planes(read_floats("Frustum.from_matrix(matrix=...)", matrix, 4, 4), depth))
+        matrix = read_floats("Frustum.from_matrix(matrix=...)", matrix, 4, 4)
+        return cls(_normalise_planes(_extract_planes(matrix, depth)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,29 +142,31 @@ class Camera:
     def relative_view_projection(self) -> NDArray[np.float32]:
         """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip
         space."""
-        matrix = self._relative_matrix.astype(np.float32)
-        matrix.setflags(write=False)
-        return matrix
+        return self._derive()[0]
 
     @cached_property
     def frustum(self) -> Frustum:
         """The visible volume in world space."""
-        planes = _extract_planes(self._relative_matrix, self.projection.depth)
-        planes[:, 3] -= planes[:, :3] @ self.position  # after normalising: no loss far from the origin
-        planes.setflags(write=False)
-        return Frustum(planes)
+        return self._derive()[1]
 
-    @cached_property
-    def _relative_matrix(self) -> Floats:
-        """`relative_view_projection` in float64."""
-        rotation: Floats = np.zeros((4, 4))
-        rotation[:3, :3] = self.rotation
-        rotation[3, 3] = 1.0
-        matrix: Floats = self.projection.matrix @ rotation
-        return matrix
+    def _derive(self) -> tuple[NDArray[np.float32], Frustum]:
+        """Return `relative_view_projection` and `frustum`, which are cached together: every frame needs both, and one
+        product turns the rows of the matrix and the planes, which are sums of them."""
+        rows, normals = _clip_rows(self.projection)
+        turned = rows.copy()
+        turned[:, :3] = normals.dot(self.rotation)
+        matrix = turned[:4].astype(np.float32)
+        matrix.setflags(write=False)
+        planes = _normalise_planes(turned[4:], self.position.tolist())
+        planes.setflags(write=False)
+        derived = matrix, Frustum(planes)
+        self.__dict__["relative_view_projection"], self.__dict__["frustum"] = derived
+        return derived
 
     def with_projection(self, projection: Projection) -> Camera:
         """Return the same camera with another projection."""
+        if self.__class__ is Camera:  # mostly: `replace` takes five times as long
+            return Camera(self.position, self.rotation, projection)
         return replace(self, projection=projection)
 
     def with_aspect(self, aspect: float) -> Camera:
@@ -171,14 +175,33 @@ class Camera:
         return self if projection is self.projection else self.with_projection(projection)
 
 
+@lru_cache(maxsize=64)
+def _clip_rows(projection: Projection) -> tuple[Floats, Floats]:
+    """Return the rows (9 or 10, 4) of a projection's matrix and of the planes that are sums of them, and the first
+    three numbers of each."""
+    matrix = projection.matrix
+    rows = np.concatenate([matrix, _extract_planes(matrix, projection.depth)])
+    return freeze(rows), freeze(np.ascontiguousarray(rows[:, :3]))
+
+
 def _extract_planes(matrix: Floats, depth: Depth) -> Floats:
-    """Return the planes of a clip matrix (4, 4), as `Frustum` has them."""
-    rows = _FACES[depth] @ matrix
-    length = np.sqrt(np.add.reduce(rows[:, :3] ** 2, axis=1))
-    if not np.logical_and.reduce(length):  # an infinite far plane has no normal
-        rows, length = rows[length > 0.0], length[length > 0.0]
-    planes: Floats = rows / length[:, None]
-    return planes
+    """Return the planes (5 or 6, 4) of a clip matrix (4, 4), which aren't normalised. An infinite far plane has no
+    normal, and is left out."""
+    rows: Floats = _FACES[depth] @ matrix
+    return rows[rows[:, :3].any(axis=1)]
+
+
+def _normalise_planes(rows: Floats, position: Sequence[float] = (0.0, 0.0, 0.0)) -> Floats:
+    """Return planes (p, 4) around `position` with unit normals. They are so few numbers that Python's floats take half
+    the time of NumPy's arrays."""
+    x, y, z = position
+    planes = []
+    for a, b, c, d in rows.tolist():
+        length = sqrt(a * a + b * b + c * c)
+        if length != 0.0:
+            a, b, c = a / length, b / length, c / length
+            planes.append((a, b, c, d / length - (a * x + b * y + c * z)))  # no loss far from the origin
+    return np.array(planes).reshape(-1, 4)
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> Floats:

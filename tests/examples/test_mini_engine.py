@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nightly_reasons import FEWER_CASES
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from tested_devices import open_device
 
 import rhi
@@ -144,6 +144,7 @@ def make_test_scene(example: Any) -> Any:
     return scene
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
 def test_a_pixel_knows_its_entity_its_shadow_and_its_bloom(example: Any, backend: str) -> None:
     with open_device(backend, validation=True) as device:

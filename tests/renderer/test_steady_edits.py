@@ -21,6 +21,7 @@ from renderer.frame import (
     BloomSettings,
     DepthOfFieldSettings,
     Effect,
+    Frame,
     OcclusionSettings,
     TemporalSettings,
 )
@@ -43,7 +44,8 @@ from renderer.scene import (
 )
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import make_visibility
+from renderer.visibility import AutoCulling, make_visibility
+from renderer.visibility.algorithm import SelectingAlgorithm
 from rhi.shading import Precision
 
 Edit = Callable[[Renderer], None]
@@ -211,25 +213,42 @@ def look(step: int, projection: Projection) -> Camera:
     return Camera.look_at(eye, (0.1 * (step % 3), 0.5, -0.5), projection=projection)
 
 
+class NoLayer:
+    """A layer that draws nothing."""
+
+    def render(self, device: rhi.Device, frame: Frame) -> None:
+        """Draw nothing."""
+
+
 class Twins:
     """Two renderers of equal scenes, one of which skips nothing, each on a null device of its own."""
 
-    def __init__(self, technique: str, make_scene: Callable[[], Scene] = make) -> None:
+    def __init__(
+        self, technique: str, make_scene: Callable[[], Scene] = make, visibility: str = "frustum"
+    ) -> None:
         self.steady_frames = 0
         self.renderers = []
         for _ in range(2):
             device = rhi.create_device("null")
             renderer = Renderer(
-                device, make_scene(), technique=TECHNIQUES[technique](), visibility="frustum", size=SIZE
+                device, make_scene(), technique=TECHNIQUES[technique](), visibility=visibility, size=SIZE
             )
             self.renderers.append(renderer)
+        self.repeated_frames = 0
         begin, self.is_full = self.renderers[0]._begin, False
+        repeat = self.renderers[0]._repeat
 
         def note(camera: Camera, seconds: float) -> Any:
             self.is_full = True
             return begin(camera, seconds)
 
+        def count_repeated(*arguments: Any) -> Any:
+            result = repeat(*arguments)
+            self.repeated_frames += result is not None
+            return result
+
         self.renderers[0]._begin = note  # type: ignore[method-assign]
+        self.renderers[0]._repeat = count_repeated  # type: ignore[method-assign]
 
     def __enter__(self) -> Twins:
         return self
@@ -270,6 +289,32 @@ def test_the_frames_after_an_edit_are_those_of_a_renderer_that_skips_nothing(nam
     assert steady_before > 0
 
 
+STAYING: Final = (
+    "nothing",
+    *(f"{kind} {name}" for kind in ("directional", "point", "spot") for name in ("intensity", "color")),
+    *(f"{kind} {name}" for kind in ("point", "spot") for name in ("position", "range")),
+    *("sky", "ground", "background", "set_material", "materials outside", "hide", "hide outside"),
+    *("size", "scale", "size and back", "precision", "blending", "visibility"),
+    *("bloom settings", "occlusion settings", "focus settings", "light cutoff", "error of levels of detail"),
+)
+"""Edits after which frames may be repeated as one function."""
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_repeated_frames_after_random_edits_of_scene_settings_and_size_are_those_of_a_renderer_that_skips_nothing(
+    seed: int,
+) -> None:
+    random = np.random.default_rng(seed)
+    with Twins("forward", lambda: load_scene("city:blocks=3,detail=2")) as twins:
+        cameras = twins.renderers[0].scene.paths["ground"]
+        for step in range(48):
+            if step % 4 == 3:
+                for _ in range(int(random.integers(1, 3))):
+                    twins.edit(CASES[STAYING[int(random.integers(len(STAYING)))]])
+            twins.draw(cameras.camera(20 * step), 0.1 * step)
+        assert twins.repeated_frames > 6
+
+
 PROJECTIONS: Final[dict[str, Projection]] = {
     "perspective": Perspective(),
     "narrow": Perspective(fov=0.4),
@@ -308,6 +353,33 @@ def test_frames_of_a_city_are_steady_once_shaders_have_the_features_in_view() ->
         for step in range(80):
             twins.draw(replace(camera, position=camera.position + np.array([0.02 * step, 0.0, 0.0])))
         assert twins.steady_frames > 60
+
+
+@pytest.mark.parametrize("visibility", ["none", "frustum"])
+def test_frames_of_a_city_are_repeated_by_one_function(visibility: str) -> None:
+    with Twins("forward", lambda: load_scene("city:blocks=4,detail=2"), visibility) as twins:
+        camera = next(iter(twins.renderers[0].scene.views.values()))
+        for step in range(80):
+            twins.draw(replace(camera, position=camera.position + np.array([0.02 * step, 0.0, 0.0])))
+        assert twins.repeated_frames > 60
+        twins.renderers[0].layers.append(NoLayer())
+        repeated = twins.repeated_frames
+        twins.draw(camera)
+        assert twins.repeated_frames == repeated
+
+
+def test_frames_of_automatic_culling_are_repeated_once_it_has_chosen(null: rhi.Device) -> None:
+    scene = load_scene("city:blocks=4,detail=2")
+    camera = next(iter(scene.views.values()))
+    with open_renderer(null, scene, visibility="auto") as renderer:
+        for step in range(80):
+            renderer.render(replace(camera, position=camera.position + np.array([0.02 * step, 0.0, 0.0])))
+        assert isinstance(renderer.visibility, AutoCulling)
+        latest = renderer.visibility.latest
+        repeats, renderer._begin_steady = [], None  # type: ignore[method-assign, assignment]
+        if isinstance(latest, SelectingAlgorithm):
+            repeats.append(renderer.render(camera))
+        assert repeats
 
 
 def test_lights_that_come_into_view_or_leave_it_are_noticed() -> None:

@@ -4,6 +4,7 @@ on null. Unlike times, counts are the same on every machine."""
 import gc
 import sys
 from dataclasses import replace
+from statistics import median
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from renderer.renderer import Renderer
 from renderer.techniques import TECHNIQUES
 
 CALLS = {
-    ("forward", "frustum"): 123,
-    ("forward", "depth_pyramid"): 151,
-    ("forward", "two_pass"): 199,
-    ("clustered", "frustum"): 317,
+    ("forward", "frustum"): 120,
+    ("forward", "depth_pyramid"): 155,
+    ("forward", "two_pass"): 205,
+    ("clustered", "frustum"): 321,
 }
 """The largest numbers of calls of a frame of the city with a technique and a visibility algorithm, some 3 % above
 what was counted with Python 3.11."""
@@ -58,6 +59,9 @@ def test_a_frame_of_the_city_in_which_only_the_camera_moves_takes_few_calls(null
             renderer.render(moved(step))
         renderer.render(moved(FRAMES_UNTIL_STEADY))
         draws = sum(draw["draws"] for draw in null.stream.draws()[-1:])
-        calls = count_calls(lambda: renderer.render(moved(FRAMES_UNTIL_STEADY + 1)))
+        calls = median(
+            count_calls(lambda step=step: renderer.render(moved(FRAMES_UNTIL_STEADY + step)))
+            for step in range(1, 4)  # one in ten looks for effects; some find that a fence was reached
+        )
     assert draws > (30 if visibility == "frustum" else 10)  # a list has a draw for each mesh
     assert calls <= CALLS[technique, visibility]

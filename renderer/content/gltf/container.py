@@ -33,6 +33,7 @@ EXTENSIONS: Final = {
     "KHR_materials_unlit": "material",
     "KHR_mesh_quantization": "mesh",
     "KHR_texture_transform": "texture",
+    "MOZ_lightmap": "material",
 }
 """The extensions that are read, and the kind of object of the file that uses each."""
 LISTED_WHERE_USED: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")

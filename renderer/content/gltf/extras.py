@@ -8,6 +8,7 @@ was changed.
   of the objects, which objects cast no shadow.
 - of a material of the specular model: its four parameters, and emission as a multiple of the base colour.
   What glTF can say is written beside it as a likeness for other programs.
+- of a light map: the color that multiplies it, where that is no grey.
 - of an image of high range: its texels, beside a PNG of at most 1.
 - of a camera: that its far plane only stands for none.
 - of a light: whether it casts a shadow, and the radius and sides of its source. Of a node: that it only holds a light

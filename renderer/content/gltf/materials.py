@@ -17,6 +17,7 @@ from renderer.content.assets import decode_images
 from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SPECULAR, get_extras
+from renderer.content.gltf.nodes import CANDELA
 from renderer.content.material_shaders import Brushed
 from renderer.scene.images import ImagePixels, check_image
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
@@ -131,7 +132,10 @@ class Materials:
         }
         maps: dict[str, tuple[int, dict[str, Any]]] = {}
         self._read_map(maps, "texture", pbr, "baseColorTexture")
+        light_map = fields.extension("MOZ_lightmap")
         if fields.extension("KHR_materials_unlit") is not None:
+            if light_map is not None:
+                self.omissions.add("light maps of unlit materials", fields.where)
             return _make_unlit(values), maps
         values["metallic"] = pbr.real("metallicFactor", 1.0, 0.0, 1.0)
         values["roughness"] = pbr.real("roughnessFactor", 1.0, 0.0, 1.0)
@@ -148,6 +152,9 @@ class Materials:
         values["emissive"] = tuple(emissive.tolist())
         self._read_map(maps, "emissive_texture", fields, "emissiveTexture")
         self._read_anisotropy(values, maps, fields)
+        if light_map is not None and self._read_texture(maps, "light_map_texture", light_map, uv_set=1):
+            intensity = light_map.real("intensity", 1.0, 0.0, _STRONGEST)
+            values["light_map_color"] = (intensity * CANDELA,) * 3
         extras = get_extras(fields)
         return (values if extras is None else _restore(extras, values, maps)), maps
 
@@ -155,9 +162,13 @@ class Materials:
         self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, holder: JsonObject, field: str
     ) -> bool:
         """Note the texture that a field of `holder` describes under `name`, if it has that field."""
-        if field not in holder:
-            return False
-        fields = holder.child(field)
+        return field in holder and self._read_texture(maps, name, holder.child(field))
+
+    def _read_texture(
+        self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, fields: JsonObject, uv_set: int = 0
+    ) -> bool:
+        """Note the texture that `fields` describe under `name`, and return whether it can be read; `uv_set` is the set
+        of texture coordinates if they say none."""
         number = fields.index("index", len(self._textures), required=True)
         texture = self._textures[number]
         holder = texture.extension("EXT_texture_webp") or texture
@@ -173,7 +184,7 @@ class Materials:
         sampler = texture.index("sampler", len(self._samplers))
         if sampler >= 0:
             rest["sampler"] = self._samplers[sampler]
-        uv_set = fields.whole("texCoord", 0)
+        uv_set = fields.whole("texCoord", uv_set)
         transform = fields.extension("KHR_texture_transform")
         if transform is not None:
             uv_set = transform.whole("texCoord", uv_set)
@@ -262,6 +273,8 @@ def _restore(
         restored["emissive"] = tuple(_colors(extras, "emissive", 3, high=_STRONGEST).tolist())
         if not extras.flag("has_emissive_texture", True):
             maps.pop("emissive_texture", None)
+    if "light_map_color" in extras:
+        restored["light_map_color"] = tuple(_colors(extras, "light_map_color", 3, high=_STRONGEST).tolist())
     if "shininess" in extras:
         for name in ("metallic", "roughness"):
             del restored[name]

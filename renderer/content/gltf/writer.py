@@ -198,7 +198,8 @@ class _GltfWriter:
         color = [float(value) for value in row["base_color"]]
         pbr: dict[str, Any] = {"baseColorFactor": color}
         fields: dict[str, Any] = {"pbrMetallicRoughness": pbr}
-        extras: dict[str, Any] = {}
+        tint = row["light_map_color"].tolist()
+        extras: dict[str, Any] = {} if len(set(tint)) == 1 else {"light_map_color": tint}
         if row["texture"] >= 0:
             pbr["baseColorTexture"] = self._texture(row["texture"])
         if row["model"] == ShadingModel.METALLIC_ROUGHNESS:
@@ -206,7 +207,7 @@ class _GltfWriter:
             if row["metallic_roughness_texture"] >= 0:
                 pbr["metallicRoughnessTexture"] = self._texture(row["metallic_roughness_texture"])
         else:
-            extras = {name: row[name].tolist() for name in SPECULAR}
+            extras |= {name: row[name].tolist() for name in SPECULAR}
             alpha = np.sqrt(2.0 / (float(row["shininess"]) + 2.0))  # the exponent of about the same highlight
             pbr |= {"metallicFactor": 0.0, "roughnessFactor": float(np.sqrt(alpha))}
         for field, (name, factor, written, default) in _SLOTS.items():
@@ -232,14 +233,9 @@ class _GltfWriter:
                 fields["extensions"] = {"KHR_materials_emissive_strength": strength_fields}
         if row["shader"] and self._scene.shaders[row["shader"] - 1].shader is Brushed:
             brushed = self._scene.parameters[row["shader"] - 1][index]
-            self._extensions.add("KHR_materials_anisotropy")
-            anisotropy: dict[str, Any] = {
-                "anisotropyStrength": float(brushed["anisotropy"]),
-                "anisotropyRotation": float(brushed["anisotropy_rotation"]),
-            }
-            if brushed["anisotropy_texture"] >= 0:
-                anisotropy["anisotropyTexture"] = self._texture(brushed["anisotropy_texture"])
-            fields.setdefault("extensions", {})["KHR_materials_anisotropy"] = anisotropy
+            fields.setdefault("extensions", {})["KHR_materials_anisotropy"] = self._anisotropy(brushed)
+        if row["light_map_texture"] >= 0:
+            fields.setdefault("extensions", {})["MOZ_lightmap"] = self._light_map(row)
         if image >= 0:
             fields["emissiveTexture"] = self._texture(image)
         if row["alpha_mode"] != AlphaMode.OPAQUE:
@@ -251,6 +247,23 @@ class _GltfWriter:
         if extras:
             fields["extras"] = {KEY: extras}
         return fields
+
+    def _anisotropy(self, brushed: Any) -> dict[str, Any]:
+        """Return the parameters of `Brushed` as KHR_materials_anisotropy has them."""
+        self._extensions.add("KHR_materials_anisotropy")
+        anisotropy: dict[str, Any] = {
+            "anisotropyStrength": float(brushed["anisotropy"]),
+            "anisotropyRotation": float(brushed["anisotropy_rotation"]),
+        }
+        if brushed["anisotropy_texture"] >= 0:
+            anisotropy["anisotropyTexture"] = self._texture(brushed["anisotropy_texture"])
+        return anisotropy
+
+    def _light_map(self, row: NDArray[Any]) -> dict[str, Any]:
+        """Return the light map of a material as MOZ_lightmap has it, as bright as its brightest channel."""
+        self._extensions.add("MOZ_lightmap")
+        intensity = float(row["light_map_color"].max()) / CANDELA
+        return {"texCoord": 0} | self._texture(row["light_map_texture"]) | {"intensity": intensity}
 
     def _write_meshes(self) -> list[dict[str, Any]]:
         """Write the vertices and indices of all meshes; return for each the attributes and indices of a

@@ -184,7 +184,7 @@ def select_effective_reports(
             base.get(path) == value for path, value in setting.base_settings.items() if path != _ATLAS_SETTING
         )
         lacks = setting.requirement in (Requirement.STEREO, Requirement.HISTORY) or (
-            setting.requirement in (Requirement.SHADOWS, Requirement.SHADOW_CASTING_HEIGHT_FIELDS)
+            setting.requirement in (Requirement.SHADOWS, Requirement.SHADOW_CASTING_TESSELLATION)
             and not casts
         )
         lacks = lacks or (setting.requirement is Requirement.PENUMBRAS and not lights.has_wide_shadows)

@@ -70,9 +70,9 @@ class Requirement(Choice):
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
     LEVELS_OF_DETAIL = "a mesh with levels of detail"
-    HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
-    SHADOW_CASTING_HEIGHT_FIELDS = (
-        "a height field that may cast shadows, and whose limit holds all of its triangles"
+    TESSELLATION = "a tessellated surface whose limit holds all of its triangles"
+    SHADOW_CASTING_TESSELLATION = (
+        "a tessellated surface that may cast shadows, and whose limit holds all of its triangles"
     )
 
 
@@ -403,7 +403,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             _same(32.0, 16.0, 8.0, 4.0, 2.0),
             "outlines are off by less than a pixel nearly everywhere",
             reference=FINEST_TESSELLATION,
-            requirement=Requirement.HEIGHT_FIELDS,
+            requirement=Requirement.TESSELLATION,
         ),
         _image_quality(
             "offscreen_edges",
@@ -413,7 +413,7 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "only their shadows are seen",
             reference=FINEST_TESSELLATION,
             base_settings=_LARGE_ATLAS,
-            requirement=Requirement.SHADOW_CASTING_HEIGHT_FIELDS,
+            requirement=Requirement.SHADOW_CASTING_TESSELLATION,
         ),
         _shadows(
             "shadow_size",
@@ -912,6 +912,7 @@ NOT_QUALITY_SETTINGS: Final[Mapping[str, str]] = {
     "technique.name": "images differ by rounding; `compare techniques`",
     "technique.all_lights": "the same light, found without lists",
     "technique.lights_per_draw": "the same light, added up in another order",
+    "technique.light_volumes": "the same lights, of surfaces that `deferred` stores: `compare techniques`",
     "technique.stencil": "the same lights at the same pixels in another way",
     "technique.tiled_transparency": "the same lights, found by tiles instead of objects",
     "technique.depth_first": "the same pixels without what is hidden",

@@ -347,7 +347,7 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
 def prepare_scene(scene: Scene, setting: QualitySetting, *, is_changed: bool = True) -> str | None:
     """Add what a quality setting needs to a scene where possible: shadows, bloom, occlusion, an aperture. Return what
     is still missing, None for nothing. With `is_changed=False` nothing is added."""
-    if setting.unit is ErrorUnit.OVERDRAW and scene.height_fields:
+    if setting.unit is ErrorUnit.OVERDRAW and scene.tessellated:
         return "the scene has a ground, of which each view has other triangles"
     if setting.reference.is_float64 or setting.reference.rays:
         scene.bloom = None  # pixels are compared with their own light
@@ -390,9 +390,9 @@ def _name_missing_part(scene: Scene, setting: QualitySetting) -> str | None:
             has = sum(isinstance(simulated.simulation, FountainSimulation) for simulated in scene.simulated)
         case Requirement.LEVELS_OF_DETAIL:
             has = len(scene.meshes.level_ranges)
-        case Requirement.HEIGHT_FIELDS | Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
-            has = sum(field.limit == field.count for field in scene.height_fields.values())
-            if setting.requirement is Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
+        case Requirement.TESSELLATION | Requirement.SHADOW_CASTING_TESSELLATION:
+            has = sum(field.limit == field.count for field in scene.tessellated.values())
+            if setting.requirement is Requirement.SHADOW_CASTING_TESSELLATION:
                 has *= scene.lights.has_shadows
         case _:
             return None
@@ -418,9 +418,9 @@ def _add_required_effect(scene: Scene, requirement: Requirement | None) -> None:
             scene.environment = scene.environment or Environment(paint_sky())
         case Requirement.FOCUS:
             scene.depth_of_field = scene.depth_of_field or DepthOfField(10.0, APERTURE_RADIUS)
-        case Requirement.SHADOW_CASTING_HEIGHT_FIELDS:
+        case Requirement.SHADOW_CASTING_TESSELLATION:
             scene.lights.cast_shadows()
-            scene.objects.casts_shadow[list(scene.height_fields)] = True
+            scene.objects.casts_shadow[list(scene.tessellated)] = True
 
 
 def find_missing_option(scene: str, setting: QualitySetting) -> str | None:

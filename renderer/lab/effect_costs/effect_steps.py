@@ -180,6 +180,14 @@ def _add_screen(builder: SceneBuilder) -> int:
     return material
 
 
+def _add_lit_box(builder: SceneBuilder) -> int:
+    rows, columns = np.indices((16, 16)) / 15.0
+    light = np.stack([0.2 + rows, 0.3 + 0.5 * columns, 1.0 - 0.8 * rows], axis=-1).astype(np.float16)
+    material = builder.add_material(base_color=(0.8, 0.8, 0.8), light_map_texture=builder.add_image(light))
+    _add_box(builder, material, (-1.55, 0.25, 2.0), (0.5, 0.5, 0.5))
+    return material
+
+
 def _switch_emission(renderer: Renderer, material: int, is_on: bool) -> None:
     renderer.scene.materials[material]["emission"] = 2.5 if is_on else 0.0
 
@@ -400,6 +408,12 @@ EFFECT_STEPS: Final = (
         _add_screen,
     ),
     EffectStep(
+        "light map",
+        "a box with baked light",
+        EffectPattern("light map", words=(".light_map_texture",), bindings=("maps",), resources=("maps",)),
+        _add_lit_box,
+    ),
+    EffectStep(
         "bloom",
         "what is brighter than white blooms",
         EffectPattern(
@@ -489,7 +503,7 @@ EFFECT_STEPS: Final = (
         EffectPattern(
             "terrain",
             programs=("BeginBisection", "Bisect", "FinishBisection"),
-            resources=("height field*",),
+            resources=("tessellated*",),
             events=("tessellation",),
         ),
         _add_terrain,

@@ -140,7 +140,7 @@ def measure_terrain_levels(device: Device) -> CaseResult:
             image = images[f"eye {number}"] = renderer.render(camera).image.read()
             counts.append(int(background_pixels(image).sum()))
             selected_indices = renderer.resources.indices.read(
-                0, 3 * renderer.tessellator.fields[0].read_count()
+                0, 3 * renderer.tessellator.surfaces[0].read_count()
             )
             corners = scene.meshes.vertices["position"][selected_indices.reshape(-1, 3), ::2].astype(
                 np.float64

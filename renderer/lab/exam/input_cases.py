@@ -57,6 +57,9 @@ def list_values() -> Inputs:
     yield "TessellationSettings.edge_pixels", lambda x: TessellationSettings(edge_pixels=x)
     yield "make_height_field.heights", lambda x: scenes.make_height_field(np.full((3, 3), x), 1.0)
     yield "make_height_field.size", lambda x: scenes.make_height_field(np.zeros((3, 3)), x)
+    yield "tessellate.heights", lambda x: scenes.tessellate(box(), halvings=1, heights=[[x]])
+    yield "tessellate.height_scale", lambda x: scenes.tessellate(box(), halvings=1, height_scale=x)
+    yield "tessellate.smoothness", lambda x: scenes.tessellate(box(), halvings=1, smoothness=x)
     yield from list_cloth_values()
 
 

@@ -23,6 +23,7 @@ from renderer.lab.exam import (
     image_cases,
     input_cases,
     light_culling_cases,
+    light_map_cases,
     lighting_model_cases,
     limit_cases,
     meshlet_cases,
@@ -34,6 +35,7 @@ from renderer.lab.exam import (
     shadow_cases,
     stereo_cases,
     temporal_cases,
+    tessellated_mesh_cases,
 )
 from renderer.lab.exam import visibility_cases as culling
 from renderer.lab.exam.case import Case
@@ -65,7 +67,9 @@ _CASE_MODULES: Final = (
     meshlet_cases,
     proxy_cases,
     lighting_model_cases,
+    light_map_cases,
     contact_cases,
+    tessellated_mesh_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

@@ -99,6 +99,7 @@ class LayoutReader(LitByLists):
             shininess=1.0,
             occlusion=1.0,
             emissive=sl.vec3(0.0),
+            irradiance=sl.vec3(-1.0),
             stretch=sl.vec3(0.0),
         )
 
@@ -213,6 +214,7 @@ class HargreavesReader(LayoutReader):
             shininess=sl.max(specular.y * _SHARPEST, 1.0),
             occlusion=specular.z,
             emissive=color.rgb * color.w,
+            irradiance=sl.vec3(-1.0),
             stretch=sl.vec3(0.0),
         )
 

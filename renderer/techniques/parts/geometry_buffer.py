@@ -7,6 +7,7 @@ drawn.
 | `surface`, if shadows fall on normal maps | RGBA32UI | 16 | and the normal without maps; a word isn't used |
 | `material` | R32UI | 4 | the index of the material |
 | `material`, if the scene has images or maps | RG32UI | 8 | and the texel's colour, 3 × 10 bits |
+| `surface`, if the scene has light maps | RGBA32UI | 16 | and the irradiance of the light map, 3 × 10 bits |
 | `details`, if it has roughness or occlusion maps | R32UI | 4 | 8 bits metallic, 8 occlusion, 16 roughness |
 | `details`, if it has emissive maps | RG32UI | 8 | and the emissive texel, 3 × 10 bits |
 | `depth` | D32F | 4 | depth, for tests only |
@@ -25,7 +26,8 @@ half of its word, so `surface` has a word less, or two with the normal without m
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which
 a bright light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole
 image leave out the background by a depth test (`draw_full_screen`). Where images have texels above 1, the emissive
-texel's 10 bits are logarithms: 32 steps to a factor of 2 are within 1.1 % from 2⁻¹⁶ to 2¹⁶.
+texel's 10 bits are logarithms: 32 steps to a factor of 2 are within 1.1 % from 2⁻¹⁶ to 2¹⁶. So are those of light
+maps. These take the last word of `surface`, so normals have 16 bits beside them, whatever `normal_bits` says.
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ def check_materials(frame: Frame) -> None:
 
 
 def surface_format(effects: FrameEffects, normal_bits: int = DEFAULT_NORMAL_BITS) -> Format:
-    """Texel format of `surface`."""
+    """Texel format of `surface`, without light maps."""
     if normal_bits == 8:
         return Format.RG32UI if effects.has_geometric_normals else Format.R32UI
     return Format.RGBA32UI if effects.has_geometric_normals else Format.RG32UI
@@ -116,6 +118,26 @@ def decode_details(bits: sl.uint) -> sl.vec3:
     return shares / sl.vec3(255.0, 65535.0, 255.0)
 
 
+_NO_LIGHT_MAP: Final = 1 << 30
+"""A word of `surface` that no irradiance has."""
+
+
+@sl.function
+def encode_irradiance(irradiance: sl.vec3) -> sl.uint:
+    """Encode the irradiance of a light map, negative without one."""
+    if irradiance.x < 0.0:
+        return sl.uint(_NO_LIGHT_MAP)
+    return encode_bright_texel(irradiance)
+
+
+@sl.function
+def decode_irradiance(bits: sl.uint) -> sl.vec3:
+    """Decode an irradiance that `encode_irradiance` encoded."""
+    if bits == sl.uint(_NO_LIGHT_MAP):
+        return sl.vec3(-1.0)
+    return decode_bright_texel(bits)
+
+
 class GeometryTexels(sl.Struct):
     """Output of `GeometryShader`; channels that a target's format lacks are dropped."""
 
@@ -149,15 +171,22 @@ class SurfaceWriter(SceneShader):
 
 
 class GeometryShader(SurfaceWriter):
-    """Writes the geometry buffer of a scene with no maps but colour and normal maps."""
+    """Writes the geometry buffer of a scene with no maps but colour, normal and light maps."""
 
     has_color_texels = False
 
     def fragment(self, v: SurfaceVarying) -> GeometryTexels:
         at = self.surface_input(v)
         described = self.evaluate(at)
-        surface = self.encode_surface(at, described.normal)
+        surface = self.encode_lit_surface(at, described.normal)
         return GeometryTexels(surface=surface, material=self.encode_material(at.material, described))
+
+    def encode_lit_surface(self, at: SurfaceInput, normal: sl.vec3) -> sl.uvec4:
+        """The texel of `surface`, with the irradiance of the light map."""
+        surface = self.encode_surface(at, normal)
+        if self.has_light_maps:
+            surface.w = encode_irradiance(self.sample_light_map(at))
+        return surface
 
     def encode_material(self, material_index: int, described: SurfaceParameters) -> sl.uvec4:
         """The texel of `material`."""
@@ -182,12 +211,12 @@ class DetailedGeometry(GeometryShader):
         details = encode_details(sl.vec2(described.metallic, described.roughness), described.occlusion)
         if self.has_bright_texels:
             return DetailedTexels(
-                surface=self.encode_surface(at, described.normal),
+                surface=self.encode_lit_surface(at, described.normal),
                 material=self.encode_material(at.material, described),
                 details=sl.uvec4(details, encode_bright_texel(described.emissive), sl.uint(0), sl.uint(0)),
             )
         return DetailedTexels(
-            surface=self.encode_surface(at, described.normal),
+            surface=self.encode_lit_surface(at, described.normal),
             material=self.encode_material(at.material, described),
             details=sl.uvec4(details, encode_texel(described.emissive), sl.uint(0), sl.uint(0)),
         )
@@ -208,7 +237,9 @@ def geometry_buffer_formats(
     colors = Effect.IMAGES, Effect.VERTEX_COLORS, Effect.DECALS
     has_color_texels = has_details or not enabled.isdisjoint(colors)
     material = Format.RG32UI if has_color_texels else Format.R32UI
-    formats = {"surface": surface_format(effects, normal_bits), "material": material}
+    has_light_maps = Effect.LIGHT_MAPS in enabled
+    surface = Format.RGBA32UI if has_light_maps else surface_format(effects, normal_bits)
+    formats = {"surface": surface, "material": material}
     return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})
 
 
@@ -225,7 +256,10 @@ def geometry_buffer_switches(frame: Frame) -> dict[str, bool]:
         "has_details": details is not None,
         "has_emissive_texels": emissive,
     }
-    return switches | {"has_small_normals": surface.format is surface_format(frame.effects, 8)}
+    is_small = Effect.LIGHT_MAPS not in frame.effects.enabled and surface.format is surface_format(
+        frame.effects, 8
+    )
+    return switches | {"has_small_normals": is_small}
 
 
 class SurfaceReader(PixelShader):
@@ -264,6 +298,7 @@ class GeometryReader(SurfaceReader, ReflectingShader):
     has_details = False
     has_emissive_texels = False
     has_bright_texels = False
+    has_light_maps = False
 
     material: sl.UintTexture2D
     details: sl.UintTexture2D
@@ -312,12 +347,12 @@ class GeometryReader(SurfaceReader, ReflectingShader):
             occlusion=occlusion,
             emissive=emissive,
         )
+        surface = self.make_surface(position, self.read_geometric_normal(texel, normal), described, material)
         if self.has_lighting_models:
-            surface = self.make_surface(
-                position, self.read_geometric_normal(texel, normal), described, material
-            )
-            return self.note_material(surface, int(material_texel.x), material.shader)
-        return self.make_surface(position, self.read_geometric_normal(texel, normal), described, material)
+            surface = self.note_material(surface, int(material_texel.x), material.shader)
+        if self.has_light_maps:
+            surface.irradiance = decode_irradiance(texel.w)
+        return surface
 
 
 def geometry_pass(

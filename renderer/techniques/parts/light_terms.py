@@ -97,6 +97,7 @@ class TermShader(VolumeShader, SurfaceReader, AreaReflectingShader):
             shininess=self.shininess.load(pixel).x / _SHININESS_SCALE,
             occlusion=1.0,
             emissive=sl.vec3(1.0),
+            irradiance=sl.vec3(-1.0),
             stretch=sl.vec3(0.0),
         )
         if self.has_areas:

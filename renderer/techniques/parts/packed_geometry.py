@@ -122,6 +122,8 @@ class PackedTextures(SceneShader):
         material = self.materials[v.material]
         maps = sl.max(sl.max(material.texture, material.normal_texture), material.metallic_roughness_texture)
         texture_index = sl.max(maps, sl.max(material.occlusion_texture, material.emissive_texture))
+        if self.has_light_maps:
+            texture_index = sl.max(texture_index, material.light_map_texture)
         if texture_index < 0:
             return first.xy
         use = self.textures[texture_index]
@@ -228,6 +230,7 @@ def _has_textures(effects: FrameEffects) -> bool:
         Effect.ROUGHNESS_MAPS,
         Effect.OCCLUSION_MAPS,
         Effect.EMISSIVE_MAPS,
+        Effect.LIGHT_MAPS,
     )
     return not effects.enabled.isdisjoint((shaders, *maps))
 

@@ -203,6 +203,7 @@ class ReflectingShader(ViewRayShader):
             shininess=material.shininess,
             occlusion=described.occlusion,
             emissive=described.emissive,
+            irradiance=sl.vec3(-1.0),
             stretch=sl.vec3(0.0),
         )
         if (
@@ -325,6 +326,7 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
     """Shades a surface by ambient, emitted and directional light."""
 
     has_ambient_light = True
+    has_light_maps = False
     has_ambient_occlusion = False
     has_contact_shadows = False
     contact_light = 0
@@ -346,14 +348,9 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
         """Light of the surface without local lights."""
         if self.is_albedo:
             return surface.base_color
-        if not self.has_ambient_light:
-            color = sl.vec3(0.0)
-        elif self.has_environment:
-            color = self.reflect_environment(surface, material)
-        else:
-            color = self.reflect_ambient(surface, self.ambient, material)
-        if self.has_ambient_occlusion:
-            color *= self.ambient_occlusion.load(self.get_pixel()).x
+        color = sl.vec3(0.0)
+        if self.has_ambient_light:
+            color = self.shade_ambient(surface, material)
         if self.has_emission:
             color += surface.base_color * material.emission
         if self.has_emissive_colors:
@@ -364,6 +361,28 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver, EnvironmentL
             for i in range(len(self.directional_lights)):
                 color += self.shade_directional_light(surface, i)
         return color
+
+    def shade_ambient(self, surface: SurfacePoint, material: Material) -> sl.vec3:
+        """Light that the surface reflects of what arrives from all around."""
+        if self.has_light_maps and surface.irradiance.x >= 0.0:  # where what is hidden has been baked
+            return self.reflect_light_map(surface, material)
+        if self.has_environment:
+            color = self.reflect_environment(surface, material)
+        else:
+            color = self.reflect_ambient(surface, self.ambient, material)
+        if self.has_ambient_occlusion:
+            color *= self.ambient_occlusion.load(self.get_pixel()).x
+        return color
+
+    def reflect_light_map(self, surface: SurfacePoint, material: Material) -> sl.vec3:
+        """Light of the surface's light map that it sends to the eye. It mirrors the environment, or without one
+        the mean of what arrives."""
+        if self.has_environment:
+            scattered = surface.base_color * surface.irradiance * surface.occlusion
+            surface.base_color = sl.vec3(0.0)
+            return scattered + self.reflect_environment(surface, material)
+        even = Ambient(sky=surface.irradiance, ground=surface.irradiance)
+        return self.reflect_ambient(surface, even, material)
 
     def reflect_environment(self, surface: SurfacePoint, material: Material) -> sl.vec3:
         """Light of the environment that the surface sends to the eye."""
@@ -503,6 +522,8 @@ class SurfaceShader(SceneShader, ReflectingShader):
             surface = self.stretch(surface, at)
         if self.has_lighting_models:
             surface = self.note_material(surface, v.material, material.shader)
+        if self.has_light_maps:
+            surface.irradiance = self.sample_light_map(at)
         return surface
 
 

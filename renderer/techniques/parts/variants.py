@@ -319,15 +319,35 @@ def lit_pass(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class RepeatedPass:
+    """A pass that draws the visible objects, of which nothing but the objects changes with the camera."""
+
+    drawer: TechniqueDrawer
+    program: Program[...]
+    descriptor: object
+
+    @property
+    def is_current(self) -> bool:
+        """True unless the program was exchanged or destroyed."""
+        return self.program.descriptor is self.descriptor and not self.program.destroyed
+
+
+def select_repeated_pass(values: Mapping[object, object]) -> RepeatedPass | None:
+    """Return the only pass of this kind that `draw_lit` has left in `Frame.values`."""
+    passes = [value for value in values.values() if isinstance(value, RepeatedPass)]
+    return passes[0] if len(passes) == 1 else None
+
+
 def draw_lit(
     frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1
 ) -> None:
     """Draw the visible objects lit; see `lit_pass`."""
     key = draw_lit, samples, after_depth, id(lighting)  # the plan holds it
-    last: tuple[TechniqueDrawer, Program[...], object] | None = frame.values.get(key)
-    if last is not None and last[1].descriptor is last[2] and not last[1].destroyed:
-        last[0].begin_frame()
-        frame.draw_visible(last[0])
+    last: RepeatedPass | None = frame.values.get(key)
+    if last is not None and last.is_current:
+        last.drawer.begin_frame()
+        frame.draw_visible(last.drawer)
         return
     color, depth = name_samples(frame.effects.image.name, samples), name_samples("depth", samples)
     shader_bindings = lighting.bind(frame)
@@ -349,5 +369,5 @@ def draw_lit(
     )
     program, bindings = programs[0]
     if len(programs) == 1 and not shader_bindings and FOLLOW_CAMERA.isdisjoint(bindings):
-        frame.values[key] = lit, program, program.descriptor  # nothing of it changes with the camera
+        frame.values[key] = RepeatedPass(lit, program, program.descriptor)
     frame.draw_visible(lit)

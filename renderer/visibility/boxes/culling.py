@@ -20,6 +20,7 @@ node, become:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -80,17 +81,39 @@ def select_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.b
 
 
 class BruteForceCuller:
-    """Culls boxes by brute force, where there are so few that a hierarchy would take longer to traverse."""
+    """Culls boxes by brute force, where there are so few that a hierarchy would take longer to traverse.
+
+    One product of matrices gives the distances of all p-vertices from all planes. It rounds otherwise than
+    `select_visible`, which decides what lies within a margin of a plane.
+    """
 
     def __init__(self, lower: Floats, upper: Floats) -> None:
         self._lower, self._upper = (np.ascontiguousarray(corner.T).T for corner in (lower, upper))
+        corners = np.concatenate([lower.T, upper.T, np.ones((1, len(lower)))])
+        self._corners = np.ascontiguousarray(corners)  # (7, n)
+        self._largest = float(np.abs(corners).sum(axis=0).max(initial=0.0))
+        self._is_finite = isfinite(self._largest)
 
     def select_visible(self, planes: Floats) -> tuple[Indices, CullingCounts]:
         """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the
         cost."""
         count = len(self._lower)
-        visible = select_visible(planes, self._lower, self._upper).nonzero()[0]
+        visible = self._select_surely(planes) if self._is_finite else None
+        if visible is None:
+            visible = select_visible(planes, self._lower, self._upper).nonzero()[0]
         return visible, CullingCounts(0, count, count * len(planes))
+
+    def _select_surely(self, planes: Floats) -> Indices | None:
+        """Return the boxes that are not outside; None if a box is so near a plane that rounding decides."""
+        weights = np.empty((len(planes), 7))
+        normals = planes[:, :3]
+        np.minimum(normals, 0.0, out=weights[:, :3])
+        np.maximum(normals, 0.0, out=weights[:, 3:6])
+        weights[:, 6] = planes[:, 3]
+        margin = _MARGIN * (self._largest + max(map(abs, planes[:, 3].tolist())))
+        nearest = np.minimum.reduce(weights.dot(self._corners), axis=0)
+        visible = (nearest >= margin).nonzero()[0]
+        return visible if np.count_nonzero(nearest >= -margin) == len(visible) else None
 
 
 class HierarchyCuller:

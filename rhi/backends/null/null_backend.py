@@ -26,7 +26,7 @@ from rhi.backends.null.answers import Answers
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
 from rhi.backends.null.null_buffers import Buffers
 from rhi.backends.null.null_capabilities import PROFILES
-from rhi.backends.null.null_draws import Draw, ExecutedIndirectDraws, read_indirect_draws
+from rhi.backends.null.null_draws import Draw, ExecutedIndirectDraws, has_vertices, read_indirect_draws
 from rhi.backends.null.null_queries import Queries
 from rhi.backends.null.null_textures import Textures
 from rhi.backends.null.shaders import Shaders, StandIn
@@ -264,7 +264,7 @@ class NullBackend(CommandMethods):
                     continue
                 if op == write:
                     buffer, offset, data = entries[start:position]
-                    memory[buffer][offset : offset + len(data)] = np.frombuffer(data, np.uint8)
+                    memory[buffer].data[offset : offset + len(data)] = data
                     continue
                 if op == signal:
                     self._fence = entries[start]
@@ -406,10 +406,9 @@ class NullBackend(CommandMethods):
                     vertex_array, primitive, first, count, instances, base_vertex, base_instance
                 )
         else:
-            draws_vertices = np.logical_or.reduce((resolved["count"] > 0) & (resolved["instances"] > 0))
             outcome = self._state.outcome  # as `_count_unfollowed`, without its call
             self._draws[outcome] += len(resolved)
-            if draws_vertices and outcome is not DrawOutcome.DROPPED:
+            if outcome is not DrawOutcome.DROPPED and has_vertices(resolved):
                 self._queries.add_unknown()
         executed = resolved[:0] if self._state.outcome is DrawOutcome.DROPPED else resolved
         self._indirect_draws.append(ExecutedIndirectDraws(vertex_array, primitive, executed))

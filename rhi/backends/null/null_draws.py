@@ -57,6 +57,10 @@ def read_indirect_draws(
     buffers."""
     if count_buffer:
         draws = min(draws, int(buffers.words(count_buffer, count_offset, 1)[0]))
+    if indexed and stride == DRAW.itemsize:
+        return (
+            np.frombuffer(buffers.memory[buffer], DRAW, draws, offset).copy() if draws else np.zeros(0, DRAW)
+        )
     result = np.zeros(draws, DRAW)
     if draws:
         layout = DRAW if indexed else DRAW_UNINDEXED
@@ -65,3 +69,11 @@ def read_indirect_draws(
             if name in (layout.names or ()):
                 result[name] = records[name]
     return result
+
+
+def has_vertices(draws: NDArray[np.void]) -> bool:
+    """Return whether any of `draws` (of `rhi.DRAW`) has vertices. Mostly the first has."""
+    counts, instances = draws["count"], draws["instances"]
+    if len(draws) and counts[0] and instances[0]:
+        return True
+    return bool(((counts > 0) & (instances > 0)).any())

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,10 +65,18 @@ def _encode_once(format: Format, values: bytes) -> NDArray[np.generic]:
     return encode(format, np.frombuffer(values))
 
 
-def _fill(texels: NDArray[np.generic], value: NDArray[np.generic]) -> None:
-    """Fill a layer (height, width, channels), or several, with a texel."""
-    texels[0] = value
-    texels[1:] = texels[0]  # row by row: NumPy repeats a few bytes much more slowly than a row
+_Clear = tuple[NDArray[np.generic], NDArray[np.generic]]
+"""Texels (…, height, width, channels), and the row that they are cleared to."""
+_MAX_CLEARS: Final = 64
+"""The clears of so many passes are remembered, at most."""
+
+
+def _clear_to(texels: NDArray[np.generic], value: NDArray[np.generic] | int) -> _Clear:
+    """Return the clear of texels (height, width, channels), or of several layers, to a texel. A row is repeated, since
+    NumPy repeats a few bytes much more slowly."""
+    row = np.empty(texels.shape[-2:], texels.dtype)
+    row[...] = value
+    return texels, row
 
 
 class Textures:
@@ -75,10 +84,12 @@ class Textures:
 
     def __init__(self) -> None:
         self.textures: dict[Id, TextureMemory] = {}
+        self._clears: dict[int, tuple[PassDescriptor, list[_Clear]]] = {}  # by the identity of the descriptor
 
     def clear(self) -> None:
         """Release all textures."""
         self.textures.clear()
+        self._clears.clear()
 
     # -- immediate -----------------------------------------------------------------------------------------
 
@@ -102,7 +113,8 @@ class Textures:
     # -- commands ----------------------------------------------------------------------------------------
 
     def destroy(self, resource: Id) -> None:
-        self.textures.pop(resource, None)
+        if self.textures.pop(resource, None) is not None:
+            self._clears.clear()  # which hold the memory of textures
 
     def write_texture(self, texture: Id, level: int, region: Region, data: bytes) -> None:
         target = self.textures[texture].levels[level]
@@ -138,6 +150,17 @@ class Textures:
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         """Clear the attachments of a pass."""
+        described = self._clears.get(id(descriptor))
+        if described is None or described[0] is not descriptor:
+            if len(self._clears) >= _MAX_CLEARS:
+                self._clears.clear()
+            described = self._clears[id(descriptor)] = descriptor, self._list_clears(descriptor)
+        for texels, row in described[1]:
+            texels[...] = row
+
+    def _list_clears(self, descriptor: PassDescriptor) -> list[_Clear]:
+        """Return the clears of the attachments of a pass."""
+        clears = []
         for color in descriptor.colors:
             if color.clear is not None:
                 texture = self.textures[color.texture]
@@ -145,7 +168,7 @@ class Textures:
                 values = np.array(color.clear, np.float64)[: format.channels]
                 level = texture.levels[color.level]
                 texels = level if color.layer == ALL_LAYERS else level[color.layer]
-                _fill(texels, _encode_once(format, values.tobytes()))
+                clears.append(_clear_to(texels, _encode_once(format, values.tobytes())))
         depth = descriptor.depth
         if depth is not None:
             texture = self.textures[depth.texture]
@@ -153,9 +176,10 @@ class Textures:
             if depth.clear is not None:
                 value = np.array([depth.clear], np.float64)
                 texels = texture.levels[depth.level][layers]
-                _fill(texels, _encode_once(texture.descriptor.format, value.tobytes()))
+                clears.append(_clear_to(texels, _encode_once(texture.descriptor.format, value.tobytes())))
             if depth.clear_stencil is not None and texture.stencil:
-                texture.stencil[depth.level][layers] = depth.clear_stencil & 0xFF
+                clears.append(_clear_to(texture.stencil[depth.level][layers], depth.clear_stencil & 0xFF))
+        return clears
 
     def end_pass(self, descriptor: PassDescriptor) -> None:
         """Resolve the attachments of a pass."""

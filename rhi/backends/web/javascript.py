@@ -15,8 +15,10 @@ dispatch_workgroups: (pass, x, y, z) => pass.dispatchWorkgroups(x, y, z),
 dispatch_workgroups_indirect: (pass, buffer, offset) => pass.dispatchWorkgroupsIndirect(buffer, offset),
 write_timestamp: (encoder, querySet, beginningOfPassWriteIndex) =>
   encoder.beginComputePass({timestampWrites: {querySet, beginningOfPassWriteIndex}}).end(),
-describe_render_pass: (colors, depth, occlusionQuerySet) => {
-  const description = {colorAttachments: [], occlusionQuerySet};
+describe_render_pass: (colors, depth, occlusionQuerySet, formats, depthStencilFormat, sampleCount) => {
+  const colorFormats = formats.split(",").filter(Boolean);
+  const description = {colorAttachments: [], occlusionQuerySet, formats: {colorFormats, sampleCount}};  // of a bundle
+  if (depthStencilFormat) description.formats.depthStencilFormat = depthStencilFormat;
   for (let i = 0; i < colors.length; i += 8) {
     const [view, resolveTarget, clears, stores, r, g, b, a] = colors.slice(i, i + 8);
     const color = {view, loadOp: clears ? "clear" : "load", storeOp: stores ? "store" : "discard"};

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
-from js import Object
+from js import Map, Object
 from pyodide.ffi import JsProxy, to_js
 
+from rhi.backends.web.pass_commands import ObjectTable
 from rhi.backends.webgpu.javascript_names import prepare, to_camel_case
+
+OBJECTS: Final = Map.new()
+"""The objects that commands of passes use, by their numbers in `TABLE`."""
+TABLE: Final = ObjectTable(OBJECTS.set, OBJECTS.delete)
 
 
 def to_javascript(value: Any) -> Any:
@@ -34,6 +39,9 @@ class WebObject:
 
     def __init__(self, proxy: Any) -> None:
         self._internal = proxy
+
+    def __del__(self) -> None:
+        TABLE.forget(self._internal)
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._internal, to_camel_case(name))

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import js
@@ -16,8 +17,8 @@ from pyodide.ffi import JsException, can_run_sync, run_sync, to_js
 
 from rhi.backends.web import pass_commands
 from rhi.backends.web.javascript import FUNCTIONS
-from rhi.backends.web.js_objects import WebObject
-from rhi.backends.web.pass_commands import REPLAY, PassCommands
+from rhi.backends.web.js_objects import OBJECTS, TABLE, WebObject
+from rhi.backends.web.pass_commands import REPLAY, BundleCache, PassCommands
 from rhi.backends.webgpu.implementation import (
     ColorTarget,
     DepthTarget,
@@ -146,7 +147,7 @@ def open_host(page: WebPage, device: Any = None) -> Host:
     features = {feature for feature in _USED if page.functions.has(device.features, feature)}
     if _TIMESTAMPS in features:
         features.add("timestamp-query-inside-encoders")  # by `WebPage.write_timestamp`
-    page.state = page.functions.watch(device)
+    page.device, page.state = device, page.functions.watch(device)
     host_info = {"device": name or "WebGPU", "description": description, "backend_type": "WebGPU"}
     return Host(WebDevice(device, page), host_info, frozenset(features), limits)
 
@@ -207,6 +208,8 @@ class WebPage:
     no_offsets = ()
     maps_early = True
 
+    begin_render_pass: Callable[[Handle, Any], Handle]
+    pack_group: Callable[[Handle, int, Handle, int], Callable[..., bytes]] | None
     release_render_pass: Callable[[Handle], object]
     end_render_pass: Callable[[Handle], object]
     set_compute_bind_group: Callable[[Handle, int, Handle, int, Any], object]
@@ -217,7 +220,10 @@ class WebPage:
         functions = self.functions = get_functions()
         self.state: Any = None
         self.version = str(getattr(getattr(js, "navigator", None), "userAgent", "") or "a page")
-        self._replay = run_js(REPLAY)
+        self.device: Any = None
+        self._passes = run_js(REPLAY)
+        self._replay = self._passes.replay
+        self._bundles = BundleCache(self._make_bundle)
         commands: Any = pass_commands
         self.set_pipeline = commands.set_pipeline
         self.set_bind_group = commands.set_bind_group
@@ -233,7 +239,8 @@ class WebPage:
         self.set_blend_constant = commands.set_blend_constant
         self.begin_occlusion_query = commands.begin_occlusion_query
         self.end_occlusion_query = commands.end_occlusion_query
-        self.begin_render_pass = commands.PassCommands
+        self.begin_render_pass = partial(commands.PassCommands, TABLE)
+        self.pack_group = commands.pack_group
         self.end_render_pass = self._end_render_pass
         self.release_render_pass = _leave_to_collector
         self.set_compute_bind_group = self._set_compute_bind_group
@@ -253,18 +260,23 @@ class WebPage:
     def _end_render_pass(self, render: PassCommands) -> None:
         """Begin a pass of the page, make its calls, and end it."""
         with DeferredInterrupts():
-            self._replay(render.encoder, render.description, render, *render.objects)
+            bundle = self._bundles.get(render)
+            self._replay(render.encoder, render.description, render, OBJECTS, bundle)
+
+    def _make_bundle(self, render: PassCommands) -> Any:
+        return self._passes.bundle(self.device, render.description, render, OBJECTS)
 
     def pack_draw(self, indexed: bool, count: int, first: int, base_vertex: int, base_instance: int) -> bytes:
         """Return the record of a draw of one instance."""
         return pass_commands.pack_draw(indexed, count, first, base_vertex, base_instance)
 
     def describe_render_pass(
-        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
+        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle, samples: int
     ) -> Any:
         """Return the description of a render pass."""
         parts: list[Any] = []
-        for view, clear, resolved, stores in colors:
+        formats = ",".join(color.format for color in colors)
+        for view, _, clear, resolved, stores in colors:
             parts += [view._internal, resolved._internal if resolved is not None else None]
             parts += [clear is not None, stores, *(clear or (0.0, 0.0, 0.0, 0.0))]
         functions, target = self.functions, None
@@ -277,7 +289,10 @@ class WebPage:
                 depth.clear_stencil is not None,
                 depth.clear_stencil or 0,
             )
-        return functions.describe_render_pass(functions.array(*parts), target, query_set)
+        depth_format = depth.format if depth is not None else ""
+        return functions.describe_render_pass(
+            functions.array(*parts), target, query_set, formats, depth_format, samples
+        )
 
     def offset_array(self, count: int) -> list[int]:
         """Return an array of this many dynamic offsets."""

@@ -162,6 +162,7 @@ class CallRecorder:
     index_formats: Mapping[IndexFormat, Any] = {IndexFormat.UINT16: "uint16", IndexFormat.UINT32: "uint32"}
     no_offsets = None
     maps_early = False
+    pack_group: Callable[[Handle, int, Handle, int], Callable[..., bytes]] | None = None
 
     def __init__(self) -> None:
         self.calls: list[Call] = []
@@ -250,7 +251,7 @@ class CallRecorder:
         """Return None: calls are made at once."""
 
     def describe_render_pass(
-        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
+        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle, samples: int
     ) -> Any:
         """Return the description of a render pass."""
         attachments = [
@@ -261,7 +262,7 @@ class CallRecorder:
                 "load_op": "load" if clear is None else "clear",
                 "store_op": "store" if stores else "discard",
             }
-            for view, clear, resolved, stores in colors
+            for view, _, clear, resolved, stores in colors
         ]
         target: dict[str, Any] | None = None
         if depth is not None:

@@ -26,6 +26,7 @@ from rhi.backends.webgpu.implementation import (
     Implementation,
 )
 from rhi.backends.webgpu.webgpu_errors import translate_errors
+from rhi.backends.webgpu.webgpu_formats import DUMMY_FORMAT, FORMATS
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor
 from rhi.contract.interrupts import DeferredInterrupts
 
@@ -38,6 +39,9 @@ class PassTargets(Protocol):
 
     def detach(self, encoder: GpuObject) -> None:
         """Copy the stand-ins that were drawn to back to their textures."""
+
+    def name_format(self, texture: Id) -> str:
+        """Return WebGPU's name of a texture's format."""
 
     def has_stencil(self, texture: Id) -> bool:
         """True if a texture has stencil."""
@@ -219,8 +223,8 @@ class Stream:
             depth = self._attach_depth(descriptor.depth, first, encoder)
         elif not descriptor.colors:
             dummy = self.targets.dummy(descriptor.size, descriptor.samples)
-            colors.append(ColorTarget(dummy, (0.0, 0.0, 0.0, 0.0), None, False))
-        info = implementation.describe_render_pass(colors, depth, self.query_set())
+            colors.append(ColorTarget(dummy, FORMATS[DUMMY_FORMAT], (0.0, 0.0, 0.0, 0.0), None, False))
+        info = implementation.describe_render_pass(colors, depth, self.query_set(), descriptor.samples)
         # The call and the note of its pass are C alone: an interrupt between would lock the encoder for ever.
         self._open.extend(map(implementation.begin_render_pass, (encoder._internal,), (info,)))
         self.render, self._begun = self._open[0], True
@@ -232,12 +236,13 @@ class Stream:
         clear = target.clear if first else None
         view = self.targets.attach(encoder, target.texture, target.level, target.layer, clear is None)
         resolved = self.targets.attach(encoder, target.resolve, 0, 0, False) if target.resolve else None
-        return ColorTarget(view, clear, resolved)
+        return ColorTarget(view, self.targets.name_format(target.texture), clear, resolved)
 
     def _attach_depth(self, target: DepthAttachment, first: bool, encoder: GpuObject) -> DepthTarget:
         view = self.targets.attach(encoder, target.texture, target.level, target.layer, True)
         clear, clear_stencil = (target.clear, target.clear_stencil) if first else (None, None)
-        return DepthTarget(view, clear, clear_stencil, self.targets.has_stencil(target.texture))
+        name = self.targets.name_format(target.texture)
+        return DepthTarget(view, name, clear, clear_stencil, self.targets.has_stencil(target.texture))
 
     def end_segment(self) -> None:
         """End the open render pass."""

@@ -69,6 +69,7 @@ class ColorTarget(NamedTuple):
     """A color target of a render pass; without `clear` its contents are loaded."""
 
     view: GpuObject
+    format: str
     clear: Sequence[float] | None
     resolve_target: GpuObject | None = None
     stores: bool = True
@@ -78,6 +79,7 @@ class DepthTarget(NamedTuple):
     """The depth target of a render pass; without a clear value its contents are loaded."""
 
     view: GpuObject
+    format: str
     clear: float | None
     clear_stencil: int | None
     has_stencil: bool
@@ -190,6 +192,10 @@ class Implementation(Protocol):
     set_compute_bind_group: Callable[[Handle, int, Handle, int, Any], object]
     dispatch_workgroups: Callable[[Handle, int, int, int], object]
     dispatch_workgroups_indirect: Callable[[Handle, Handle, int], object]
+    pack_group: Callable[[Handle, int, Handle, int], Callable[..., bytes]] | None
+    """Returns a function of a group's dynamic offsets that returns its bytes, which are added to a pass's handle
+    instead of a call of `set_bind_group`, in any pass; None if calls are made at once. What other functions add to
+    a pass's handle may then be added to another one's, too."""
     begin_render_pass: Callable[[Handle, Any], Handle]
     """Begins a pass of an encoder's handle. Runs no Python function, so nothing interrupts it."""
     end_render_pass: Callable[[Handle], object]
@@ -206,7 +212,7 @@ class Implementation(Protocol):
         `draw` or `draw_indexed`; None if calls are made at once."""
 
     def describe_render_pass(
-        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
+        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle, samples: int
     ) -> Any:
         """Return the description of a render pass, for `begin_render_pass`."""
 

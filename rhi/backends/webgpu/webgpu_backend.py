@@ -178,6 +178,10 @@ class WebGpuBackend:
         """See `rhi.contract.backend.SupportsPreparedDraws`."""
         return self._bindings.prepare_uniform(buffer)
 
+    def prepare_uniform_write(self, buffer: Id) -> Callable[[int, int, bytes], object]:
+        """See `rhi.contract.backend.SupportsOrderedWrites`."""
+        return self._bindings.prepare_uniform_write(buffer)
+
     def prepare_draw(
         self,
         program: Id,

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from rhi.backends.webgpu.command_encoder import Stream
 from rhi.backends.webgpu.implementation import GpuObject, Handle
-from rhi.backends.webgpu.webgpu_buffers import Buffers
+from rhi.backends.webgpu.webgpu_buffers import GAP, Buffers
 from rhi.backends.webgpu.webgpu_errors import translate_errors
 from rhi.backends.webgpu.webgpu_formats import DIMENSIONS
 from rhi.backends.webgpu.webgpu_programs import GpuProgram, PipelineLayout
@@ -27,6 +27,9 @@ MAX_GROUPS: Final = 8192
 
 BindGroup = Callable[[Handle, int, Handle, int, Handle], object]
 """A function that binds a group: (pass, index, group, number of offsets, offsets)."""
+
+PackGroup = Callable[[Handle, int, Handle, int], Callable[..., bytes]]
+"""`rhi.backends.webgpu.implementation.Implementation.pack_group`."""
 
 
 class BoundResources:
@@ -62,6 +65,7 @@ class BoundResources:
         self._no_offsets = implementation.no_offsets
         self.uniform_group: Handle = None
         self._uniform_object: GpuObject | None = None
+        self.pack_offsets: Callable[..., bytes] | None = None  # of the group of uniforms
 
     # -- slots -------------------------------------------------------------------------------------------
 
@@ -105,6 +109,40 @@ class BoundResources:
             self.moved = True
 
         return bind
+
+    def prepare_uniform_write(self, buffer: Id) -> Callable[[int, int, bytes], object]:
+        """Return a write to a buffer that binds what it has written."""
+        target = self._buffers.objects[buffer]
+        write, bind = self._buffers.write, self.prepare_uniform(buffer)
+        ranges, uniforms, offsets, dirty = target.dirty, self.uniforms, self.offsets, self.dirty
+        pairs: dict[int, tuple[Id, int]] = {}
+
+        def write_and_bind(slot: int, offset: int, data: bytes) -> None:
+            size = len(data)
+            if target.shadow is None or target.device_wrote or not ranges:
+                write(buffer, offset, data)
+                bind(slot, offset, size)
+                return
+            # As `Buffers.write` and `bind` do, without their three frames.
+            target.version += 1
+            last, end = ranges[-1], offset + size
+            if last[0] <= offset <= last[1] + GAP:
+                if end > last[1]:
+                    last[1] = end
+            else:
+                ranges.append([offset, end])
+            target.shadow[offset:end] = data
+            pair = pairs.get(size)
+            if pair is None:
+                pair = pairs[size] = (buffer, size)
+            bound = uniforms.get(slot)
+            if bound is not pair and bound != pair:
+                uniforms[slot] = pair
+                dirty[0] = self.changed = True
+            offsets[slot] = offset
+            self.moved = True
+
+        return write_and_bind
 
     def invalidate(self) -> None:
         """Bind all groups anew: a pass or another program has begun."""
@@ -156,6 +194,7 @@ class BoundResources:
             if dirty[0]:
                 self._uniform_object = self._get_group(program, layout, 0)
                 self.uniform_group = self._uniform_object._internal
+                self.pack_offsets = None
                 dirty[0] = False
             self.move(program, bind, encoder)
         for index in range(1, program.groups):
@@ -170,6 +209,13 @@ class BoundResources:
         array[0:count] = program.select_offsets(self.offsets)
         bind(encoder, 0, self.uniform_group, count, array)
         self.moved = False
+
+    def prepare_offsets(
+        self, pack_group: PackGroup, program: GpuProgram, encoder: Handle
+    ) -> Callable[..., bytes]:
+        """Return the function of offsets that packs what `move` binds."""
+        self.pack_offsets = pack_group(encoder, 0, self.uniform_group, len(program.uniforms))
+        return self.pack_offsets
 
     def copied(self, program: GpuProgram) -> dict[int, GpuObject]:
         """Return copies of the textures that a program both samples and stores to, by slot. Ends the open

@@ -31,7 +31,7 @@ ALL_USES: Final = (
     | Usage.INDIRECT
 )
 READ: Final = Usage.COPY_DST | Usage.MAP_READ
-_GAP: Final = 256
+GAP: Final = 256
 """Ranges of a STREAM buffer closer than this many bytes are uploaded together."""
 _MAX_STAGING: Final = 1 << 22
 """Read buffers of more bytes than this aren't kept for reuse."""
@@ -186,7 +186,7 @@ class Buffers:
     def _write_shadow(self, target: GpuBuffer, offset: int, view: memoryview | bytes) -> None:
         assert target.shadow is not None
         end, dirty = offset + len(view), target.dirty
-        if dirty and dirty[-1][0] <= offset <= dirty[-1][1] + _GAP:
+        if dirty and dirty[-1][0] <= offset <= dirty[-1][1] + GAP:
             if end > dirty[-1][1]:
                 dirty[-1][1] = end
         else:

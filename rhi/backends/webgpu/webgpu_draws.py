@@ -50,15 +50,17 @@ _SMALLEST: Final = 1024
 class GpuVertexArray:
     """A vertex array. `key` is the same object for all arrays of one layout, `restarts` the index format of
     its strips' pipelines, `may_restart` whether its indices may restart, as they were when it was bound
-    last."""
+    last. `packed` is what binds it, once it was bound, where commands are packed, and `buffers` what that uses."""
 
     __slots__ = (
+        "buffers",
         "descriptor",
         "expanded",
         "indexed",
         "key",
         "listed",
         "may_restart",
+        "packed",
         "restart_bit",
         "restarts",
         "values",
@@ -74,6 +76,8 @@ class GpuVertexArray:
         )
         self.restart_bit = RESTART_BITS[descriptor.index_format] if self.indexed else 0
         self.may_restart = 0
+        self.packed = b""
+        self.buffers: list[GpuBuffer] = []
         self.values: tuple[int, NDArray[np.integer]] | None = None  # version, all indices
         self.listed: dict[tuple[Primitive, int, int], tuple[int, GpuObject | None]] = {}  # size, indices
 
@@ -214,7 +218,16 @@ class Draws:
 
     def _bind_array(self, render: Handle, array: GpuVertexArray) -> None:
         descriptor, buffers, serial = array.descriptor, self._buffers.objects, self._stream.serial
+        if array.packed:
+            for buffer in array.buffers:
+                buffer.serial = serial
+            render += array.packed
+            if array.indexed:
+                array.may_restart = array.buffers[-1].restarts & array.restart_bit
+            return
         set_vertices = self._set_vertices
+        packs = self._implementation.pack_group is not None
+        start = len(render) if packs else 0
         for number, stream in enumerate(descriptor.streams):
             buffer = buffers[stream.buffer]
             buffer.serial = serial
@@ -226,6 +239,10 @@ class Draws:
                 render, buffer.handle, self._index_formats[descriptor.index_format], 0, buffer.size
             )
             array.may_restart = buffer.restarts & array.restart_bit
+        if packs:
+            used = [stream.buffer for stream in descriptor.streams]
+            array.buffers = [buffers[each] for each in (*used, *[descriptor.index_buffer] * array.indexed)]
+            array.packed = bytes(render[start:])
 
     # -- draws -------------------------------------------------------------------------------------------
 
@@ -290,6 +307,7 @@ class Draws:
         set_group = self._set_group
         draw_vertices, draw_indices = self._draw_vertices, self._draw_indices
         record = self._implementation.pack_draw(indexed, count, first, base_vertex, base_instance)
+        pack_group = self._implementation.pack_group
 
         def quick(instances: int) -> None:
             render = stream.render
@@ -301,7 +319,11 @@ class Draws:
                     self._current = key
                 else:
                     render = ready(vertex_array, primitive)
-            if bindings.moved:  # as `BoundResources.move` does, without its frame
+            if bindings.moved and pack_group is not None:
+                pack = bindings.pack_offsets or bindings.prepare_offsets(pack_group, program, render)
+                render += pack(*select_offsets(bindings.offsets))
+                bindings.moved = False
+            elif bindings.moved:  # as `BoundResources.move` does, without its frame
                 offset_array[offset_slice] = select_offsets(bindings.offsets)
                 set_group(render, 0, bindings.uniform_group, uniform_count, offset_array)
                 bindings.moved = False

@@ -28,6 +28,8 @@ def _translate_members(kind: type[C], **words: str) -> dict[C, str]:
 
 
 FORMATS: Final = {format: texel_format(format) for format in Format}
+DUMMY_FORMAT: Final = Format.R8
+"""The format of the target of passes without targets."""
 COMPRESSED: Final = {
     CompressedFormat.BC1: "bc1-rgba-unorm",
     CompressedFormat.BC1_SRGB: "bc1-rgba-unorm-srgb",

@@ -13,6 +13,7 @@ from typing import Any, Final
 from rhi.backends.webgpu.implementation import GpuObject, Handle, Implementation
 from rhi.backends.webgpu.webgpu_errors import translate_errors
 from rhi.backends.webgpu.webgpu_formats import (
+    DUMMY_FORMAT,
     FACTORS,
     FORMATS,
     OPERATIONS,
@@ -22,7 +23,6 @@ from rhi.backends.webgpu.webgpu_formats import (
     word,
 )
 from rhi.backends.webgpu.webgpu_programs import GpuProgram, PipelineLayout
-from rhi.backends.webgpu.webgpu_textures import DUMMY
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import Primitive, Stage, VertexArrayDescriptor
 from rhi.contract.formats import Format, IndexFormat
@@ -276,7 +276,7 @@ class Pipelines:
         outputs = {output.location for output in program.descriptor.outputs}
         entries = [self._target(states, i, format, i in outputs) for i, format in enumerate(colors)]
         if not colors and lone:
-            entries.append({"format": DUMMY, "write_mask": 0})
+            entries.append({"format": FORMATS[DUMMY_FORMAT], "write_mask": 0})
         if Stage.FRAGMENT not in program.modules:
             if not entries:
                 return None

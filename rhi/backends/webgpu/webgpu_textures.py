@@ -19,16 +19,14 @@ from rhi.backends.webgpu.tools import DEPTH_READ, STENCIL_READ, Tools
 from rhi.backends.webgpu.webgpu_buffers import ANY_RESTART, Buffers
 from rhi.backends.webgpu.webgpu_errors import translate_errors
 from rhi.backends.webgpu.webgpu_flags import GpuTextureUsage
-from rhi.backends.webgpu.webgpu_formats import COMPRESSED, DIMENSIONS, FORMATS
+from rhi.backends.webgpu.webgpu_formats import COMPRESSED, DIMENSIONS, DUMMY_FORMAT, FORMATS
 from rhi.contract.blocks import BLOCK
 from rhi.contract.descriptors import BufferUsage, Id, Region, TextureDescriptor, TextureKind
-from rhi.contract.formats import Format
 from rhi.contract.texels import halve
 
 TRANSFERS: Final = GpuTextureUsage.COPY_SRC | GpuTextureUsage.COPY_DST | GpuTextureUsage.TEXTURE_BINDING
 _ROW: Final = 256
 """Alignment of the distance between rows in copies with buffers."""
-DUMMY: Final = "r8unorm"
 """The format of the dummy target of passes without targets."""
 
 
@@ -184,6 +182,9 @@ class Textures:
             encoder.copy_texture_to_texture({"texture": flat}, copy_location, size)
         self._stand_ins.clear()
 
+    def name_format(self, texture: Id) -> str:
+        return FORMATS[self.objects[texture].descriptor.format]
+
     def has_stencil(self, texture: Id) -> bool:
         return self.objects[texture].descriptor.format.has_stencil
 
@@ -191,7 +192,7 @@ class Textures:
         key = (*size, samples)
         if key not in self._dummies:
             self._dummies.clear()
-            descriptor = TextureDescriptor(size, Format.R8, samples=samples)
+            descriptor = TextureDescriptor(size, DUMMY_FORMAT, samples=samples)
             with translate_errors(f"a pass of {size}", memory=True):
                 self._dummies[key] = self.make(descriptor, GpuTextureUsage.RENDER_ATTACHMENT).create_view()
         return self._dummies[key]

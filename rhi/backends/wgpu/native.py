@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from struct import Struct
 from time import sleep
@@ -321,6 +321,7 @@ class WgpuNative:
     }
     no_offsets = NULL
     maps_early = False
+    pack_group: Callable[[Handle, int, Handle, int], Callable[..., bytes]] | None = None
 
     def __init__(self) -> None:
         self.set_pipeline = lib.wgpuRenderPassEncoderSetPipeline
@@ -355,11 +356,11 @@ class WgpuNative:
         """Return None: calls are made at once."""
 
     def describe_render_pass(
-        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle
+        self, colors: Sequence[ColorTarget], depth: DepthTarget | None, query_set: Handle, samples: int
     ) -> Any:
         """Return the description of a render pass. It keeps the structures and views that it points to."""
         attachments = ffi.new("WGPURenderPassColorAttachment[]", max(1, len(colors)))
-        for attachment, (view, clear, resolve_target, stores) in zip(attachments, colors, strict=False):
+        for attachment, (view, _, clear, resolve_target, stores) in zip(attachments, colors, strict=False):
             attachment.view, attachment.depthSlice = view._internal, NEVER_SLICED
             attachment.loadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
             attachment.storeOp = lib.WGPUStoreOp_Store if stores else lib.WGPUStoreOp_Discard

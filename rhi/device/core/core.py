@@ -22,6 +22,7 @@ from rhi.contract.backend import (
     Backend,
     SupportsClippedDraws,
     SupportsCurrentContext,
+    SupportsOrderedWrites,
     SupportsPreparedDraws,
     SupportsTextureSharing,
 )
@@ -522,6 +523,15 @@ class Core(DeviceObject):
             return self._prepares.prepare_uniform(buffer)
         bind = self.backend.bind_uniform
         return lambda slot, offset, size: bind(slot, buffer, offset, size)
+
+    @property
+    def orders_writes(self) -> bool:
+        """True if the backend is one of `SupportsOrderedWrites`."""
+        return hasattr(self.backend, "prepare_uniform_write")
+
+    def prepare_uniform_write(self, buffer: Id) -> Callable[[int, int, bytes], object]:
+        """Return a function of slot, offset and data that writes to a STREAM buffer, and binds what it has written."""
+        return cast("SupportsOrderedWrites", self.backend).prepare_uniform_write(buffer)
 
     def sampler(self, descriptor: SamplerDescriptor) -> Id:
         """Return the id of a sampler; equal descriptors share one.

@@ -8,6 +8,8 @@
 - A request that doesn't fit, even after polling the fence, doubles the ring: a new buffer replaces the old
   one, which lives until the end of the frame. So a ring settles at the size that its frames need and never
   waits. Only at `limit` it waits for the oldest frame, and refuses a frame that needs more than that.
+- Where writes are ordered (`SupportsOrderedWrites`), a frame's memory is free at its end, and the next frame
+  begins at offset 0. So frames that draw the same have the same offsets, whatever values they write.
 - An allocation never straddles the end of the buffer: it starts at the beginning of the buffer instead.
 """
 
@@ -45,6 +47,7 @@ class Ring:
         "_marks",
         "_new_id",
         "_outgrown",
+        "_restarts",
         "_tail",
         "_timeline",
         "buffer",
@@ -63,10 +66,13 @@ class Ring:
         label: str,
         limit: int = LIMIT,
         check: Callable[[], None] = lambda: None,
+        restarts: bool = False,
     ) -> None:
-        """`check` is called before anything but a write reaches the backend."""
+        """`check` is called before anything but a write reaches the backend. `restarts`: a frame's memory is free
+        at its end."""
         self._backend = backend
         self._check = check
+        self._restarts = restarts
         self._timeline = timeline
         self._new_id = new_id
         self._head = self._tail = 0
@@ -88,7 +94,7 @@ class Ring:
         offset += -offset % alignment
         end = (self._head & -capacity) + offset + size
         if offset + size <= capacity and end - self._tail <= capacity and self.buffer:
-            self._head = end  # as `allocate` does, without its two frames
+            self._head = end  # as `allocate` does, without its frame
         else:
             offset = self.allocate(size, alignment)
         self._backend.write_buffer(self.buffer, offset, data)
@@ -96,6 +102,12 @@ class Ring:
 
     def allocate(self, size: int, alignment: int) -> int:
         """Allocate `size` bytes and return their offset in `buffer`."""
+        capacity, offset = self.capacity, self._head & (self.capacity - 1)
+        offset += -offset % alignment
+        end = (self._head & -capacity) + offset + size
+        if offset + size <= capacity and end - self._tail <= capacity and self.buffer:
+            self._head = end
+            return offset
         if size > self.limit:
             self._refuse(size)
         while True:
@@ -106,12 +118,14 @@ class Ring:
             self._make_room(size, alignment)
 
     def mark(self, fence: int) -> None:
-        """End the frame: everything allocated so far is free once `fence` has passed."""
+        """End the frame: everything allocated so far is free once `fence` has passed, or at once."""
         if self._outgrown:
             with DeferredInterrupts():
                 while self._outgrown:
                     self._timeline.retire(self._outgrown.pop())
-        if self._head != (self._marks[-1][1] if self._marks else self._tail):
+        if self._restarts:
+            self._head = self._tail = 0
+        elif self._head != (self._marks[-1][1] if self._marks else self._tail):
             self._marks.append((fence, self._head))
 
     @property

@@ -20,12 +20,14 @@ class TransientOwner:
     An owner with a `buffer` can bind uniform ranges of that buffer.
     """
 
-    __slots__ = ("bind_uniform", "core", "destroyed", "label")
+    __slots__ = ("bind_uniform", "core", "destroyed", "label", "write_uniform")
 
     def __init__(self, core: Core, label: str, buffer: Id = 0) -> None:
         self.core = core
         if buffer:
             self.bind_uniform = core.prepare_uniform(buffer)
+            if core.orders_writes:
+                self.write_uniform = core.prepare_uniform_write(buffer)
         self.destroyed = False
         self.label = label
 
@@ -37,7 +39,7 @@ class UniformRing:
         memory: the ring or arena that the blocks lie in.
     """
 
-    __slots__ = ("_alignment", "_core", "_owner", "_owner_generation", "memory")
+    __slots__ = ("_alignment", "_core", "_owner", "_owner_generation", "_writes_when_bound", "memory")
 
     def __init__(self, core: Core, memory: Ring | Arena) -> None:
         self.memory: Final = memory
@@ -45,6 +47,7 @@ class UniformRing:
         self._alignment = core.capabilities.uniform_alignment
         self._owner: TransientOwner | None = None
         self._owner_generation = 0
+        self._writes_when_bound = core.orders_writes and isinstance(memory, Ring)
 
     def push(self, data: bytes, type: Any) -> UniformRange[Any]:
         """Write the bytes of a uniform block of this type; return its range, valid until the frame is
@@ -63,11 +66,17 @@ class UniformRing:
         memory = self.memory
         size = len(data)
         self._core.upload_bytes += size
-        offset = memory.write(data, size, self._alignment)
+        if self._writes_when_bound:
+            offset = memory.allocate(size, self._alignment)  # type: ignore[union-attr]
+        else:
+            offset = memory.write(data, size, self._alignment)
         owner = self._owner
         if owner is None or memory.generation != self._owner_generation:
             owner = self._renew_owner()
-        owner.bind_uniform(slot, offset, size)
+        if self._writes_when_bound:
+            owner.write_uniform(slot, offset, data)
+        else:
+            owner.bind_uniform(slot, offset, size)
 
     def _renew_owner(self) -> TransientOwner:
         """Return a new owner: the ring has moved to a larger buffer.

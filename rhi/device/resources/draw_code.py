@@ -237,7 +237,7 @@ def _write_bind(
                 binding.type, Struct
             ):  # as `take_uniform` does, without its two frames
                 yield f"                elif _type({name}) is _type_{i}:"
-                yield f"                    _data_{i} = {name}.to_bytes()"
+                yield f"                    _data_{i} = {name}.__dict__.get('_bytes') or {name}.to_bytes()"
             yield "                else:"
             yield f"                    _data_{i} = _program.take_uniform({i}, {name})"
             yield f"                    if _data_{i} is None:"

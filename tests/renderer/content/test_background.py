@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 from gltf_documents import GltfDocument
+from nightly_reasons import ONLY_KERNELS
 from PIL import Image
 
 from renderer.content import BackgroundLoad, load_scene
@@ -185,6 +186,7 @@ def test_threads_end_when_the_interpreter_exits(tmp_path, least):
     assert time.monotonic() - began < SECONDS
 
 
+@pytest.mark.nightly_cases("cl*", reason=ONLY_KERNELS)
 def test_the_final_image_equals_that_of_a_scene_loaded_and_uploaded_at_once(drawing_device, tmp_path):
     model = write_model(tmp_path, images=4, size=256)
     scene = load_scene(model)

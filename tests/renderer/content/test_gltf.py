@@ -310,6 +310,44 @@ def test_an_anisotropic_material_gets_the_shader_of_brushed_metal(tmp_path):
     assert left_out(scene) == {}
 
 
+LIGHT_MAP = {"index": 0, "intensity": 5}
+
+
+@pytest.mark.parametrize(("use", "uv_set"), [({}, 1), ({"texCoord": 0}, 0), ({"texCoord": 1}, 1)])
+def test_a_light_map_is_linear_and_read_by_the_second_texture_coordinates_unless_it_says_others(
+    tmp_path, use, uv_set
+):
+    """Its texels are lux, of which a white surface reflects 1 / π of a unit here."""
+    document = with_image(**FULL_MATERIAL | {"extensions": {"MOZ_lightmap": LIGHT_MAP | use}})
+    scene = load(document, tmp_path)
+    row = int(scene.materials[0]["light_map_texture"])
+    assert (scene.textures["is_color"][row], scene.textures["uv_set"][row]) == (0, uv_set)
+    assert scene.materials[0]["light_map_color"].tolist() == pytest.approx([5 / np.pi] * 3)
+    assert left_out(scene) == {}
+
+
+def test_the_transform_of_a_light_map_is_read(tmp_path):
+    moved = LIGHT_MAP | {"extensions": {"KHR_texture_transform": {"offset": [0.5, 0.25], "scale": [2, 2]}}}
+    scene = load(with_image(extensions={"MOZ_lightmap": moved}), tmp_path)
+    row = int(scene.materials[0]["light_map_texture"])
+    assert scene.textures["transform"][row].tolist() == [[2, 0, 0.5], [0, 2, 0.25]]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"index": 3}, {"intensity": -1}, {"intensity": "bright"}, {"texCoord": -1}]
+)
+def test_a_wrong_light_map_is_refused(tmp_path, wrong):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
+        load(with_image(extensions={"MOZ_lightmap": LIGHT_MAP | wrong}), tmp_path)
+
+
+def test_the_light_map_of_an_unlit_material_is_left_out(tmp_path):
+    extensions = {"KHR_materials_unlit": {}, "MOZ_lightmap": LIGHT_MAP}
+    scene = load(with_image(extensions=extensions), tmp_path)
+    assert scene.materials[0]["light_map_texture"] == -1
+    assert "light maps of unlit materials" in left_out(scene)
+
+
 def test_a_material_without_anisotropy_has_no_shader_of_its_own(tmp_path):
     scene = load(with_image(extensions={"KHR_materials_anisotropy": {"anisotropyStrength": 0}}), tmp_path)
     assert (list(scene.shaders), left_out(scene)) == ([], {})
@@ -575,7 +613,7 @@ def test_every_visibility_algorithm_finds_nothing_in_it(gl, tmp_path, name):
     assert frame.statistics.triangles == 0
 
 
-@pytest.mark.nightly_cases("cl-[!f]*", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("cl-[!f]*", "cl-forward_?*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_its_frame_is_the_background(drawing_device, tmp_path, name):
     scene = load(EMPTY["lights"], tmp_path)

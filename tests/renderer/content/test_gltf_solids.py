@@ -86,6 +86,7 @@ def check_frame(image, mode):
     assert np.abs(image[-1, 0] - expected).max() > 50
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("mode", range(4), ids=MODES)
 def test_points_and_lines_are_where_they_are_projected(drawing_device, tmp_path, mode):
     scene = load_model(make_file(mode).write(tmp_path / "a.glb"))

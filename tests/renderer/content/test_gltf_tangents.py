@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gltf_documents import GltfDocument, rotation_quaternion
-from nightly_reasons import FEWER_CASES
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from PIL import Image
 
 from renderer.content import load_model, save_scene
@@ -155,6 +155,7 @@ def test_the_reference_ray_tracer_sees_the_same(tmp_path: Any, shape: str) -> No
         assert np.abs(transformed.astype(int) - baked).max() <= 1, name
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("stored", [False, True], ids=["computed", "stored"])
 def test_a_node_that_stretches_and_mirrors_keeps_them_together(
     device: Any, tmp_path: Any, stored: bool

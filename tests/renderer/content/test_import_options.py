@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from gltf_documents import GltfDocument, make_morphing, make_skinned, rotation_quaternion
+from nightly_reasons import ONLY_KERNELS
 
 from renderer.content import (
     ImportOptions,
@@ -114,6 +115,7 @@ def test_centring_moves_the_middle_of_all_objects_to_the_origin(room):
     assert np.allclose(centred.lights.point["position"], 2.0 * plain.lights.point["position"] - (low + high))
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_scaled_camera_sees_the_same_image(drawing_device, room):
     plain, scaled = load_model(room), load_model(room, options=ImportOptions(scale=0.125, centre=True))
     images = []

@@ -98,6 +98,8 @@ MATERIAL_FIELDS: dict[str, tuple[Any, ...]] = {
     "alpha_mode": (AlphaMode.OPAQUE, AlphaMode.MASK, AlphaMode.BLEND),
     "alpha_cutoff": (None, 1.0, 0.0),
     "double_sided": (None, True),
+    "light_map_color": (None, (1e5, 0.0, 0.0)),
+    "light_map_texture": (None, "checks"),
 }
 """Of each field of materials an ordinary value, and extreme ones; None is the default."""
 
@@ -144,6 +146,10 @@ EQUAL: tuple[tuple[Values, Values], ...] = (
         {"metallic": 0.0, "roughness": 0.0, "metallic_roughness_texture": None},
     ),
     ({"rim_strength": 0.0}, {"rim_strength": None}),
+    (
+        {"light_map_texture": None, "light_map_color": (1e5, 0.0, 0.0)},
+        {"light_map_texture": None, "light_map_color": None},
+    ),
     ({"texture": "white"}, {"texture": None}),
     ({"emissive_texture": "white"}, {"emissive_texture": None}),
     ({"occlusion_texture": "white", "occlusion_strength": 1.0}, {"occlusion_texture": None}),
@@ -189,7 +195,7 @@ SCENE_PARTS: dict[str, str] = {
     "images": "textures of MATERIAL_FIELDS",
     "textures": "textures of MATERIAL_FIELDS",
     "samplers": "textures of MATERIAL_FIELDS",
-    "height_fields": "`spread_objects`",
+    "tessellated": "`spread_objects`",
     "reserved": "`spread_objects`",
     "background": "is seen wherever nothing else is",
     "name": "is a text",
@@ -492,6 +498,7 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "technique.normal_bits": (8,),
     "technique.all_lights": (True,),
     "technique.lights_per_draw": (4, 1000),
+    "technique.light_volumes": (True,),
     "technique.stencil": (True,),
     "technique.tiled_transparency": (True,),
     "technique.depth_first": (True,),

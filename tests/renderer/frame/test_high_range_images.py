@@ -91,12 +91,12 @@ def test_light_without_alpha_is_stored_as_float16_that_covers_all() -> None:
 @pytest.mark.parametrize(
     "name", ["texture", "normal_texture", "occlusion_texture", "metallic_roughness_texture"]
 )
-def test_only_emitted_light_is_brighter_than_one(name: str) -> None:
+def test_only_emitted_and_baked_light_is_brighter_than_one(name: str) -> None:
     builder = SceneBuilder("bright")
     bright, bounded = builder.add_image(make_light(1.5)), builder.add_image(make_light(1.0))
-    builder.add_material(emissive_texture=bright)
+    builder.add_material(emissive_texture=bright, light_map_texture=bright)
     builder.add_material(**{name: bounded})
-    with pytest.raises(ValidationError, match=r"scene-bad-material(.|\n)*only emitted light is brighter"):
+    with pytest.raises(ValidationError, match=r"scene-bad-material(.|\n)*light maps are brighter"):
         builder.add_material(**{name: bright})
 
 

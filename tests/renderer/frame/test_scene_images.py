@@ -197,7 +197,7 @@ def draw_texels(
     return draw(device, scene, TECHNIQUES[technique](), camera, size=(TEXELS, TEXELS), textures=textures)
 
 
-@pytest.mark.nightly_cases("cl-forward-1", "cl-deferred_plus-0", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize(("technique", "more"), [("forward", 0), ("forward", 1), ("deferred_plus", 0)])
 def test_a_bias_of_a_level_shows_half_as_many_texels(
     drawing_device: rhi.Device, technique: str, more: int
@@ -253,6 +253,7 @@ def draw_many_sizes(device: rhi.Device, technique: str, more: int) -> Any:
     return draw(device, scene, TECHNIQUES[technique](), camera, size=(30, 20))
 
 
+@pytest.mark.nightly_cases("cl-d*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("technique", ["forward", "deferred", "deferred_plus"])
 def test_a_table_shows_the_texels_that_an_array_shows(drawing_device: rhi.Device, technique: str) -> None:
     table, array = (draw_many_sizes(drawing_device, technique, more) for more in (MAX_ARRAYS, 1))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import open_renderer
+from nightly_reasons import ONLY_KERNELS
 from tested_devices import open_device
 
 import rhi
@@ -107,6 +108,7 @@ def test_water_is_drawn_again_when_the_eye_rises(null: rhi.Device) -> None:
     assert steps[5] > 0
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("backend", ["gl", "cl", "wgpu"])
 def test_the_image_from_below_is_that_with_all_triangles(
     backend: str, monkeypatch: pytest.MonkeyPatch

@@ -59,7 +59,7 @@ def make_many_sizes():
     return make_shelf(tuple((200 + 8 * number, 250 + 16 * number) for number in range(10)))
 
 
-@pytest.mark.nightly_cases("cl-make_many_sizes", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("make_scene", [make_shelf, make_many_sizes])
 def test_the_final_image_is_that_of_a_scene_uploaded_at_once(drawing_device, make_scene):
     with Renderer(drawing_device, make_scene(), size=SIZE) as renderer:

@@ -43,6 +43,7 @@ MATERIALS: dict[str, Callable[[SceneBuilder], dict[str, Any]]] = {
     "emissive colors": lambda b: {"emissive": (0.5, 0.0, 0.0)},
     "normal maps": lambda b: {"normal_texture": add_image(b)},
     "occlusion maps": lambda b: {"occlusion_texture": add_image(b)},
+    "light maps": lambda b: {"light_map_texture": add_image(b)},
     "two sides": lambda b: {"double_sided": True},
 }
 

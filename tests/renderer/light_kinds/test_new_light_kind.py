@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 
 import renderer
@@ -119,6 +120,7 @@ def test_every_technique_draws_a_kind_of_lights_that_is_a_leaf_and_a_row(extende
     assert list(images) == list(TECHNIQUES)
 
 
+@pytest.mark.nightly_cases(reason=ONLY_KERNELS)
 def test_cl_draws_a_kind_of_lights_that_is_a_leaf_and_a_row(extended: Path) -> None:
     pytest.importorskip("pyopencl")
     (image,) = draw_extended(extended, "cl", "clustered").values()

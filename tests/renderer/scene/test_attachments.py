@@ -12,6 +12,7 @@ from frames import EYE, SIZE, make_boxes, open_renderer, read_colors
 from gltf_documents import GltfDocument, rotation_quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import ONLY_KERNELS
 from refusals import refused_rule
 
 import rhi
@@ -207,6 +208,7 @@ def test_a_plan_counts_a_light_that_was_added_beside_a_hidden_one(null: rhi.Devi
     assert after.counts[Effect.SPOT_LIGHTS] == 1
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_frame_shows_an_attached_light_as_one_in_the_world(device: rhi.Device) -> None:
     above = Camera.look_at((2.0, 4.0, 3.0), (0.0, 0.0, 0.0))  # sees the top, which is lit
     scene, fixed = make_mast(), make_boxes((0, 0, 0))

@@ -6,6 +6,7 @@ from frames import SIZE, first_view_camera, open_renderer, read_colors
 from gltf_documents import GltfDocument, make_morphing, make_skinned, rotation_quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import ONLY_KERNELS
 from refusals import refused_rule
 
 from renderer.content import load_model, save_scene
@@ -217,6 +218,7 @@ def show(renderer, camera, seconds):
     return read_colors(result), result.statistics.draws
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("algorithm", ["frustum", "chc_plus_plus", "two_pass"])
 def test_a_clip_is_drawn_as_if_its_file_had_no_other(tmp_path, device, algorithm):
     """It is played between two frames of the same time, and sought while nothing of it is in view."""

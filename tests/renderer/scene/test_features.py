@@ -55,6 +55,8 @@ CHANGES = st.tuples(
             ("metallic_roughness_texture", 3),
             ("occlusion_texture", 1),
             ("emissive_texture", 0),
+            ("light_map_texture", 1),
+            ("light_map_texture", -1),
             ("model", 0),
             ("model", 1),
             ("alpha_mode", 0),

@@ -5,7 +5,7 @@ import pytest
 from refusals import refused_rule
 
 from renderer.scene import SceneBuilder, make_height_field
-from renderer.scene.height_fields import bisect
+from renderer.scene.tessellated_surfaces import bisect
 
 
 @pytest.mark.parametrize(
@@ -22,8 +22,8 @@ def test_a_map_is_interpolated_between_its_corners():
     assert field.heights[0, 0] == 0.0
     assert field.heights[-1, -1] == 9.0
     assert field.heights[0].tolist() == [0.0, 0.75, 1.5, 2.25, 3.0]
-    assert field.positions()[0, 0].tolist() == [-2.0, 0.0, -4.0]
-    assert field.positions()[-1, -1].tolist() == [2.0, 9.0, 4.0]
+    assert field.positions()[0, 0, 0].tolist() == [-2.0, 0.0, -4.0]
+    assert field.positions()[0, -1, -1].tolist() == [2.0, 9.0, 4.0]
 
 
 def test_its_mesh_has_equal_triangles_as_many_as_the_limit_allows():
@@ -94,5 +94,5 @@ def test_a_field_has_one_object():
             builder.add_objects(builder.add_node(), mesh, material)
         return builder.build()
 
-    assert list(make(1).height_fields) == [0]
+    assert list(make(1).tessellated) == [0]
     assert refused_rule(lambda: make(2)) == "scene-shared-heights"

@@ -123,6 +123,7 @@ MATERIAL_TRACES = {
     Effect.ROUGHNESS_MAPS: r"\.metallic_roughness_texture\b",
     Effect.OCCLUSION_MAPS: r"\.occlusion_texture\b",
     Effect.EMISSIVE_MAPS: r"\.emissive_texture\b",
+    Effect.LIGHT_MAPS: r"\.light_map_texture\b",
     Effect.MASKS: r"\bdiscard\b|\.alpha_cutoff\b",
     Effect.TWO_SIDES: r"\bgl_FrontFacing\b",
 }
@@ -142,6 +143,7 @@ def make_material(effects: set[Effect]) -> Scene:
         Effect.ROUGHNESS_MAPS: {"metallic_roughness_texture": image},
         Effect.OCCLUSION_MAPS: {"occlusion_texture": image},
         Effect.EMISSIVE_MAPS: {"emissive": (1.0, 1.0, 1.0), "emissive_texture": image},
+        Effect.LIGHT_MAPS: {"light_map_texture": image},
         Effect.MASKS: {"alpha_mode": AlphaMode.MASK},
         Effect.TWO_SIDES: {"double_sided": True},
     }

@@ -462,6 +462,7 @@ class ModelProbe(sl.Shader):
             shininess=self.asked[3 * i + 1].w,
             occlusion=1.0,
             emissive=sl.vec3(0.0),
+            irradiance=sl.vec3(-1.0),
             stretch=sl.vec3(0.0),
         )
         light = Incidence(direction=self.asked[3 * i + 2].xyz, irradiance=sl.vec3(1.0))

@@ -17,7 +17,7 @@ from renderer.scene import (
     SceneBuilder,
     make_height_field,
 )
-from renderer.tessellation.kernels import FieldView
+from renderer.tessellation.kernels import SurfaceView
 
 HEIGHT = 96
 """Height of the images that views are chosen for, in pixels; they are twice as wide."""
@@ -82,7 +82,7 @@ def decode(keys: NDArray[np.int64], width: int) -> NDArray[np.int64]:
     return triangles
 
 
-def compute_keys(field: HeightField, view: FieldView) -> tuple[NDArray[np.int64], bool]:
+def compute_keys(field: HeightField, view: SurfaceView) -> tuple[NDArray[np.int64], bool]:
     """Return the keys of the triangles that a view calls for, and whether there would be more than the
     limit."""
     width = len(field.heights)
@@ -99,18 +99,12 @@ def compute_keys(field: HeightField, view: FieldView) -> tuple[NDArray[np.int64]
     return np.concatenate([*leaf_keys, keys]), False
 
 
-def should_split(field: HeightField, view: FieldView) -> NDArray[np.bool_]:
+def should_split(field: HeightField, view: SurfaceView) -> NDArray[np.bool_]:
     """Return for each vertex whether the edges that it is the middle of are split, in float32 step by
     step."""
     f32 = np.float32
-    width = len(field.heights)
-    object_index, column = np.divmod(np.arange(width * width), width)
     length, reach = (np.nextafter(bound.reshape(-1).astype(f32), f32(np.inf)) for bound in field.bounds)
-    x, z = (
-        f32(-0.5 * side) + f32(step) * at.astype(f32)
-        for side, step, at in zip(field.size, field.steps, (column, object_index), strict=True)
-    )
-    p = (x, field.heights.reshape(-1), z)
+    p = field.positions().reshape(-1, 3).astype(f32).T
 
     def along(n: Any) -> NDArray[np.float32]:
         return f32(n[0]) * p[0] + f32(n[1]) * p[1] + f32(n[2]) * p[2]

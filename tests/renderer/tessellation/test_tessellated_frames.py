@@ -128,4 +128,4 @@ def test_a_field_is_saved_as_a_mesh_of_equal_triangles(tmp_path: Path) -> None:
     write_gltf(make_scene(field), tmp_path / "hills.glb")
     read = load_scene(str(tmp_path / "hills.glb"))
     assert read.triangle_count == 64
-    assert not read.height_fields
+    assert not read.tessellated

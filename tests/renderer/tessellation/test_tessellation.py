@@ -24,8 +24,8 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import SceneResources
 from renderer.scene import Camera, HeightField, Perspective, Scene, make_height_field, scaling, translation
-from renderer.tessellation import FieldTessellation, TessellationSettings, Tessellator
-from renderer.tessellation.tessellator import view_field
+from renderer.tessellation import SurfaceTessellation, TessellationSettings, Tessellator
+from renderer.tessellation.tessellator import view_surface
 from rhi import ValidationError
 
 CAMERAS = bisection_reference.list_cameras()
@@ -34,12 +34,12 @@ CAMERAS = bisection_reference.list_cameras()
 def choose(field: HeightField, camera: Camera, edge_pixels: float = 6.0) -> tuple[NDArray[np.int64], bool]:
     """Return the reference's triangles (k, 3) of a field at the origin, and whether its limit is reached."""
     keys, is_cut = compute_keys(
-        field, view_field(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT)
+        field, view_surface(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT)
     )
     return decode(keys, len(field.heights)), is_cut
 
 
-def read_triangles(resources: SceneResources, tessellation: FieldTessellation) -> NDArray[np.int64]:
+def read_triangles(resources: SceneResources, tessellation: SurfaceTessellation) -> NDArray[np.int64]:
     """Return the triangles that a device has written, sorted."""
     indices = resources.indices.read()[: 3 * tessellation.read_count()].astype(np.int64).reshape(-1, 3)
     return indices[np.lexsort(indices.T)]
@@ -79,8 +79,10 @@ def test_without_reaches_that_hold_each_other_there_are_cracks(monkeypatch: pyte
     monkeypatch.setitem(field.__dict__, "bounds", (length, 0.0 * reach))
     with pytest.raises(AssertionError):
         for camera in CAMERAS.values():
-            keys, _ = compute_keys(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
-            splitting = should_split(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
+            keys, _ = compute_keys(field, view_surface(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
+            splitting = should_split(
+                field, view_surface(np.eye(4), camera, TessellationSettings(6.0), HEIGHT)
+            )
             assert splitting.any()
             check_conforming(decode(keys, len(field.heights)), len(field.heights))
 
@@ -131,8 +133,8 @@ def test_a_device_chooses_the_reference_s_keys(device: rhi.Device) -> None:
     for camera in CAMERAS.values():
         moved = Camera(0.5 * camera.position + (1e5, 300.0, -2e5), camera.rotation, camera.projection)
         tessellator.update(resources, moved, HEIGHT)
-        tessellation = tessellator.fields[0]
-        keys, _ = compute_keys(field, view_field(local, moved, TessellationSettings(), HEIGHT))
+        tessellation = tessellator.surfaces[0]
+        keys, _ = compute_keys(field, view_surface(local, moved, TessellationSettings(), HEIGHT))
         expected = decode(keys, len(field.heights))
         assert (read_triangles(resources, tessellation) == expected[np.lexsort(expected.T)]).all()
         after = resources.indices.read().reshape(-1, 3)[len(expected) : field.limit]
@@ -151,7 +153,7 @@ def test_a_device_keeps_the_limit_and_counts_the_cut_views(device: rhi.Device) -
     for height in (400, 401):  # the second one learns of the first
         tessellator.update(resources, CAMERAS["straight down"], height)
         device.finish()
-    tessellation = tessellator.fields[0]
+    tessellation = tessellator.surfaces[0]
     assert tessellation.limited_views == 1
     assert tessellation.read_count() <= 256
     check_conforming(read_triangles(resources, tessellation), len(field.heights))
@@ -178,8 +180,8 @@ def test_a_device_draws_a_map_of_one_height(device: rhi.Device) -> None:
         Tessellator(device),
     )
     tessellator.update(resources, CAMERAS["random 0"], HEIGHT)
-    assert tessellator.fields[0].read_count() == 2
-    check_conforming(read_triangles(resources, tessellator.fields[0]), 2)
+    assert tessellator.surfaces[0].read_count() == 2
+    check_conforming(read_triangles(resources, tessellator.surfaces[0]), 2)
     tessellator.destroy()
     resources.destroy()
 
@@ -207,7 +209,7 @@ def test_a_ground_out_of_view_has_as_few_triangles_as_is_asked_for() -> None:
     field, counts = make_hills(), list[int]()
     for out_of_view_scale in (1.0, 8.0, 64.0):
         settings = TessellationSettings(2.0, out_of_view_scale)
-        keys, _ = compute_keys(field, view_field(np.eye(4), CAMERAS["random 0"], settings, HEIGHT))
+        keys, _ = compute_keys(field, view_surface(np.eye(4), CAMERAS["random 0"], settings, HEIGHT))
         triangles = decode(keys, len(field.heights))
         check_conforming(triangles, len(field.heights))
         counts.append(len(triangles))

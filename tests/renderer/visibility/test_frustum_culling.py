@@ -14,6 +14,7 @@ from renderer.visibility import (
     list_visible_objects,
     select_visible,
 )
+from renderer.visibility.boxes.culling import BruteForceCuller
 from rhi.errors import ValidationError
 
 
@@ -101,3 +102,24 @@ def test_an_unknown_name_is_refused_with_the_nearest(city, null):
     with pytest.raises(ValidationError, match="did you mean 'frustum'") as error:
         visibility.make_visibility("frustrum", city, null)
     assert error.value.rule.id == "visibility-unknown-name"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_boxes_that_touch_a_plane_are_selected_by_a_product_of_matrices_as_one_by_one(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    planes = random.normal(size=(6, 4))
+    planes[:, :3] /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    lower = 10.0 * random.normal(size=(300, 3))
+    upper = lower + random.random((300, 3))
+    for row in range(0, 300, 3):  # its p-vertex is on a plane, but for rounding
+        normal, distance = planes[row % 6, :3], planes[row % 6, 3]
+        corner = np.where(normal > 0.0, upper[row], lower[row])
+        moved = (corner @ normal + distance) * normal
+        lower[row], upper[row] = lower[row] - moved, upper[row] - moved
+    far = np.array([[np.inf, 0.0, 0.0], [-np.inf, 0.0, 0.0]])
+    for boxes in ((lower, upper), (np.vstack([lower, -np.abs(far)]), np.vstack([upper, np.abs(far)]))):
+        culler = BruteForceCuller(*boxes)
+        for subset in (planes, planes[:1], planes - [0.0, 0.0, 0.0, 3.0]):
+            with np.errstate(invalid="ignore"):
+                expected = select_visible(subset, *boxes).nonzero()[0]
+                assert culler.select_visible(subset)[0].tolist() == expected.tolist()

@@ -45,12 +45,15 @@ class LaggingGpu:
         self.destroyed.append(resource)
 
 
-def make_ring(capacity: int, limit: int = 1 << 28) -> tuple[Ring, Timeline, LaggingGpu]:
+def make_ring(
+    capacity: int, limit: int = 1 << 28, *, restarts: bool = False
+) -> tuple[Ring, Timeline, LaggingGpu]:
     gpu = LaggingGpu()
     backend: Any = gpu
     timeline = Timeline(backend)
     ids = itertools.count(1)
-    return Ring(backend, timeline, lambda: next(ids), capacity, "test", limit), timeline, gpu
+    ring = Ring(backend, timeline, lambda: next(ids), capacity, "test", limit, restarts=restarts)
+    return ring, timeline, gpu
 
 
 def end_frame(ring: Ring, timeline: Timeline) -> int:
@@ -164,3 +167,25 @@ def test_no_write_of_a_ring_touches_memory_that_the_gpu_may_still_read(
         for buffer, begin, end, _ in live:
             assert buffer != ring.buffer or offset >= end or offset + number <= begin
         live.append((ring.buffer, offset, offset + number, None))
+
+
+# -- where writes are ordered ------------------------------------------------------------------------------
+
+
+def test_where_writes_are_ordered_each_frame_begins_at_the_first_byte() -> None:
+    """The GPU has passed no frame, and the ring has neither grown nor waited."""
+    ring, timeline, gpu = make_ring(1024, restarts=True)
+    for _ in range(8):
+        assert [ring.allocate(300, 256) for _ in range(2)] == [0, 512]
+        end_frame(ring, timeline)
+    assert (gpu.reached, list(gpu.sizes.values()), ring.in_use) == (0, [1024], 0)
+
+
+def test_where_writes_are_ordered_memory_of_a_frame_is_not_allocated_twice_in_it() -> None:
+    ring, timeline, gpu = make_ring(256, 512, restarts=True)
+    assert [ring.allocate(200, 1) for _ in range(3)] == [0, 0, 200]  # the second in a larger buffer
+    assert sorted(gpu.sizes.values()) == [256, 512]
+    with pytest.raises(ValidationError, match="transient-size"):
+        ring.allocate(200, 1)
+    end_frame(ring, timeline)
+    assert ring.allocate(512, 1) == 0

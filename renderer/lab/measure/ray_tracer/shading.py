@@ -182,9 +182,11 @@ class LitSurfaces:
         lights = self._scene.lights.without_hidden()
         sky, ground = (np.asarray(color, np.float64) for color in (lights.sky, lights.ground))
 
+        is_baked = ~np.isnan(seen.irradiance)
+
         def arrive(direction: Floats) -> Floats:
             height = 0.5 * (direction[:, 1:2] + 1.0)
-            return np.asarray(sky * height + ground * (1.0 - height))
+            return np.where(is_baked, seen.irradiance, sky * height + ground * (1.0 - height))
 
         if self._environment is not None:
             return self._reflect_environment(seen, self._environment)
@@ -211,7 +213,8 @@ class LitSurfaces:
         """The light of an environment that surfaces reflect. The specular model mirrors a lobe of GGX as wide as
         its highlight, seen along the mirrored direction."""
         is_metal, diffuse, _, rough = _select_shading_model(seen)
-        light = diffuse * environment.scatter(seen.normal)
+        scattered = environment.scatter(seen.normal)
+        light = diffuse * np.where(np.isnan(seen.irradiance), scattered, seen.irradiance)
         material, along = seen.material, _dot(seen.normal, seen.to_eye)
         if is_metal.any():
             metals = _take(seen, np.flatnonzero(is_metal))
@@ -234,7 +237,8 @@ class LitSurfaces:
         return np.asarray(light * (seen.occlusion * self._measure_openness(seen))[:, None])
 
     def _measure_openness(self, seen: Surfaces) -> Floats:
-        """The share (k,) of ambient light that other surfaces leave, by the scene's `AmbientOcclusion`.
+        """The share (k,) of ambient light that other surfaces leave, by the scene's `AmbientOcclusion`; all of that
+        in light maps, which have what is hidden.
 
         Of all rays within the hemisphere, spread by the cosine to the geometric normal, the share is counted
         that are as long as their lengths without a hit. The lengths' squares are spread evenly from 0 to that
@@ -243,6 +247,7 @@ class LitSurfaces:
         ambient_occlusion, normal = self._scene.ambient_occlusion, seen.geometric_normal
         if ambient_occlusion is None:
             return np.ones(len(normal))
+        is_baked = ~np.isnan(seen.irradiance[:, 0])
         aside = normalize(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
         up = np.cross(normal, aside)
         origins = seen.position + normal * (_AWAY + 1e-13 * np.abs(seen.position).max(axis=1))[:, None]
@@ -256,7 +261,7 @@ class LitSurfaces:
             open_rays += ~self._tree.are_occluded(
                 origins, direction, np.full(len(normal), length), partial(self._take_light, direction)
             )
-        return open_rays / _OCCLUSION_RAYS
+        return np.where(is_baked, 1.0, open_rays / _OCCLUSION_RAYS)
 
     def _take_light(self, directions: Floats, hits: Hits) -> NDArray[np.bool_]:
         """The hits of opaque surfaces that rays see."""

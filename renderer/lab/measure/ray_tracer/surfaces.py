@@ -32,6 +32,7 @@ class Surfaces:
         alpha: the opacity.
         emitted: emitted light.
         metallic, roughness, occlusion: with their textures.
+        irradiance: that of light maps; NaN where there is none.
         material: (k,) of `MATERIAL`.
     """
 
@@ -45,6 +46,7 @@ class Surfaces:
     metallic: Floats
     roughness: Floats
     occlusion: Floats
+    irradiance: Floats
     material: NDArray[Any]
 
 
@@ -63,11 +65,11 @@ class Geometry:
         triangles, rows = [], []
         for row in np.flatnonzero(objects.is_shown).tolist():
             first, count, base = (int(value) for value in meshes.ranges[objects.mesh[row]])
-            field = scene.height_fields.get(row)
+            surface = scene.tessellated.get(row)
             indices = (
                 meshes.indices[first : first + count].reshape(-1, 3)
-                if field is None
-                else _divide(field.heights)
+                if surface is None
+                else surface.list_triangles()
             )
             triangles.append(indices.astype(np.int64) + base)
             rows.append(np.full(len(indices), row))
@@ -142,6 +144,7 @@ class Geometry:
         rough = self._read(hits, material["metallic_roughness_texture"])
         shade = self._read(hits, material["occlusion_texture"])[:, 0]
         emitted = material["emissive"] * self._read(hits, material["emissive_texture"])[:, :3]
+        baked = self._read(hits, material["light_map_texture"])[:, :3] * material["light_map_color"]
         emitted = emitted + np.where(is_metal, 0.0, material["emission"])[:, None] * base[:, :3]
         return Surfaces(
             position=origins[hits.ray] + hits.distance[:, None] * directions[hits.ray],
@@ -154,6 +157,7 @@ class Geometry:
             metallic=material["metallic"] * rough[:, 2],
             roughness=material["roughness"] * rough[:, 1],
             occlusion=1.0 + material["occlusion_strength"] * (shade - 1.0),
+            irradiance=np.where(material["light_map_texture"][:, None] >= 0, baked, np.nan),
             material=material,
         )
 
@@ -236,20 +240,6 @@ def _wrap(texel: Indices, size: int, how: str) -> tuple[Indices, NDArray[np.bool
     if how == "BORDER":
         inside = (texel >= 0) & (texel < size)
     return np.clip(texel, 0, size - 1), inside
-
-
-def _divide(heights: NDArray[np.float32]) -> Indices:
-    """The triangles of a height field, row by row: diagonals end where row and column are both odd."""
-    rows, columns = (
-        grid_indices.reshape(-1) for grid_indices in np.indices((len(heights) - 1, len(heights) - 1))
-    )
-    width = len(heights)
-    a = rows * width + columns
-    b, c, d = a + 1, a + width, a + width + 1
-    even = ((rows + columns) % 2 == 0)[:, None]
-    first_triangles = np.where(even, np.stack([a, c, d], 1), np.stack([a, c, b], 1))
-    second_triangles = np.where(even, np.stack([a, d, b], 1), np.stack([b, c, d], 1))
-    return np.concatenate([first_triangles, second_triangles])
 
 
 def _cofactor_matrices(linear: Floats) -> Floats:

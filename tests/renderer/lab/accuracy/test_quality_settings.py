@@ -62,6 +62,7 @@ def test_a_technique_has_the_settings_that_its_parameters_name(name: str) -> Non
         "specular_channels": 1,
         "all_lights": True,
         "lights_per_draw": 4,
+        "light_volumes": True,
         "stencil": True,
         "depth_first": True,
         "multi_pass": False,
@@ -141,7 +142,7 @@ def test_a_frame_reads_the_setting_that_a_quality_setting_changes(setting: Quali
     null = settings.algorithm in ("none", "frustum")
     ground = (
         "terrain:cells=8,trees=0"
-        if setting.requirement in (Requirement.HEIGHT_FIELDS, Requirement.SHADOW_CASTING_HEIGHT_FIELDS)
+        if setting.requirement in (Requirement.TESSELLATION, Requirement.SHADOW_CASTING_TESSELLATION)
         else "hall"
     )
     scene = load_scene("city:blocks=2,shadows=1" if "shadow" in setting.name else ground)

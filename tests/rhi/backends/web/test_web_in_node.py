@@ -251,6 +251,34 @@ def test_programs_draw_as_wgpu_does_on_the_same_driver(
     assert differing == dict.fromkeys(PROGRAMS, 0)
 
 
+_REPEATED = """
+import json
+import rhi
+from rhi.backends.web.web_backend import WebBackend
+from rhi.conformance.shaders import Tint, Tinted
+from rhi.conformance.shapes import rectangle
+
+reds = []
+with rhi.create_device("web") as device:
+    program, mesh = device.program(Tinted), device.mesh(rectangle())
+    image = device.texture((8, 8), rhi.Format.RGBA8)
+    for frame in range(6):
+        with device.render_pass(image, clear=(0, 0, 0, 1)):
+            for draw in range(60):
+                device.draw(program, mesh, tint=Tint(color=((20 * frame + (draw == 59)) / 255, 0, 0, 1)))
+        device.present()
+        reds.append(int(image.read()[4, 4, 0]))
+    bundles = device.backend_as(WebBackend)._implementation._bundles._bundles.values()
+    kinds = [type(bundle).__name__ for bundle in bundles]
+print(json.dumps([reds, kinds]))
+"""
+
+
+def test_frames_that_repeat_a_pass_have_their_own_values(tmp_path: Path) -> None:
+    """From the second frame on, the draws are those of one bundle."""
+    assert last_line(run_program(_REPEATED, tmp_path)) == [[1, 21, 41, 61, 81, 101], ["JsProxy"]]
+
+
 # -- the renderer ------------------------------------------------------------------------------------------
 
 TECHNIQUES = ("forward", "clustered", "deferred_plus")

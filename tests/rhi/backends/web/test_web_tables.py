@@ -99,7 +99,10 @@ def js_objects(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
     ffi = SimpleNamespace(JsProxy=JsProxy, to_js=lambda value, **_: value)
     for name, module in {
-        "js": SimpleNamespace(Object=SimpleNamespace(fromEntries=dict)),
+        "js": SimpleNamespace(
+            Map=SimpleNamespace(new=lambda: SimpleNamespace(set=None, delete=None)),
+            Object=SimpleNamespace(fromEntries=dict),
+        ),
         "pyodide": SimpleNamespace(ffi=ffi),
         "pyodide.ffi": ffi,
     }.items():

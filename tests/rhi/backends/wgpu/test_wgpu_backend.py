@@ -17,7 +17,7 @@ import rhi
 from rhi import Device, DeviceError, Format, Primitive, ShaderError
 from rhi.backends.null.null_capabilities import PROFILES
 from rhi.backends.wgpu import wgpu_backend as wgpu_backend
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.single_draws import draw_once
 from rhi.shading import Shader, StorageRW, global_id, native
@@ -241,3 +241,40 @@ def test_fans_and_quads_without_indices_share_their_index_buffers(device: Device
         assert {
             kind: size >= 6 * count for kind, (size, _) in draws._shared_indices.items()
         } == dict.fromkeys((Primitive.TRIANGLE_FAN, Primitive.QUADS), True)
+
+
+# -- uniforms ----------------------------------------------------------------------------------------------
+
+
+def test_frames_that_write_the_same_memory_have_their_own_values(usable: None) -> None:
+    """Each begins at the first byte, although the GPU has finished none of them: the queue orders the writes."""
+    with rhi.create_device("wgpu", frames_in_flight=8) as device:
+        program, mesh = device.program(Tinted), device.mesh(rectangle())
+        images = [device.texture(SIZE, Format.RGBA8) for _ in range(6)]
+        offsets = []
+        for number, image in enumerate(images):
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                for red in (0.0, number / 255):
+                    device.draw(program, mesh, tint=Tint(color=(red, 0, 0, 1)))
+            offsets.append(dict(inside(device)._bindings.offsets))
+            device.present()
+        assert [int(image.read()[4, 4, 0]) for image in images] == list(range(6))
+    assert offsets == offsets[:1] * 6
+
+
+def test_a_value_that_a_shader_has_written_over_is_written_again(usable: None) -> None:
+    """A buffer that the device writes has no copy on the CPU, so its writes take the other path."""
+    with rhi.create_device("wgpu") as device:
+        program, mesh = device.program(Tinted), device.mesh(rectangle())
+        image = device.texture(SIZE, Format.RGBA8)
+        backend = inside(device)
+        for red in (1.0, 0.4):
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                device.draw(program, mesh, tint=Tint(color=(red, 0, 0, 1)))
+            buffer = backend._bindings.uniforms[min(backend._bindings.uniforms)][0]
+            device.present()
+            backend.clear_buffer(buffer, 0, 256, 0xFFFFFFFF)
+        assert backend._buffers[buffer].shadow is None or backend._buffers[buffer].device_wrote
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(program, mesh, tint=Tint(color=(0.2, 0, 0, 1)))
+        assert image.read()[4, 4].tolist() == [51, 0, 0, 255]
