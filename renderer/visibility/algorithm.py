@@ -10,7 +10,8 @@ constructor takes, so all algorithms can be exchanged at run time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from functools import cache
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -73,7 +74,6 @@ class VisibilityAlgorithm(Protocol):
         ...
 
 
-@runtime_checkable
 class SelectingAlgorithm(Protocol):
     """An algorithm that selects all objects of a frame before any is drawn."""
 
@@ -81,6 +81,22 @@ class SelectingAlgorithm(Protocol):
         """Return the indices (k,), ascending, of the objects that `render` would draw, and their cost; None if this
         frame has to be rendered, since its objects are found otherwise."""
         ...
+
+
+def to_selecting(algorithm: VisibilityAlgorithm | None) -> SelectingAlgorithm | None:
+    """Return an algorithm whose `render` draws what its `select` returns; None for others, among them one whose class
+    or caller has replaced `render` alone."""
+    if algorithm is None or "render" in getattr(algorithm, "__dict__", ()):
+        return None
+    if not _renders_selection(algorithm.__class__):
+        return None
+    return cast(SelectingAlgorithm, algorithm)
+
+
+@cache
+def _renders_selection(kind: type[VisibilityAlgorithm]) -> bool:
+    owner = next((base for base in kind.__mro__ if "render" in vars(base)), object)
+    return "select" in vars(owner)
 
 
 class ListedAlgorithm(VisibilityAlgorithm, Protocol):

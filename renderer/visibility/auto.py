@@ -9,7 +9,7 @@ from typing import Final
 
 from renderer.scene import Camera, Depth, Scene
 from renderer.scene.arrays import Indices
-from renderer.visibility.algorithm import SelectingAlgorithm, VisibilityAlgorithm, VisibilityStatistics
+from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics, to_selecting
 from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.speed_trial import CandidateSelector, SpeedTrial
 from renderer.visibility.traversal import CullingTraversal, TraversalSource
@@ -85,10 +85,10 @@ class AutoCulling(CandidateSelector):
             or self._warm_up_left
             or self._prepare is not None
             or latest is not self.candidates.get(trial.current_name)
-            or not isinstance(latest, SelectingAlgorithm)
+            or (selecting := to_selecting(latest)) is None
         ):
             return None
-        selected = latest.select(camera)
+        selected = selecting.select(camera)
         if selected is not None:
             trial.idle(selected[1].visible)
         return selected

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import cos, isfinite, sin, sqrt
 from typing import Final
 
@@ -152,7 +152,7 @@ class Camera:
     def _derive(self) -> tuple[NDArray[np.float32], Frustum]:
         """Return `relative_view_projection` and `frustum`, which are cached together: every frame needs both, and one
         product turns the rows of the matrix and the planes, which are sums of them."""
-        rows, normals = _clip_rows(self.projection)
+        rows, normals = _clip_rows(self.projection.matrix, self.projection.depth)
         turned = rows.copy()
         turned[:, :3] = normals.dot(self.rotation)
         matrix = turned[:4].astype(np.float32)
@@ -175,13 +175,24 @@ class Camera:
         return self if projection is self.projection else self.with_projection(projection)
 
 
-@lru_cache(maxsize=64)
-def _clip_rows(projection: Projection) -> tuple[Floats, Floats]:
+_CLIP_ROWS: Final[dict[int, tuple[Floats, Depth, tuple[Floats, Floats]]]] = {}
+"""The last results of `_clip_rows` by the identity of the matrix, which is beside them."""
+_MOST_CLIP_ROWS: Final = 64
+
+
+def _clip_rows(matrix: Floats, depth: Depth) -> tuple[Floats, Floats]:
     """Return the rows (9 or 10, 4) of a projection's matrix and of the planes that are sums of them, and the first
-    three numbers of each."""
-    matrix = projection.matrix
-    rows = np.concatenate([matrix, _extract_planes(matrix, projection.depth)])
-    return freeze(rows), freeze(np.ascontiguousarray(rows[:, :3]))
+    three numbers of each. Those of a matrix that can't be written are cached."""
+    cached = _CLIP_ROWS.get(id(matrix))
+    if cached is not None and cached[0] is matrix and cached[1] is depth:
+        return cached[2]
+    rows = np.concatenate([matrix, _extract_planes(matrix, depth)])
+    result = freeze(rows), freeze(np.ascontiguousarray(rows[:, :3]))
+    if not matrix.flags.writeable:
+        if len(_CLIP_ROWS) >= _MOST_CLIP_ROWS:
+            _CLIP_ROWS.clear()
+        _CLIP_ROWS[id(matrix)] = matrix, depth, result
+    return result
 
 
 def _extract_planes(matrix: Floats, depth: Depth) -> Floats:

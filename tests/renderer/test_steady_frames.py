@@ -14,7 +14,7 @@ from renderer.renderer import Renderer
 from renderer.techniques import TECHNIQUES
 
 CALLS = {
-    ("forward", "frustum"): 120,
+    ("forward", "frustum"): 123,
     ("forward", "depth_pyramid"): 155,
     ("forward", "two_pass"): 205,
     ("clustered", "frustum"): 321,

@@ -15,7 +15,7 @@ from renderer.frame import Frame, LightWatch, Plan, SceneResources, View, Visibl
 from renderer.frame.frame import ViewRecord
 from renderer.scene import Camera
 from renderer.techniques.parts.variants import select_repeated_pass
-from renderer.visibility.algorithm import SelectingAlgorithm
+from renderer.visibility.algorithm import to_selecting
 
 RepeatedDraw = Callable[[Camera], ViewRecord | None]
 """Draws a frame of a camera, and returns its record; or None, before any command, if the frame needs more."""
@@ -31,16 +31,17 @@ def repeat_frame(
     watch: LightWatch,
 ) -> RepeatedDraw | None:
     """Return a function that draws the frames after one, as long as the scene and all settings stay the same; None if
-    frames have more than one batch of objects that the CPU culls.
+    frames have more than one batch of objects that the CPU culls, or a pass or an algorithm
+    that isn't the renderer's own.
 
     Args:
         values: the `Frame.values` of that frame.
         event: the label of its pass.
         watch: tells whether a frame has its effects.
     """
-    repeated = select_repeated_pass(values) if len(plan.passes) == 1 else None
-    culling = view.visibility
-    if repeated is None or not isinstance(culling, SelectingAlgorithm) or not repeated.drawer.is_repeatable:
+    repeated = select_repeated_pass(plan.passes[0], values) if len(plan.passes) == 1 else None
+    culling = to_selecting(view.visibility)
+    if repeated is None or culling is None or not repeated.drawer.is_repeatable:
         return None
     drawer, select = repeated.drawer, culling.select
 

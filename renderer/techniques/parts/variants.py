@@ -333,8 +333,13 @@ class RepeatedPass:
         return self.program.descriptor is self.descriptor and not self.program.destroyed
 
 
-def select_repeated_pass(values: Mapping[object, object]) -> RepeatedPass | None:
-    """Return the only pass of this kind that `draw_lit` has left in `Frame.values`."""
+def select_repeated_pass(
+    frame_pass: FramePass[Frame], values: Mapping[object, object]
+) -> RepeatedPass | None:
+    """Return the record that `draw_lit` has left of a pass in `Frame.values`; None if the pass runs anything else,
+    too."""
+    if not (isinstance(frame_pass.run, partial) and frame_pass.run.func is draw_lit):
+        return None
     passes = [value for value in values.values() if isinstance(value, RepeatedPass)]
     return passes[0] if len(passes) == 1 else None
 

@@ -68,7 +68,28 @@ def _encode_once(format: Format, values: bytes) -> NDArray[np.generic]:
 _Clear = tuple[NDArray[np.generic], NDArray[np.generic]]
 """Texels (…, height, width, channels), and the row that they are cleared to."""
 _MAX_CLEARS: Final = 64
-"""The clears of so many passes are remembered, at most."""
+
+
+class _RecentClears:
+    """The clears of recent passes, which hold the memory of their textures."""
+
+    def __init__(self) -> None:
+        self._passes: dict[int, tuple[PassDescriptor, list[_Clear]]] = {}  # by the identity of the descriptor
+
+    def get(self, descriptor: PassDescriptor) -> list[_Clear] | None:
+        """Return the clears of a pass; None for one that isn't remembered."""
+        remembered = self._passes.get(id(descriptor))
+        return None if remembered is None or remembered[0] is not descriptor else remembered[1]
+
+    def add(self, descriptor: PassDescriptor, clears: list[_Clear]) -> None:
+        """Remember the clears of a pass."""
+        if len(self._passes) >= _MAX_CLEARS:
+            self._passes.clear()
+        self._passes[id(descriptor)] = descriptor, clears
+
+    def forget(self) -> None:
+        """Release the memory of all textures."""
+        self._passes.clear()
 
 
 def _clear_to(texels: NDArray[np.generic], value: NDArray[np.generic] | int) -> _Clear:
@@ -84,12 +105,12 @@ class Textures:
 
     def __init__(self) -> None:
         self.textures: dict[Id, TextureMemory] = {}
-        self._clears: dict[int, tuple[PassDescriptor, list[_Clear]]] = {}  # by the identity of the descriptor
+        self._recent_clears = _RecentClears()
 
     def clear(self) -> None:
         """Release all textures."""
         self.textures.clear()
-        self._clears.clear()
+        self._recent_clears.forget()
 
     # -- immediate -----------------------------------------------------------------------------------------
 
@@ -114,7 +135,7 @@ class Textures:
 
     def destroy(self, resource: Id) -> None:
         if self.textures.pop(resource, None) is not None:
-            self._clears.clear()  # which hold the memory of textures
+            self._recent_clears.forget()
 
     def write_texture(self, texture: Id, level: int, region: Region, data: bytes) -> None:
         target = self.textures[texture].levels[level]
@@ -150,12 +171,11 @@ class Textures:
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         """Clear the attachments of a pass."""
-        described = self._clears.get(id(descriptor))
-        if described is None or described[0] is not descriptor:
-            if len(self._clears) >= _MAX_CLEARS:
-                self._clears.clear()
-            described = self._clears[id(descriptor)] = descriptor, self._list_clears(descriptor)
-        for texels, row in described[1]:
+        clears = self._recent_clears.get(descriptor)
+        if clears is None:
+            clears = self._list_clears(descriptor)
+            self._recent_clears.add(descriptor, clears)
+        for texels, row in clears:
             texels[...] = row
 
     def _list_clears(self, descriptor: PassDescriptor) -> list[_Clear]:

@@ -169,7 +169,7 @@ def test_a_geometry_whose_indices_name_no_vertex_is_refused():
 
 
 def test_materials_are_a_storage_buffer_without_padding():
-    assert scenes.MATERIAL.itemsize == 112
+    assert scenes.MATERIAL.itemsize == 128
     material = scenes.make_material(base_color=(0.1, 0.2, 0.3), texture=-1)
     assert material["base_color"].tolist() == pytest.approx([0.1, 0.2, 0.3, 1.0])
 
