@@ -32,6 +32,7 @@ from renderer.cli import (
     exam,
     film,
     plan,
+    ray_trace,
     render,
     scenes,
     tune,
@@ -48,6 +49,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     view.COMMAND,
     demo.COMMAND,
     film.COMMAND,
+    ray_trace.COMMAND,
     SubcommandGroup(
         "compare",
         "compare techniques, visibility algorithms, tests of light culling, one eye and two, geometry buffers, "

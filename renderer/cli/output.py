@@ -98,7 +98,7 @@ def _prepare(path: Path, option: str, suffixes: Collection[str], wrong: str) -> 
 
 
 def write_image(path: Path, pixels: NDArray[Any]) -> None:
-    """Write (height, width, 4) sRGB pixels without their alpha."""
+    """Write (height, width, 3 or 4) sRGB pixels without their alpha."""
     from PIL import Image  # optional
 
     Image.fromarray(pixels[:, :, :3]).save(path, optimize=True)

@@ -426,6 +426,25 @@ def test_only_the_viewer_falls_back(command: str, is_view: bool, monkeypatch: py
     assert install.called is is_view
 
 
+def test_ray_trace_writes_an_image_in_which_objects_mirror_each_other_by_bounces(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    images = []
+    for bounces in ("0", "1"):
+        path = tmp_path / f"{bounces}.png"
+        report = run_json(
+            capsys,
+            "grid:mesh=sphere,count=4",
+            *("--size", "32x18", "--rays", "1", "--bounces", bounces, "--output", str(path)),
+            command="ray-trace",
+        )
+        assert report["rays"] == 32 * 18
+        images.append(np.asarray(Image.open(path)).astype(int))
+    differs = (np.abs(images[0] - images[1]).max(axis=2) > 4).sum()
+    assert images[0].shape == (18, 32, 3)
+    assert 0 < differs < 32 * 18 // 2  # the background is the same
+
+
 def test_plan_states_the_reason_of_each_pass_and_of_omitted_passes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

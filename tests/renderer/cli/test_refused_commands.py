@@ -97,6 +97,10 @@ REFUSED = {
     "compare techniques grid:count=4 --objects 4 --backend null": "count twice",
     "compare techniques grid --objects 0 --backend null": "not a whole number",
     "compare encodings --backend null": "measure-no-shaders",
+    "ray-trace city:blocks=1,bloom=0.1": "bloom can't be rendered by single rays",
+    "ray-trace city:blocks=1 --bounces 17": "bounces=17: expected 0 to 16",
+    "ray-trace city:blocks=1 --refraction-index 9": "refraction_index=9.0: expected 0.25 to 4",
+    "ray-trace city:blocks=1 --refraction-index none": "'none' is not a number above 0",
     "effect-costs --rounds 0": "--rounds: '0' is not a whole number of 1 or more",
     "effect-costs --effect fire": "invalid choice: 'fire'",
     **{

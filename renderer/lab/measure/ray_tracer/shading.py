@@ -15,7 +15,7 @@ from renderer.lab.measure.ray_tracer.surroundings import Surroundings
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Fog, Scene, ShadingModel
 
-_AWAY: Final = 1e-6
+DISTANCE_FROM_SURFACE: Final = 1e-6
 """Metres from a surface at which a ray to a light begins; also relative to the position's distance from the
 origin, by which float64 rounds."""
 _SMOOTHEST: Final = 0.1
@@ -49,9 +49,13 @@ class LitSurfaces:
         environment = scene.environment
         self._environment = None if environment is None else Surroundings(environment)
 
-    def light(self, surfaces: Surfaces) -> Floats:
-        """The light (k, 3) that surfaces send to the eye, before fog."""
-        color = self._reflect_surroundings(surfaces) + surfaces.emitted
+    def light(self, surfaces: Surfaces, mirrored: Floats | None = None) -> Floats:
+        """The light (k, 3) that surfaces send to the eye, before fog.
+
+        Args:
+            mirrored: what they mirror of their surroundings, (k, 3), if rays have found it.
+        """
+        color = self._reflect_surroundings(surfaces, mirrored) + surfaces.emitted
         lights = self._scene.lights.without_hidden()
         for sun in lights.directional:
             to_light = np.broadcast_to(-sun["direction"].astype(np.float64), surfaces.normal.shape)
@@ -90,7 +94,7 @@ class LitSurfaces:
             distance = np.linalg.norm(away, axis=1)
             sine = np.minimum(float(light["source_radius"]) / np.maximum(distance, 1e-9), 1.0)
             lit, strength = self._darken(seen, lit, strength, normalize(away), distance, sine)
-        repeated = _take(seen, np.repeat(lit, _PARTS))
+        repeated = take_surfaces(seen, np.repeat(lit, _PARTS))
         for position, normal, share in _list_parts(light):
             away = np.tile(light["position"] + position, (len(lit), 1)) - repeated.position
             distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
@@ -118,7 +122,7 @@ class LitSurfaces:
                 source = np.full(len(lit), np.sin(0.5 * float(light["angular_diameter"])))
             lit, strength = self._darken(seen, lit, strength, to_light[lit], far, source)
         if len(lit):
-            lit_surfaces = _take(seen, lit)
+            lit_surfaces = take_surfaces(seen, lit)
             arriving = light["color"].astype(np.float64) * strength[lit, None]
             for direction, share in _list_directions(to_light[lit], sine[lit]):
                 facing = np.maximum(_dot(lit_surfaces.normal, direction), 0.0)
@@ -136,7 +140,7 @@ class LitSurfaces:
     ) -> tuple[NDArray[np.int64], Floats]:
         """Those of the surfaces at the indices `lit` that light of a source arrives at, and the strengths of all
         surfaces, dimmed by what blocks it. Other arguments are those of `_measure_visibility`."""
-        shares = self._measure_visibility(_take(seen, lit), to_light, distance, sine)
+        shares = self._measure_visibility(take_surfaces(seen, lit), to_light, distance, sine)
         arrives = shares > 0.0
         lit, strength = lit[arrives], strength.copy()
         strength[lit] *= shares[arrives]
@@ -171,23 +175,31 @@ class LitSurfaces:
     def _are_dark(
         self, position: Floats, geometric_normal: Floats, to_light: Floats, distance: Floats
     ) -> NDArray[np.bool_]:
-        start = _AWAY + 1e-13 * np.abs(position).max(axis=1)
+        start = DISTANCE_FROM_SURFACE + 1e-13 * np.abs(position).max(axis=1)
         origins = position + geometric_normal * start[:, None]
         return self._tree.are_occluded(
             origins, to_light, distance - start, lambda hits: self._geometry.block_light(hits, to_light)
         )
 
-    def _reflect_surroundings(self, seen: Surfaces) -> Floats:
-        """The reflected light of the sky and the ground, diffuse and specular."""
+    def look_at_surroundings(self, directions: Floats) -> Floats:
+        """The light (k, 3) that comes from infinitely far away in unit directions (k, 3)."""
+        if self._environment is not None:
+            return self._environment.look(directions)
         lights = self._scene.lights.without_hidden()
         sky, ground = (np.asarray(color, np.float64) for color in (lights.sky, lights.ground))
+        height = 0.5 * (directions[:, 1:2] + 1.0)
+        return np.asarray(sky * height + ground * (1.0 - height))
 
+    def _reflect_surroundings(self, seen: Surfaces, mirrored_light: Floats | None) -> Floats:
+        """The reflected light of the sky and the ground, diffuse and specular."""
         is_baked = ~np.isnan(seen.irradiance)
 
         def arrive(direction: Floats) -> Floats:
-            height = 0.5 * (direction[:, 1:2] + 1.0)
-            return np.where(is_baked, seen.irradiance, sky * height + ground * (1.0 - height))
+            return np.where(is_baked, seen.irradiance, self.look_at_surroundings(direction))
 
+        if mirrored_light is not None:
+            left = (seen.occlusion * self._measure_openness(seen))[:, None]
+            return np.asarray(self._scatter_surroundings(seen) * left + mirrored_light)
         if self._environment is not None:
             return self._reflect_environment(seen, self._environment)
         material, along = seen.material, _dot(seen.normal, seen.to_eye)
@@ -209,20 +221,28 @@ class LitSurfaces:
         left = (seen.occlusion * self._measure_openness(seen))[:, None]
         return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * left)
 
+    def _scatter_surroundings(self, seen: Surfaces) -> Floats:
+        """The light of the sky and the ground, or of an environment, that surfaces scatter."""
+        if self._environment is not None:
+            arriving = self._environment.scatter(seen.normal)
+        else:
+            arriving = self.look_at_surroundings(seen.normal)
+        diffuse = _select_shading_model(seen)[1]
+        return np.asarray(diffuse * np.where(np.isnan(seen.irradiance), arriving, seen.irradiance))
+
     def _reflect_environment(self, seen: Surfaces, environment: Surroundings) -> Floats:
         """The light of an environment that surfaces reflect. The specular model mirrors a lobe of GGX as wide as
         its highlight, seen along the mirrored direction."""
-        is_metal, diffuse, _, rough = _select_shading_model(seen)
-        scattered = environment.scatter(seen.normal)
-        light = diffuse * np.where(np.isnan(seen.irradiance), scattered, seen.irradiance)
+        is_metal, _, _, rough = _select_shading_model(seen)
+        light = self._scatter_surroundings(seen)
         material, along = seen.material, _dot(seen.normal, seen.to_eye)
         if is_metal.any():
-            metals = _take(seen, np.flatnonzero(is_metal))
+            metals = take_surfaces(seen, np.flatnonzero(is_metal))
 
             def respond(part: slice, directions: Floats, half: Floats) -> Floats:
                 count = directions.shape[1]
                 repeated = np.repeat(np.arange(len(metals.normal))[part], count)
-                surfaces = _take(metals, repeated)
+                surfaces = take_surfaces(metals, repeated)
                 mirrored = reflect(surfaces, directions.reshape(-1, 3), is_mirror=True)
                 return mirrored.reshape(directions.shape)
 
@@ -250,7 +270,10 @@ class LitSurfaces:
         is_baked = ~np.isnan(seen.irradiance[:, 0])
         aside = normalize(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
         up = np.cross(normal, aside)
-        origins = seen.position + normal * (_AWAY + 1e-13 * np.abs(seen.position).max(axis=1))[:, None]
+        origins = (
+            seen.position
+            + normal * (DISTANCE_FROM_SURFACE + 1e-13 * np.abs(seen.position).max(axis=1))[:, None]
+        )
         open_rays = np.zeros(len(normal))
         for number in range(_OCCLUSION_RAYS):
             sine = np.sqrt((number + 0.5) / _OCCLUSION_RAYS)
@@ -367,7 +390,8 @@ def optical_depth(fog: Fog, eye: Floats, height: Floats, length: Floats) -> Floa
         return np.asarray(densest * length * share)
 
 
-def _take(seen: Surfaces, rows: NDArray[Any]) -> Surfaces:
+def take_surfaces(seen: Surfaces, rows: NDArray[Any]) -> Surfaces:
+    """The surfaces at some indices."""
     return Surfaces(*(getattr(seen, name)[rows] for name in seen.__slots__))
 
 

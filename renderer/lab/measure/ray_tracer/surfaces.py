@@ -101,12 +101,21 @@ class Geometry:
         stops = self._casts[rows] & (front | self._two_sided[rows])
         return np.asarray(stops & ~self._are_masked_out(hits, stops))
 
-    def are_visible(self, hits: Hits, directions: Floats) -> NDArray[np.bool_]:
-        """The hits that are visible: not the backs of one-sided materials, and not the holes of masks."""
+    def are_visible(
+        self, hits: Hits, directions: Floats, *, has_glass_backs: bool = False
+    ) -> NDArray[np.bool_]:
+        """The hits that are visible: not the holes of masks, and not the backs of one-sided materials, but for those of
+        glass with `has_glass_backs`."""
         rows = self.objects[hits.triangle]
-        front = np.einsum("ij,ij->i", self._geometric_normals[hits.triangle], directions[hits.ray]) < 0.0
-        seen = front | self._two_sided[rows]
+        seen = self.are_fronts(hits, directions) | self._two_sided[rows]
+        if has_glass_backs:
+            seen |= self.is_glass[rows]
         return np.asarray(seen & ~self._are_masked_out(hits, seen))
+
+    def are_fronts(self, hits: Hits, directions: Floats) -> NDArray[np.bool_]:
+        """The hits of the sides on which triangles' corners turn counterclockwise."""
+        along = np.einsum("ij,ij->i", self._geometric_normals[hits.triangle], directions[hits.ray])
+        return np.asarray(along < 0.0)
 
     def _are_masked_out(self, hits: Hits, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
         holes = np.zeros(len(hits.ray), bool)

@@ -3,18 +3,29 @@ sRGB."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from renderer.lab.measure.ray_tracer.shading import LitSurfaces, optical_depth
-from renderer.lab.measure.ray_tracer.surfaces import Geometry, encode_srgb
+from renderer.lab.measure.ray_tracer.bounces import are_blurred, bend_rays, mirror_rays
+from renderer.lab.measure.ray_tracer.shading import (
+    DISTANCE_FROM_SURFACE,
+    LitSurfaces,
+    optical_depth,
+    take_surfaces,
+)
+from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, encode_srgb, normalize
 from renderer.lab.measure.ray_tracer.surroundings import Surroundings
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Camera, Scene
 
 _CHUNK: Final = 1 << 15
 """Rays that are traced together."""
+_MOST_BOUNCES: Final = 16
+_MIRRORED_RAYS: Final = 16
+"""Rays that go on from a surface that the eye sees, if it blurs what it mirrors. All others are single rays."""
 _DISTANCE_SHELLS: Final = 4.0 ** np.arange(-5, 1)
 """Distances, relative to the scene's size, to which rays are traced in turn; only rays that met nothing
 opaque continue."""
@@ -24,11 +35,30 @@ APERTURE_POINTS: Final = 128
 _GOLDEN_ANGLE: Final = np.pi * (3.0 - np.sqrt(5.0))
 
 
+@dataclass(frozen=True, slots=True)
+class RayKind:
+    """Rays that are followed together.
+
+    Attributes:
+        bounces: how many times they may still go on from a surface.
+        brings_light: True if they bring light; else colours from 0 to 1, and haze fades to the background's.
+        is_mirrored: True if a surface has mirrored them. Then they don't end in the background, which only the eye
+            sees, but in the light of the sky and the ground.
+    """
+
+    bounces: int
+    brings_light: bool
+    is_mirrored: bool = False
+
+
 class RayTracer:
     """Renders a scene as it stands, in float64; see the package.
 
     With depth of field, a pixel's light is the mean of rays through `APERTURE_POINTS` points of the aperture, which
     meet in the plane of the focus; tones are mapped after that.
+
+    Surfaces reflect the sky and the ground, or an environment, but not each other, as in the renderer's images. With
+    `bounces`, rays go on from surfaces: see `bounces.py`.
 
     Attributes:
         has_shadows: whether lights that cast shadows do.
@@ -42,21 +72,38 @@ class RayTracer:
         has_shadows: bool = True,
         has_penumbras: bool = False,
         earlier: RayTracer | None = None,
+        bounces: int = 0,
+        refraction_index: float = 1.0,
     ) -> None:
         """Prepare to render the scene as it stands.
 
         Args:
+            bounces: how many times rays go on from surfaces that mirror or bend them, 0 to 16. Surfaces that aren't
+                smooth mirror to random sides, so few rays a pixel make noise.
+            refraction_index: of transparent objects, relative to what is around them, 0.25 to 4. Unless it is 1 or
+                nothing bounces, they are bodies with closed surfaces, which bend rays.
             earlier: rendered the scene in an earlier state. If only objects have moved since, its order of
                 triangles is used again: preparing takes a third of the time.
 
         Raises:
-            ValueError: the scene has bloom, or material shaders.
+            ValueError: the scene has no visible object, or bloom, or material shaders; or bounces or the index of
+                refraction are out of range.
         """
+        if not 0 <= bounces <= _MOST_BOUNCES:
+            raise ValueError(f"bounces={bounces}: expected 0 to {_MOST_BOUNCES}")
+        if not 0.25 <= refraction_index <= 4.0:
+            raise ValueError(
+                f"refraction_index={refraction_index}: expected 0.25 to 4 (water has 1.33, glass 1.5)"
+            )
+        if not scene.objects.is_shown.any():
+            raise ValueError("the scene has no visible object")
         if scene.bloom is not None:
             raise ValueError("bloom can't be rendered by single rays")
         if scene.shaders:
             raise ValueError("the reference ray tracer can't evaluate custom material shaders")
         self._scene, self._geometry = scene, Geometry(scene)
+        self._bounces, self._refraction_index = bounces, refraction_index
+        self._rng = np.random.default_rng(0)
         order = None
         if earlier is not None and np.array_equal(earlier._geometry.objects, self._geometry.objects):
             order = earlier._tree.order
@@ -102,28 +149,34 @@ class RayTracer:
         """The linear colours (k, 3) from 0 to 1 at positions (k, 2) of an image, in pixels from its top left
         corner."""
         origins, directions, first, last = aim(camera, size, pixel_positions)
+        self._rng = np.random.default_rng(0)
         depth_of_field = self._scene.depth_of_field
+        kind = RayKind(self._bounces, brings_light=depth_of_field is not None)
         if depth_of_field is None:
-            return self._follow_all(origins, directions, first, last)
+            return self._follow_all(origins, directions, first, last, kind)
         light = np.zeros((len(pixel_positions), 3))
         for number in range(APERTURE_POINTS):
             radius = depth_of_field.aperture_radius * np.sqrt((number + 0.5) / APERTURE_POINTS)
             angle = number * _GOLDEN_ANGLE
             point = radius * (np.cos(angle) * camera.rotation[0] + np.sin(angle) * camera.rotation[1])
             towards = directions - point / depth_of_field.focus_distance
-            light += self._follow_all(origins + point, towards, first, last)
+            light += self._follow_all(origins + point, towards, first, last, kind)
         return tone_map(light / APERTURE_POINTS)
 
-    def _follow_all(self, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
+    def _follow_all(
+        self, origins: Floats, directions: Floats, first: float, last: float, kind: RayKind
+    ) -> Floats:
         colors = np.zeros(origins.shape)
         for begin in range(0, len(origins), _CHUNK):
             part = slice(begin, begin + _CHUNK)
-            colors[part] = self._follow(origins[part], directions[part], first, last)
+            colors[part] = self._follow(origins[part], directions[part], first, last, kind)
         return colors
 
-    def _collect_surfaces(self, origins: Floats, directions: Floats, first: float, last: float) -> Hits:
-        """All hits that are visible along rays, the nearest first: glass, and at the end an opaque
-        surface."""
+    def _collect_surfaces(
+        self, origins: Floats, directions: Floats, first: float, last: float, *, bends: bool
+    ) -> Hits:
+        """All hits that are visible along rays, the nearest first: glass, and at the end an opaque surface, or the
+        first glass if it `bends` rays."""
         lower, upper = self._geometry.lower, self._geometry.upper
         size = np.linalg.norm(upper - lower) / np.linalg.norm(directions, axis=1).min()
         farthest = (
@@ -139,9 +192,9 @@ class RayTracer:
                 origins[open_rays], directions[open_rays], np.full(len(origins), begin), far
             )
             hits = Hits(open_rays[hits.ray], hits.triangle, hits.distance, hits.second, hits.third)
-            hits = hits.take(self._geometry.are_visible(hits, directions))
+            hits = hits.take(self._geometry.are_visible(hits, directions, has_glass_backs=bends))
             hits = hits.take(np.lexsort([hits.distance, hits.ray]))
-            is_solid = ~self._geometry.is_glass[self._geometry.objects[hits.triangle]]
+            is_solid = ~self._geometry.is_glass[self._geometry.objects[hits.triangle]] | bends
             stop = np.full(len(origins), np.inf)
             np.minimum.at(stop, hits.ray[is_solid], hits.distance[is_solid])
             hit_batches.append(hits.take(hits.distance <= stop[hits.ray]))
@@ -159,24 +212,26 @@ class RayTracer:
         again &= hits.distance[1:] - hits.distance[:-1] <= 1e-9 * np.abs(hits.distance[1:])
         return np.concatenate([[False], again])[: len(hits.ray)]
 
-    @property
-    def _keeps_light(self) -> bool:
-        """True if rays bring light instead of colours, and haze fades to light that is seen as the background."""
-        return self._scene.depth_of_field is not None
-
-    def _follow(self, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
+    def _follow(
+        self, origins: Floats, directions: Floats, first: float, last: float, kind: RayKind
+    ) -> Floats:
         """The colours (k, 3) that rays bring, or their light."""
-        hits = self._collect_surfaces(origins, directions, first, last)
+        bends = kind.bounces > 0 and self._refraction_index != 1.0
+        hits = self._collect_surfaces(origins, directions, first, last, bends=bends)
         seen = self._geometry.surfaces_at(hits, origins, directions)
         # Light is seen where its ray leaves the eye, or the eye's plane; air behind that isn't seen through.
         start = np.where(hits.distance[:, None] > 0.0, origins[hits.ray], seen.position)
-        color = self._pass_fog(self._lighting.light(seen), start, seen.position)
-        color = color if self._keeps_light else tone_map(color)
-        color = self._pass_haze(color, np.linalg.norm(seen.position - start, axis=1))
+        mirrored = self._follow_mirrored(seen, kind) if kind.bounces else None
+        color = self._pass_air(self._lighting.light(seen, mirrored), start, seen.position, kind)
+        total = self._draw_background(origins, directions, kind)
+        if bends:
+            glass = np.flatnonzero(self._geometry.is_glass[self._geometry.objects[hits.triangle]])
+            is_leaving = ~self._geometry.are_fronts(hits.take(glass), directions)
+            beyond = self._follow_bent(take_surfaces(seen, glass), is_leaving, kind)
+            total[hits.ray[glass]] = self._pass_air(beyond, start[glass], seen.position[glass], kind)
         # Glass lets through what it doesn't cover: each surface is seen through all before it of the same
         # ray.
         clear = 1.0 - seen.alpha
-        total = self._draw_background(origins, directions)
         order = np.arange(len(hits.ray))
         begins = np.searchsorted(hits.ray, np.arange(len(origins)), side="left")
         depth = order - begins[hits.ray]
@@ -188,6 +243,46 @@ class RayTracer:
             through[ray] *= clear[selected]
         return color_sum + through[:, None] * total
 
+    def _follow_mirrored(self, seen: Surfaces, kind: RayKind) -> Floats:
+        """The light (k, 3) of their surroundings that surfaces mirror to where rays come from."""
+        is_blurred = are_blurred(seen) & (kind.bounces == self._bounces)
+        indices = np.repeat(np.arange(len(seen.position)), np.where(is_blurred, _MIRRORED_RAYS, 1))
+        surfaces = take_surfaces(seen, indices)
+        directions, share = mirror_rays(surfaces, self._rng)
+        mirrors = np.flatnonzero(share.max(axis=1, initial=0.0) > 0.0)
+        light = np.zeros(seen.position.shape)
+        if len(mirrors):
+            origins = _move_off(surfaces.position[mirrors], surfaces.geometric_normal[mirrors])
+            mirrored = RayKind(kind.bounces - 1, brings_light=True, is_mirrored=True)
+            arriving = self._follow_all(origins, directions[mirrors], 0.0, np.inf, mirrored) * share[mirrors]
+            np.add.at(light, indices[mirrors], arriving)
+        return light / np.where(is_blurred, _MIRRORED_RAYS, 1)[:, None]
+
+    def _follow_bent(self, seen: Surfaces, is_leaving: NDArray[np.bool_], kind: RayKind) -> Floats:
+        """The light (k, 3) from beyond the surfaces of transparent bodies, and what these mirror of it."""
+        directions = -seen.to_eye
+        bent, mirrored = bend_rays(directions, seen.normal, is_leaving, self._refraction_index)
+        inwards = np.flatnonzero(mirrored < 1.0)
+        light = np.zeros(seen.position.shape)
+        if len(inwards):
+            origins = _move_off(seen.position[inwards], -seen.geometric_normal[inwards])
+            beyond = RayKind(kind.bounces - 1, brings_light=True, is_mirrored=kind.is_mirrored)
+            weight = (1.0 - mirrored[inwards])[:, None]
+            light[inwards] = weight * self._follow(origins, bent[inwards], 0.0, np.inf, beyond)
+        across = np.einsum("ij,ij->i", directions, seen.normal)
+        origins = _move_off(seen.position, seen.geometric_normal)
+        back = RayKind(kind.bounces - 1, brings_light=True, is_mirrored=True)
+        turned = directions - 2.0 * across[:, None] * seen.normal
+        if len(turned):
+            light += mirrored[:, None] * self._follow(origins, turned, 0.0, np.inf, back)
+        return light
+
+    def _pass_air(self, light: Floats, start: Floats, position: Floats, kind: RayKind) -> Floats:
+        """The colours, or the light, of `light` from a position, seen from `start` through fog and haze."""
+        color = self._pass_fog(light, start, position)
+        color = color if kind.brings_light else tone_map(color)
+        return self._pass_haze(color, np.linalg.norm(position - start, axis=1), kind)
+
     def _pass_fog(self, light: Floats, start: Floats, position: Floats) -> Floats:
         fog = self._scene.fog
         if fog is None:
@@ -197,25 +292,29 @@ class RayTracer:
         passes = np.exp(-thickness)[:, None]
         return light * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
 
-    def _pass_haze(self, color: Floats, length: Floats) -> Floats:
+    def _pass_haze(self, color: Floats, length: Floats, kind: RayKind) -> Floats:
         passes = np.exp(-self._scene.haze * length)[:, None]
         air = np.asarray(self._scene.background, np.float64)
-        return color * passes + (inverse_tone_map(air) if self._keeps_light else air) * (1.0 - passes)
+        return color * passes + (inverse_tone_map(air) if kind.brings_light else air) * (1.0 - passes)
 
-    def _draw_background(self, origins: Floats, directions: Floats) -> Floats:
-        """The background's colours, seen through all of the fog."""
+    def _draw_background(self, origins: Floats, directions: Floats, kind: RayKind) -> Floats:
+        """The background's colours, or light, seen through all of the fog."""
+        if kind.is_mirrored:
+            light = self._lighting.look_at_surroundings(normalize(directions))
+            return self._pass_endless_fog(light, origins, directions)
         environment = self._scene.environment
         if environment is not None and environment.is_visible:
             light = self._pass_endless_fog(Surroundings(environment).look(directions), origins, directions)
-            return light if self._keeps_light else tone_map(light)
+            return light if kind.brings_light else tone_map(light)
         color = np.asarray(self._scene.background, np.float64)
         fog = self._scene.fog
         if fog is None:
-            return np.broadcast_to(inverse_tone_map(color) if self._keeps_light else color, directions.shape)
+            color = inverse_tone_map(color) if kind.brings_light else color
+            return np.tile(color, (len(directions), 1))
         light = self._pass_endless_fog(
             np.broadcast_to(inverse_tone_map(color), directions.shape), origins, directions
         )
-        return light if self._keeps_light else tone_map(light)
+        return light if kind.brings_light else tone_map(light)
 
     def _pass_endless_fog(self, light: Floats, origins: Floats, directions: Floats) -> Floats:
         """The light (k, 3) that comes from infinitely far away through the fog."""
@@ -228,6 +327,12 @@ class RayTracer:
             thickness = np.where(rises > 0.0, here / np.maximum(rises, 1e-300), np.inf)
         passes = np.exp(-thickness)[:, None]
         return np.asarray(light * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes))
+
+
+def _move_off(position: Floats, normal: Floats) -> Floats:
+    """Positions a little off a surface, on the side of `normal`, so that rays from there don't meet it again."""
+    distance = DISTANCE_FROM_SURFACE + 1e-13 * np.abs(position).max(axis=1, initial=0.0)
+    return np.asarray(position + normal * distance[:, None])
 
 
 def aim(
