@@ -9,6 +9,8 @@ microseconds per draw.
 - `first submission`: a new command buffer is submitted. This includes what is created once: the calls with
   their arguments, and the buffer of transient constants.
 - `replayed`: a command buffer that was submitted before is submitted again.
+- `replayed, call by call`: the same without the bundle that WebGPU's backends make of it.
+- `a frame replayed`, `a frame call by call`: these two, and `present`, with which the driver gets the commands.
 - `recorded on 4 threads, together`: each of 4 threads records a quarter of the draws; the wall time is
   divided by the number of all draws.
 
@@ -23,6 +25,7 @@ import argparse
 import gc
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
 from scenes import Scene
@@ -43,12 +46,19 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
                 draw(commands)
             return commands
 
-        recorded, fresh = record(scene.draw), [record(scene.draw)]
-        device.submit(recorded)
+        recorded, plain, fresh = record(scene.draw), record(scene.draw), [record(scene.draw)]
+        for _ in range(2):  # the second makes a bundle, where there are any
+            device.submit(recorded)
+        with without_bundles(device):
+            device.submit(plain)
         recorded_anew = {
             "first submission": scene.draw,
             "first submission, transient constants": scene.draw_transient,
         }
+
+        def present(commands: rhi.CommandBuffer) -> None:
+            device.submit(commands)
+            device.present()
 
         def prepare(name: str) -> None:
             if name in recorded_anew:
@@ -59,6 +69,9 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
         work: dict[str, Callable[[int], object]] = {
             "drawn at once": lambda _: scene.draw(device),
             "replayed": lambda _: device.submit(recorded),
+            "replayed, call by call": lambda _: device.submit(plain),
+            "a frame replayed": lambda _: present(recorded),
+            "a frame call by call": lambda _: present(plain),
             "recorded": lambda _: record(scene.draw),
             "first submission": lambda _: device.submit(fresh[0]),
             "recorded, transient constants": lambda _: record(scene.draw_transient),
@@ -71,6 +84,20 @@ def measure(arguments: argparse.Namespace) -> Iterator[Record]:
             for name, run in work.items()
         ]
         yield from compare(subjects, {"µs per draw": time(1e6 / arguments.draws, 2)}, range(arguments.rounds))
+
+
+@contextmanager
+def without_bundles(device: rhi.Device) -> Iterator[None]:
+    """Make the command buffers that are first submitted meanwhile have no bundles."""
+    implementation = getattr(device._core.backend, "_implementation", None)
+    bundles = getattr(implementation, "bundles", None)
+    try:
+        if implementation is not None:
+            implementation.bundles = None
+        yield
+    finally:
+        if implementation is not None:
+            implementation.bundles = bundles
 
 
 def record_on_threads(scene: Scene, count: int) -> None:

@@ -33,6 +33,7 @@ In a page it measures the web backend, whole frames with their submission, again
 the same calls of WebGPU. `one mesh`: the vertex buffer is set once. `value`: each draw's constants are numbers.
 `all set`: as most programs have it, each draw also sets the pipeline, and passes its offsets as a new array.
 `another pass each frame`: a further draw has another number of instances in each frame, so no pass is repeated.
+`another order each frame`: the draws are shuffled, so hardly two of them follow on each other as before.
 
     RHI_WEB_DAWN_OPTIONS=backend=null python scripts/run_in_node.py benchmarks/draw_cost.py --draws 1000
 """
@@ -447,6 +448,16 @@ def measure_frames(arguments: argparse.Namespace) -> Iterator[Record]:
         for offset, color in values:
             draw(program, mesh, camera=camera, object=Object(offset=offset, color=color))
 
+    orders = itertools.cycle(
+        [np.random.default_rng(n).permutation(len(work.pairs)).tolist() for n in range(200)]
+    )
+
+    def draw_shuffled() -> None:
+        draw, camera, pairs = device.draw, work.camera, work.pairs
+        for index in next(orders):
+            mesh, constants = pairs[index]
+            draw(program, mesh, camera=camera, object=constants)
+
     numbers_of_frames = itertools.count(1)
 
     def frame(draw: Callable[[], None], changes: bool = False) -> Callable[[], None]:
@@ -467,6 +478,7 @@ def measure_frames(arguments: argparse.Namespace) -> Iterator[Record]:
             "JavaScript": lambda: bare(True, False, False),
             own_mesh: frame(variants[own_mesh]),
             changing.format(own_mesh): frame(variants[own_mesh], changes=True),
+            "device.draw, another order each frame": frame(draw_shuffled),
             "device.draw_many": frame(variants["device.draw_many"]),
         },
         {

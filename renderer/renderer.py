@@ -39,6 +39,7 @@ from renderer.frame import (
     Plan,
     SceneLayer,
     SceneResources,
+    ScreenLayer,
     Targets,
     TemporalSettings,
     TextureSettings,
@@ -148,7 +149,8 @@ class FrameResult:
     finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
     the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
 
-    With two eyes, `image` shows both, and `eye_images` and `frames` are the left and the right one's;
+    With two eyes, `image` shows both, and `eye_images` and `frames` are the left and the right one's, without any
+    `ScreenLayer`;
     `depth`, `targets` and `visibility` are the left one's, and `statistics` are those of both together. If the eyes
     take turns, there is one, and `eye` is the index of the eye that the frame is shown to: 0 is the left one.
     """
@@ -176,8 +178,10 @@ class FrameResult:
     def statistics(self) -> FrameStatistics:
         """The cost of the frame."""
         results = [frame.draw_result for frame in self.frames]
-        triangles = sum(result.triangles for result in results)
-        draws = sum(len(result.object_indices) for result in results)
+        triangles, draws = results[0].triangles, len(results[0].object_indices)
+        for right in results[1:]:
+            objects, more = right.count_for_right()
+            triangles, draws = triangles + more, draws + objects
         return FrameStatistics(triangles=triangles, draws=draws, **self._counters)
 
 
@@ -190,9 +194,9 @@ class Renderer:
 
     The attributes `technique`, `visibility`, `blending`, `precision`, `bloom`, `occlusion`, `depth_of_field`,
     `temporal`, `environment` and `light_component` may be exchanged between any two frames, and `layers` changed,
-    which are drawn over each frame in their order, those that belong to the scene first. With `simulates_hidden`, by
-    default off, what an absence would change, such as cloth, is simulated in every frame. `show` ends a frame with its
-    image: by default it is `Device.present`; a window puts its own in that place.
+    which are drawn over each frame in their order: first each `SceneLayer`, last each `ScreenLayer`. With
+    `simulates_hidden`, by default off, what an absence would change, such as cloth, is simulated in every frame.
+    `show` ends a frame with its image: by default it is `Device.present`; a window puts its own in that place.
 
     `technique` and `visibility` may be set to a name. What isn't of an attribute's type is refused as
     `renderer-attribute`.
@@ -299,6 +303,8 @@ class Renderer:
             self._last_view = self._view
             self._resources = SceneResources(device, scene, textures, uploads)
             self._resources.detail_error = DETAIL_ERROR
+            images = self._resources.images
+            self._has_stream = images is not None and images.stream is not None
             self._validation = self.simulator.validation = validation
             stack.pop_all()
 
@@ -436,7 +442,7 @@ class Renderer:
         if self._pair is not None:
             self._pair.destroy()
         self._size, self._pair, self._scale, self._steady = size, pair, scale, None
-        self._last_view = self._view
+        self._last_view, self._view.far = self._view, None
 
     @property
     def shadows(self) -> ShadowMaps:
@@ -488,6 +494,8 @@ class Renderer:
         auto = self.technique
         if self.uploads is not None and not self.uploads.is_done:
             self.uploads.advance(self._fit(camera))
+        if self._has_stream and self._reads_other_images(camera):
+            self._steady = None
         if not isinstance(auto, AutoTechnique):
             return self._draw(camera, seconds)[0]
         auto.check_view(camera, self.size)
@@ -501,6 +509,17 @@ class Renderer:
         is_timed = is_timed and not self._is_trying_visibility  # which may have begun to
         auto.note(perf_counter() - began if is_timed else None, camera, effects)
         return result
+
+    def _reads_other_images(self, camera: Camera) -> bool:
+        """Return whether a frame needs other levels of streamed images than the last one."""
+        images = self._resources.images
+        if images is None or images.stream is None:
+            return False
+        return images.stream.needs_work(self._place_cameras(self._fit(camera)), self._targets.size)
+
+    def _place_cameras(self, camera: Camera) -> Sequence[Camera]:
+        """The cameras of all eyes, where a frame's camera is this one."""
+        return [camera] if self._pair is None else self._pair.stereo.rig.place_eyes(camera)
 
     @property
     def is_trying(self) -> bool:
@@ -544,6 +563,8 @@ class Renderer:
         if not has_late_layers:
             left.scene_layers = [layer.render for layer in self.layers if isinstance(layer, SceneLayer)]
         frames = [left]
+        if pair is not None:
+            pair.share_far(view, targets, plan, effects)
         self._run(plan, left, steady.events)
         if steady is last and not steady.is_repeated:  # the first that follows a full frame
             self._prepare_repeat(steady)
@@ -551,35 +572,54 @@ class Renderer:
             left.draw_result.record_hidden()
         takes_turns = pair is not None and pair.stereo.takes_turns
         if pair is not None and not takes_turns:
-            right = Frame(device, pair.view, resources, pair.targets, effects, left, self.precision)
-            right.scene_layers = left.scene_layers
-            frames.append(right)
-            moved = pair.plan(has_layers=bool(self.layers))
-            if moved is None:
-                resources.look_from(1)
-                left.draw_result.fetch_lists()  # the right eye makes others
-            with device.event(pair.view.name):
-                plan = moved or plan
-                self._run(plan, right, self._label(plan))
+            frames.append(self._draw_right(pair, left, plan))
         after = device.statistics
-        for frame in frames:
-            for layer in self.layers:
-                if has_late_layers and isinstance(layer, SceneLayer):
-                    layer.render(device, frame)
-            if frame.targets.output_image is not None:
-                scale_image(frame, frame.targets.output_image)
-            for layer in self.layers:
-                if not isinstance(layer, SceneLayer):
-                    layer.render(device, frame)
+        screen_layers: list[ScreenLayer] = []
+        if self.layers or targets.output_image is not None:
+            for frame in frames:
+                self._draw_layers(frame, has_late_layers)
+            screen_layers = [layer for layer in self.layers if isinstance(layer, ScreenLayer)]
         image = left.targets.image
         if pair is not None and not takes_turns:
             with device.event("both eyes"):
-                image = pair.show(*frames)
+                image = pair.show(left, frames[1], screen_layers)
+        else:
+            for layer in screen_layers:
+                layer.render(device, left)
         self.show(image)
         turn = None
         if pair is not None and takes_turns:
             turn, pair.turn = pair.turn, 1 - pair.turn
         return self._finish(before, after, image, frames, turn), effects
+
+    def _draw_right(self, pair: EyePair, left: Frame, plan: Plan[Frame]) -> Frame:
+        """Draw the frame of the right eye."""
+        right = Frame(
+            self.device, pair.view, self._resources, pair.targets, left.effects, left, self.precision
+        )
+        right.scene_layers = left.scene_layers
+        if pair.view.far is not None and not pair.view.far.are_copied:
+            pair.view.far = None
+        moved = pair.plan(has_layers=any(not isinstance(layer, ScreenLayer) for layer in self.layers))
+        if moved is None:
+            self._resources.look_from(1)
+            left.draw_result.fetch_lists()  # the right eye makes others
+        with self.device.event(pair.view.name):
+            plan = moved or plan
+            self._run(plan, right, self._label(plan))
+        return right
+
+    def _draw_layers(self, frame: Frame, has_late_layers: bool) -> None:
+        """Draw the layers over a frame, but for those of the screen; `has_late_layers` says whether no pass has
+        drawn those of the scene."""
+        for layer in self.layers:
+            if has_late_layers and isinstance(layer, SceneLayer):
+                layer.render(self.device, frame)
+        if frame.targets.output_image is not None:
+            scale_image(frame, frame.targets.output_image)
+        for layer in self.layers:
+            if not isinstance(layer, SceneLayer | ScreenLayer):
+                layer.render(self.device, frame)
 
     def _finish(
         self, before: Statistics, after: Statistics, image: Texture, frames: Sequence[Frame], turn: int | None
@@ -717,9 +757,12 @@ class Renderer:
         self.scene.refresh()
         simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [view for view, _ in self._list_eyes()]
+        if resources.images is not None:
+            resources.images.advance(self._place_cameras(self._fit(camera)), self._targets.size)
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
         if resources.uses_levels:
             self._limit_detail()
+        resources.face(around)
         resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
         resources.simulate_expected(around, expected, simulator.diverging if self.simulates_hidden else None)
         features = self._recent_features.choose_shader_features(around)
@@ -781,9 +824,10 @@ class Renderer:
             self._view.aim(camera)
             return camera
         stereo, right = self._pair.stereo, self._pair.view
-        around = stereo.rig.enclose(camera)
+        rig = self._pair.fit_rig(camera)
+        around = rig.enclose(camera)
         right.visibility = self._view.visibility
-        eyes = list(zip((self._view, right), stereo.rig.place_eyes(camera), strict=True))
+        eyes = list(zip((self._view, right), rig.place_eyes(camera), strict=True))
         for view, eye in [eyes[self._pair.camera_index]] if stereo.takes_turns else eyes:
             view.aim(eye, around)
         return around
@@ -811,7 +855,8 @@ class Renderer:
         camera, pair = self._fit(camera), self._pair
         around, eyes = camera, [(self._view, self._targets, camera)]
         if pair is not None:
-            around, (left, right) = pair.stereo.rig.enclose(camera), pair.stereo.rig.place_eyes(camera)
+            rig = pair.fit_rig(camera)
+            around, (left, right) = rig.enclose(camera), rig.place_eyes(camera)
             pair.view.visibility = self._view.visibility
             eyes = [(self._view, self._targets, left), (pair.view, pair.targets, right)]
             if pair.stereo.takes_turns:  # the other one's history is that of its last frame
@@ -881,7 +926,7 @@ class Renderer:
         """Return the effects of a frame of `camera`, and its plan. Nothing is drawn."""
         camera = self._fit(camera)
         if self._pair is not None:
-            camera = self._pair.stereo.rig.enclose(camera)
+            camera = self._pair.fit_rig(camera).enclose(camera)
         self.scene.lights.refresh()
         effects = self._collect_effects(camera)
         return effects, self._plan(effects)

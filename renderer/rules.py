@@ -186,6 +186,10 @@ BAD_WATER: Final = Rule(
     "scene-bad-water",
     "a pool needs a grid of points, and shallow water whose waves cross at most one cell per step",
 )
+BAD_PARTICLES: Final = Rule(
+    "scene-bad-particles",
+    "an emitter needs at least one particle, and finite numbers in range",
+)
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text
@@ -278,8 +282,9 @@ PLAN_CYCLE: Final = Rule("plan-cycle", "the passes of a frame depend on each oth
 ONE_SAMPLE: Final = Rule(
     "technique-one-sample",
     "this technique draws one sample per pixel",
-    "smooth its image with --fxaa, or use --technique forward, forward_plus, clustered, tiled_deferred, "
-    "clustered_deferred or deferred_plus",
+    "smooth its image with --fxaa, or use --technique forward, light_indexed, forward_plus, clustered, "
+    "tiled_deferred, clustered_deferred or deferred_plus. The others add light up in textures of one sample, and a "
+    "shader can't tell which sample it is run for",
 )
 TOO_MANY_MATERIALS: Final = Rule(
     "technique-too-many-materials",

@@ -63,6 +63,8 @@ class RenderSettings:
         simulates_hidden: whether what an absence would change, such as cloth, is simulated where it isn't
             drawn.
         reprojects: whether a second eye's image is made from the first one's.
+        far_error: the largest error of the parallax of objects that are drawn once for two eyes, in pixels, 0 to
+            draw all for each eye.
         scale: the size at which frames are drawn, in that of the image that is shown: 0.1 to 2.
     """
 
@@ -86,6 +88,7 @@ class RenderSettings:
     detail_error: float = DETAIL_ERROR
     simulates_hidden: bool = False
     reprojects: bool = False
+    far_error: float = 0.0
     scale: float = 1.0
 
     def __post_init__(self) -> None:
@@ -97,6 +100,7 @@ class RenderSettings:
         rules.check_non_negative(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
         rules.check_non_negative(rules.BAD_CUTOFF, "RenderSettings(light_cutoff=...)", self.light_cutoff)
         rules.check_non_negative(rules.BAD_DETAIL, "RenderSettings(detail_error=...)", self.detail_error)
+        rules.check_non_negative(rules.BAD_STEREO, "RenderSettings(far_error=...)", self.far_error)
         rules.check_scale("RenderSettings(scale=...)", self.scale)
 
     def get(self, path: str) -> Any:
@@ -157,7 +161,9 @@ class RenderSettings:
             ) as renderer:
                 self.apply_to(renderer, technique)
                 if rig is not None:
-                    renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
+                    renderer.stereo = Stereo(
+                        rig, "side_by_side", is_reprojected=self.reprojects, far_error=self.far_error
+                    )
                 yield renderer
         finally:
             visibility.destroy()

@@ -57,7 +57,7 @@ def explain_technique(technique: Technique, arguments: argparse.Namespace) -> di
 def make_stereo(arguments: argparse.Namespace, scene: Scene, camera: Camera) -> Stereo | None:
     """The stereo settings of `options.STEREO`; the rest is chosen to be comfortable for a camera."""
     if arguments.stereo is None:
-        named = ("eye_distance", "convergence", "swap_eyes", "toe_in", "reproject")
+        named = ("eye_distance", "convergence", "swap_eyes", "toe_in", "reproject", "far_error")
         for name in named:
             if getattr(arguments, name):
                 refuse(rules.NO_STEREO, "render", f"--{name.replace('_', '-')} without --stereo")
@@ -69,7 +69,13 @@ def make_stereo(arguments: argparse.Namespace, scene: Scene, camera: Camera) -> 
         convergence=arguments.convergence,
         is_toed_in=arguments.toe_in,
     )
-    return Stereo(rig, arguments.stereo, is_swapped=arguments.swap_eyes, is_reprojected=arguments.reproject)
+    return Stereo(
+        rig,
+        arguments.stereo,
+        is_swapped=arguments.swap_eyes,
+        is_reprojected=arguments.reproject,
+        far_error=arguments.far_error or 0.0,
+    )
 
 
 def load_settings(arguments: argparse.Namespace, default: RenderSettings | None = None) -> RenderSettings:
@@ -82,7 +88,8 @@ def load_settings(arguments: argparse.Namespace, default: RenderSettings | None 
 def merge_settings(arguments: argparse.Namespace) -> RenderSettings:
     """The settings of `--settings`, or the defaults, overridden by other options: those of
     `options.technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--temporal`, `--edge-pixels`,
-    `--reproject`, if they aren't None. The arguments of `options.technique` are then set to the merged values."""
+    `--reproject`, `--far-error`, `--texture-memory`, if they aren't None. The arguments of `options.technique` are
+    then set to the merged values."""
     settings = load_settings(arguments)
     variants = {name: getattr(arguments, name) or None for name in TECHNIQUE_VARIANTS}
     of_technique = {
@@ -104,6 +111,9 @@ def merge_settings(arguments: argparse.Namespace) -> RenderSettings:
         "blending": None if arguments.blending is None else Blending(arguments.blending),
         "temporal.is_on": arguments.temporal or None,
         "reprojects": arguments.reproject or None,
+        "far_error": arguments.far_error,
         "tessellation.edge_pixels": arguments.edge_pixels,
+        "textures.memory": arguments.texture_memory,
+        "textures.memory_per_frame": 0.0,  # each frame has what it reads
     }
     return settings.change_all({path: value for path, value in changes.items() if value is not None})

@@ -91,6 +91,7 @@ _OPTIONS: Final = (
     *options.STEREO,
     options.DEPTH,
     options.BLENDING,
+    options.TEXTURE_MEMORY,
     options.switch("--particles", "draw the drops of the hall's fountains as particles, too"),
     options.switch("--overlay", "draw what each frame shows and culls over it, without times"),
     options.JSON,
@@ -101,7 +102,8 @@ def _run(arguments: argparse.Namespace) -> None:
     arguments.edge_pixels = arguments.temporal = None
     is_auto = arguments.technique == AutoTechnique.name
     settings = merge_settings(arguments)
-    arguments.reproject = arguments.reproject or (settings.reprojects and arguments.stereo is not None)
+    if arguments.stereo is not None:
+        arguments.reproject, arguments.far_error = settings.reprojects, settings.far_error
     scene = open_scene(arguments.scene)
     path = resolve_camera(arguments.camera, scene)
     frames = list_frames(arguments.frames, path)

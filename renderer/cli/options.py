@@ -298,6 +298,16 @@ def visibility(default: str | None, default_text: object = None, flag: str = "--
     return choice(flag, "what decides which objects are drawn", ALGORITHMS, default, default_text)
 
 
+TEXTURE_MEMORY: Final = option(
+    "--texture-memory",
+    "the most MiB of images; they have the mip levels that are read, as far as they fit",
+    None,
+    "all levels",
+    type=parse_weight,
+    metavar="MIB",
+)
+
+
 def technique(name: str = AutoTechnique.name, *, has_defaults: bool = True) -> tuple[CommandOption, ...]:
     """The options of a technique; without `has_defaults`, options that aren't set leave the value to a
     settings file."""
@@ -325,6 +335,14 @@ STEREO: Final = (
     switch("--swap-eyes", "show each image to the other eye"),
     switch("--toe-in", "toe in the eyes, to demonstrate the distortion"),
     switch("--reproject", "reproject the right eye's image from the left one's"),
+    option(
+        "--far-error",
+        "draw far objects once for both eyes, their parallax wrong by at most so many pixels",
+        None,
+        "the settings', 0: each eye draws all",
+        type=parse_weight,
+        metavar="N",
+    ),
 )
 DEPTH: Final = choice(
     "--depth",

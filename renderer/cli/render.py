@@ -81,6 +81,7 @@ _OPTIONS: Final = (
     options.DEPTH,
     options.BLENDING,
     options.TEMPORAL,
+    options.TEXTURE_MEMORY,
     option(
         "--edge-pixels",
         "length in pixels that edges of tessellated surfaces are split down to",
@@ -118,7 +119,8 @@ def _run(arguments: argparse.Namespace) -> None:
     prepare_eye_images(arguments)
     arguments.reproject = arguments.reproject or arguments.holes is not None
     settings = merge_settings(arguments)
-    arguments.reproject = arguments.reproject or (settings.reprojects and arguments.stereo is not None)
+    if arguments.stereo is not None:
+        arguments.reproject, arguments.far_error = settings.reprojects, settings.far_error
     scene = open_scene(arguments.scene)
     if arguments.output is None:
         check_output_file(Path(f"{short_name(scene)}.png"), "--output")
@@ -223,6 +225,7 @@ def describe_run(
         **technique,
         **summary,
         "image_bytes": renderer.image_bytes,
+        **_describe_streaming(renderer),
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         **(
             {"unshadowed_lights": renderer.shadows.unshadowed_lights}
@@ -235,6 +238,15 @@ def describe_run(
         "image": None if image is None else str(image),
         **report_omissions(renderer.scene),
     }
+
+
+def _describe_streaming(renderer: Renderer) -> dict[str, Any]:
+    """The images and levels for which there is no memory; empty if there are none."""
+    images = renderer.images
+    if images is None or images.stream is None or not images.stream.report.reduced:
+        return {}
+    report = images.stream.report
+    return {"reduced_images": report.reduced, "lost_levels": report.lost_levels}
 
 
 def _describe_stereo(stereo: Stereo) -> dict[str, Any]:

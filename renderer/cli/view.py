@@ -31,6 +31,9 @@ from renderer.viewer.frame_budget import FrameBudget, load_steps
 if TYPE_CHECKING:
     from renderer.viewer.viewer_screen import ViewerScreen
 
+_MIB_PER_FRAME: Final = 8.0
+"""MiB of images that a frame uploads with `--texture-memory`."""
+
 _OPTIONS: Final = (
     options.SCENE,
     options.BACKEND,
@@ -67,6 +70,7 @@ _OPTIONS: Final = (
         "keep to --budget-ms with the most accurate settings in a folder written by `accuracy`",
         "DIR",
     ),
+    options.TEXTURE_MEMORY,
     options.switch("--immediate", "don't wait for the display's refresh"),
     options.file("--script", "commands to run, one per line", "F"),
     option(
@@ -97,6 +101,9 @@ def _run(arguments: argparse.Namespace) -> None:
         "" if arguments.script is None else arguments.script.read_text(encoding="utf-8", errors="replace")
     )
     settings = load_settings(arguments, PLAIN)
+    if arguments.texture_memory is not None:
+        changes = {"textures.memory": arguments.texture_memory, "textures.memory_per_frame": _MIB_PER_FRAME}
+        settings = settings.change_all(changes)
     overrides = {name: getattr(arguments, name) for name in ("technique", "samples", "visibility")}
     overrides |= {name: getattr(arguments, name) or None for name in ("fxaa", "temporal")}
     display = DisplaySettings(

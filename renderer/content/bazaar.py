@@ -28,8 +28,9 @@ from renderer.content.specs import (
 )
 from renderer.content.surfaces import KINDS, paint_surface
 from renderer.scene.arrays import Floats, Indices
-from renderer.scene.materials import TextureMap
+from renderer.scene.materials import AlphaMode, TextureMap
 from renderer.scene.meshes import MeshGeometry
+from renderer.scene.particles import Emitter, EmitterSimulation, make_quad
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene
 from renderer.scene.scene_builder import SceneBuilder
@@ -63,12 +64,14 @@ def make_bazaar(
     occlusion: float = 0.0,
     focus: float = 0.0,
     aperture: float = 0.05,
+    leaves: int = 0,
 ) -> Scene:
     """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights`
-    lights: points, or spheres of a `radius`. A share of them, `moving`, go around in circles."""
+    lights: points, or spheres of a `radius`. A share of them, `moving`, go around in circles. In each room fall
+    `leaves` leaves."""
     rng = np.random.default_rng([seed, 21])
     name = f"bazaar:instances={instances},materials={materials},meshes={meshes},lights={lights}"
-    options = "".join(f",{key}={value:g}" for key, value in (("radius", radius), ("moving", moving)) if value)
+    options = "".join(f",{key}={value:g}" for key, value in _list_options(radius, moving, leaves) if value)
     builder = SceneBuilder(f"{name},detail={detail},seed={seed}{options}")
     builder.background = (0.012, 0.014, 0.022)
     side = max(2, int(np.ceil(np.sqrt(instances / (_PER_ROOM + 4.0)))))
@@ -76,6 +79,8 @@ def make_bazaar(
     walls = _add_walls(builder, rng, side, used, instances)
     _add_things(builder, rng, side, used, meshes, instances - walls, detail)
     _add_lights(builder, rng, side, lights, radius, round(moving * lights))
+    if leaves:
+        _add_leaves(builder, side, leaves, seed)
     _add_cameras(builder, side)
     add_fog_and_bloom(builder, fog, bloom, _DUST, 0.4)
     add_occlusion(builder, occlusion)
@@ -100,9 +105,48 @@ BAZAAR: Final = Generator(
         OCCLUSION,
         FOCUS,
         APERTURE,
+        Option("leaves", 0, "leaves that fall in each room, particles", 0, 10_000),
     ),
     make_bazaar,
 )
+
+
+def _list_options(radius: float, moving: float, leaves: int) -> tuple[tuple[str, float], ...]:
+    return ("radius", radius), ("moving", moving), ("leaves", leaves)
+
+
+def _add_leaves(builder: SceneBuilder, side: int, count: int, seed: int) -> None:
+    """Add leaves that fall from the tops of the walls, in each of `side` x `side` rooms."""
+    y, x = np.mgrid[:64, :64] / 31.5 - 1.0
+    image = np.zeros((64, 64, 4), np.uint8)
+    vein = np.exp(-((x / 0.05) ** 2)) + np.exp(-(((y + np.abs(x)) % 0.35 / 0.05) ** 2))
+    image[..., :3] = np.clip(np.array((150, 78, 24)) + 60.0 * vein[..., None], 0.0, 255.0)
+    image[..., 3] = np.where(np.abs(x) < 0.75 * np.cos(0.5 * np.pi * y) ** 0.8, 255, 0)
+    material = builder.add_material(
+        texture=builder.add_image(image),
+        alpha_mode=AlphaMode.MASK,
+        double_sided=True,
+        metallic=0.0,
+        roughness=0.8,
+    )
+    emitter = Emitter(
+        particles=count,
+        lifetime=6.0,
+        box=(ROOM - 1.2, 0.0, ROOM - 1.2),
+        velocity=(0.05, -0.5, 0.0),
+        spread=0.06,
+        acceleration=(0.0, 0.0, 0.0),
+        spin=3.0,
+    )
+    middle = (np.arange(side) + 0.5 - 0.5 * side) * ROOM
+    x, z = (values.ravel() for values in np.meshgrid(middle, middle))
+    simulation = EmitterSimulation(len(x), emitter, make_quad(0.16, 0.2), seed=seed)
+    nodes = builder.add_nodes(translation(np.stack([x, np.full(len(x), _HEIGHT - 0.2), z], axis=1)))
+    meshes = [
+        builder.add_mesh(simulation.make_mesh(room), f"leaves {room}", simulation.bounds)
+        for room in range(len(x))
+    ]
+    builder.simulate(builder.add_objects(nodes, meshes, material), simulation)
 
 
 def _add_materials(builder: SceneBuilder, rng: np.random.Generator, count: int, seed: int) -> Indices:

@@ -26,6 +26,7 @@ from renderer.frame.environment import EnvironmentSettings as EnvironmentSetting
 from renderer.frame.frame import Frame as Frame
 from renderer.frame.layer import Layer as Layer
 from renderer.frame.layer import SceneLayer as SceneLayer
+from renderer.frame.layer import ScreenLayer as ScreenLayer
 from renderer.frame.light_components import COMPONENTS as COMPONENTS
 from renderer.frame.light_components import LightComponent as LightComponent
 from renderer.frame.mirrors import MirroredArray as MirroredArray

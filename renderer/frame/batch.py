@@ -133,7 +133,8 @@ class FrameBatch:
         for part, start in zip(parts, self._starts, strict=True):
             object_indices[start : start + len(part)] = part
         if object_indices.tobytes() != self._rows.tobytes():
-            buffer.write(self._with_nothing.take(object_indices))  # `take` is much faster than an index
+            # `take` is much faster than an index, and refuses indices of 64 bits where pointers have 32.
+            buffer.write(self._with_nothing.take(np.asarray(object_indices, np.intp)))
             self._rows = object_indices
 
     def destroy(self) -> None:

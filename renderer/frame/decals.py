@@ -40,7 +40,7 @@ class DecalBuffers:
         self.cells = MirroredTable(device, Format.R32UI, "decal cells")
         self._device = device
         self._grid: MirroredValue[DecalGrid] | None = None
-        self._version = -1
+        self._version = -1, 0
 
     @property
     def grid(self) -> UniformBuffer[DecalGrid] | None:
@@ -49,9 +49,10 @@ class DecalBuffers:
 
     def update(self, decals: Decals, images: SceneImages | None) -> None:
         """Make the device have the decals of a scene; nothing is left there of a scene without any."""
-        if self._version == decals.version:
+        version = decals.version, 0 if images is None else images.version
+        if self._version == version:
             return
-        self._version = decals.version
+        self._version = version
         if not len(decals.seen):
             self.destroy()
             return

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.frame.far_objects import FarObjects
 from renderer.frame.resources import DRAW_GROUPS, SceneResources, draw_group_states
 from renderer.frame.view import View
 from renderer.scene import Camera, Depth
@@ -58,6 +59,10 @@ class DrawResult:
 
     A list is read back when it is first needed, which waits for the device. It is available until the next
     frame makes another one.
+
+    Attributes:
+        once: indices of those that two eyes share, because they are far, and that are drawn for the left one alone.
+        again: those of them that are drawn at the edge of the right one's image, too.
     """
 
     def __init__(self, resources: SceneResources) -> None:
@@ -66,6 +71,7 @@ class DrawResult:
         self._lists: list[tuple[DeviceDrawList, int]] = []
         self._being_read: list[Callable[[], NDArray[np.int64]]] | None = None
         self._transparent: list[NDArray[np.int64]] = []
+        self.once = self.again = np.zeros(0, np.int64)
         self._limit = resources.detail_limit
 
     @property
@@ -161,6 +167,12 @@ class DrawResult:
     def triangles(self) -> int:
         """The number of triangles of all objects drawn, by the levels that the CPU chooses."""
         return self._resources.count_triangles(self.object_indices, self._limit)
+
+    def count_for_right(self) -> tuple[int, int]:
+        """The number of objects, and that of their triangles, that the right eye draws of these."""
+        count, limit = self._resources.count_triangles, self._limit
+        triangles = self.triangles - count(self.once, limit) + count(self.again, limit)
+        return len(self.object_indices) - len(self.once) + len(self.again), triangles
 
 
 class TechniqueDrawer:
@@ -342,23 +354,82 @@ class TechniqueDrawer:
             is_tessellated = np.isin(object_indices, tessellated)
             tessellated, others = object_indices[is_tessellated], object_indices[~is_tessellated]
 
+        view, batch = self._view, self._view.batch
+        far = view.far if self._clears and not self.was_opened else None
+        parts = batch.order(
+            object_indices,
+            view.camera.rotation[2],
+            lambda: self._arrange(others) if far is None else self._arrange_for_eyes(others, far),
+        )
+        far = None if far is None or not far.are_copied else far
+        is_right = far is not None and far.is_right(self.depth)
+
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
-            with self._begin(encoder, clears=not self.was_opened):
-                for group, draws in zip(resources.groups, arguments, strict=True):
-                    if draws is not None:
-                        program, bindings = choose_program(self._programs, group)
-                        with encoder.states(*draw_group_states(group)):
-                            encoder.draw_indirect(program, resources.mesh, draws, **bindings)
+            count = len(resources.groups)
+            near, distant, edge = arguments[:count], arguments[count : 2 * count], arguments[2 * count :]
+            if far is not None and not is_right:
+                self._draw_far(encoder, distant, far)
+            with self._begin(encoder, clears=not self.was_opened and far is None):
+                if far is not None and is_right and far.shift:
+                    with encoder.states(far.edge):
+                        self._draw_groups(encoder, edge)
+                self._draw_groups(encoder, near)
                 for row in tessellated.tolist():
                     group = int(resources.group[row])
                     with encoder.states(*draw_group_states(group)):
                         resources.draw_tessellated(encoder, *choose_program(self._programs, group), row)
 
-        view, batch = self._view, self._view.batch
-        parts = batch.order(object_indices, view.camera.rotation[2], lambda: self._arrange(others))
         key = (*self.key, *tessellated.tolist(), *resources.mirrored[tessellated].tolist())
+        if far is not None:
+            copies = () if is_right else far.list_right(self._list_targets())
+            key = (*key, "far", is_right, far.shift, *copies)
         batch.execute(view.commands.next(), key, resources.draws, parts, issue)
         self.was_opened = True
+
+    def _draw_groups(self, encoder: Encoder, arguments: Sequence[IndirectDraws | None]) -> None:
+        """Draw the objects of each group."""
+        for group, draws in zip(self._resources.groups, arguments, strict=True):
+            if draws is not None:
+                program, bindings = choose_program(self._programs, group)
+                with encoder.states(*draw_group_states(group)):
+                    encoder.draw_indirect(program, self._resources.mesh, draws, **bindings)
+
+    def _draw_far(self, encoder: Encoder, arguments: Sequence[IndirectDraws | None], far: FarObjects) -> None:
+        """Draw what is far, and copy it to the targets of the right eye."""
+        with self._begin(encoder, clears=True):
+            self._draw_groups(encoder, arguments)
+        *colors, depth = far.list_right(self._list_targets())
+        farthest = FARTHEST[self._view.camera.projection.depth]
+        with encoder.render_pass(
+            colors or None, depth, clear=self._clear if colors else None, clear_depth=farthest
+        ):
+            pass
+        far.copy(encoder, self._list_targets())
+
+    def _list_targets(self) -> list[Texture]:
+        """The colour targets, and the depth."""
+        color = self._color
+        colors = color if isinstance(color, list) else [] if color is None else [color]
+        return [*colors, self.depth]
+
+    def _arrange_for_eyes(
+        self, object_indices: NDArray[np.int64], far: FarObjects
+    ) -> list[NDArray[np.int64]]:
+        """As `_arrange`: the draws of near objects, then those of far ones, and of the far ones at the edge."""
+        scene = self._resources.scene
+        is_far = far.select_far(scene, object_indices)
+        if not far.is_right(self.depth):
+            far.are_copied = bool(is_far.any())
+        if not is_far.any():
+            return self._arrange(object_indices)
+        result = self.draw_result
+        result.once = object_indices[is_far]
+        result.again = result.once[far.select_edge(scene, result.once)]
+        return [
+            *self._arrange(object_indices[~is_far]),
+            *self._arrange(result.once),
+            *self._arrange(result.again),
+        ]
 
     def _arrange(self, object_indices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         """Return the draws of objects front to back, as a part for each group."""
@@ -438,6 +509,7 @@ class TechniqueDrawer:
         scene = self._resources.scene
         flat = np.array([scene.meshes.is_flat(mesh) for mesh in scene.objects.mesh[run].tolist()])
         flat &= ~scene.objects.simulated[run] & ~np.isin(run, self._resources.tessellated_indices)
+        flat |= self._resources.drawn_in_order[run]
         begins = np.flatnonzero(np.append(True, ~(flat[1:] & flat[:-1])))
         shared = tuple(state for state in states if state is not CullMode.NONE)
         parts: list[tuple[NDArray[np.int64], tuple[State, ...]]] = []

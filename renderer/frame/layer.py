@@ -6,7 +6,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from renderer.frame.frame import Frame
-from rhi import Device
+from rhi import Device, Texture
+
+ClearColor = tuple[float, float, float, float]
 
 
 class Layer(Protocol):
@@ -19,6 +21,23 @@ class Layer(Protocol):
     def destroy(self) -> None:
         """Destroy the layer's resources on the device."""
         ...
+
+
+class ScreenLayer:
+    """Base of layers that look the same to each eye, such as an interface: they are drawn after all other layers, and
+    only once for two eyes."""
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw to the frame's image."""
+        self.draw(device, frame, frame.targets.image)
+
+    def draw(self, device: Device, frame: Frame, image: Texture, clear: ClearColor | None = None) -> None:
+        """Draw to `image`, premultiplied, which is cleared before unless `clear` is None. With two eyes, `frame` is the
+        left one's."""
+        raise NotImplementedError
+
+    def destroy(self) -> None:
+        """Destroy the layer's resources on the device."""
 
 
 class SceneLayer:

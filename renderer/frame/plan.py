@@ -64,6 +64,7 @@ class FramePass(Generic[F]):
             technique keeps.
         changes: names of resources that are drawn over, each with the name of the result.
         reads_previous: names of resources that are read as the last frame left them.
+        draws_objects: whether it draws the visible objects, all of them.
         has_side_effects: whether something besides the resources depends on the pass, so that it is never
             dropped.
     """
@@ -76,6 +77,7 @@ class FramePass(Generic[F]):
     changes: Mapping[str, str] = field(default_factory=dict)
     reads_previous: tuple[str, ...] = ()
     has_side_effects: bool = False
+    draws_objects: bool = False
 
 
 @dataclass(frozen=True, slots=True)

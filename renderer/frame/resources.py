@@ -48,7 +48,15 @@ from renderer.light_kinds.directional import pack_directional
 from renderer.light_kinds.kind import LocalLightKind
 from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.lights.object_lists import list_lights
-from renderer.scene import Camera, DeformedObjects, DeviceVertexSimulation, Scene, Simulator, normal_matrices
+from renderer.scene import (
+    Camera,
+    DeformedObjects,
+    DeviceVertexSimulation,
+    FacingSimulation,
+    Scene,
+    Simulator,
+    normal_matrices,
+)
 from renderer.scene.arrays import list_ranges
 from renderer.scene.lights import Lights
 from renderer.visibility import SceneArrays
@@ -71,6 +79,7 @@ from rhi import (
     UniformBuffer,
     refuse,
 )
+from rhi.math import is_parallel
 from rhi.math.indexing import count_indices, repeat_each
 from rhi.shading import UniformRange, uint
 
@@ -129,9 +138,13 @@ class SceneResources:
         simulator: runs the simulations of what is drawn.
         hidden: the objects that have been hidden for so long that they are paused.
         turned: the surfaces that may show a view only their backs, and then aren't drawn.
+        drawn_in_order: (n,) bool, the objects whose triangles, where they are blended, are in the order in which they
+            cover each other.
         resume: brings paused tessellated surfaces to this frame's view, given object indices that include theirs.
     """
 
+    _eye: Camera | None = None
+    _has_facing = False
     light_cutoff = 0.0
     detail_error = 0.0
     tessellations = 0
@@ -168,9 +181,7 @@ class SceneResources:
         self.hidden = HiddenObjects(scene, self.simulator.deformed)
         self.turned = TurnedSurfaces(scene)
         self.resume: Callable[[NDArray[np.int64]], None] = lambda _: None
-        self._vertex_states = np.zeros(
-            len(scene.objects)
-        )  # by object, the state of the vertices on the device
+        self._prepare_simulations(scene)
         self._device = device
         self._material_version = -1  # that of the materials on the device
         self._chosen_lights: tuple[object, Lights] = (None, scene.lights)  # and what they were chosen from
@@ -228,6 +239,16 @@ class SceneResources:
         self._shader: NDArray[np.int32] = np.zeros(len(objects), np.int32)
         self._follow_materials()
         self._transform(np.arange(len(objects)))
+
+    def _prepare_simulations(self, scene: Scene) -> None:
+        """Note, for each object, what the device has of its vertices, and whether their order follows the eye."""
+        self._vertex_states = np.zeros(len(scene.objects))
+        self._vertex_versions = np.zeros(len(scene.objects))  # how often vertices were written
+        self.drawn_in_order: NDArray[np.bool_] = np.zeros(len(scene.objects), bool)
+        for simulated in scene.simulated:
+            if isinstance(simulated.simulation, FacingSimulation):
+                self._has_facing |= simulated.simulation.faces_eye
+                self.drawn_in_order[simulated.objects] = simulated.simulation.is_flat
 
     def _make_instance_sets(self, device: Device, scene: Scene) -> tuple[InstanceSets, InstanceSets | None]:
         """Create the instance sets of whole meshes, and those with meshlets if any mesh is cut."""
@@ -427,7 +448,13 @@ class SceneResources:
     def _deform(self, deformed: DeformedObjects) -> None:
         """Update the vertices of objects whose state differs from the device's: computed there, or
         uploaded, adjacent meshes together."""
-        changed = np.flatnonzero(self._vertex_states[deformed.object_indices] != deformed.states)
+        is_changed = self._vertex_states[deformed.object_indices] != deformed.states
+        if isinstance(deformed.simulation, FacingSimulation) and self._eye is not None:
+            eyes = self._locate_eye(self._eye, deformed.object_indices)
+            is_blended = self.is_transparent[deformed.object_indices]
+            is_changed |= deformed.simulation.look_from(deformed.members, eyes, is_blended)
+        changed = np.flatnonzero(is_changed)
+        self._vertex_versions[deformed.object_indices[changed]] += 1.0
         if not len(changed):
             return
         mesh = self.scene.objects.mesh[deformed.object_indices[changed]]
@@ -462,6 +489,30 @@ class SceneResources:
             buffer.write(part, first)
             at += end - first
         self._vertex_states[deformed.object_indices] = deformed.states
+
+    def face(self, camera: Camera) -> None:
+        """Set the eye of simulations that depend on it: that of `camera`."""
+        self._eye = camera
+
+    def get_facing_key(self) -> bytes:
+        """Return bytes that change when the eye of simulations that face it moves."""
+        if not self._has_facing or self._eye is None:
+            return b""
+        eye = self._eye
+        away: NDArray[np.float64] = eye.rotation[2] if is_parallel(eye.projection) else eye.position
+        return away.tobytes()
+
+    def _locate_eye(self, camera: Camera, object_indices: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the eye (k, 4) in the spaces of objects: its position and 1, or the direction to it and 0."""
+        world = self.scene.nodes.world[self.scene.objects.node[object_indices]]
+        inverse = np.linalg.pinv(world[:, :3, :3])
+        eyes = np.zeros((len(object_indices), 4))
+        if is_parallel(camera.projection):
+            eyes[:, :3] = inverse @ camera.rotation[2]
+        else:
+            eyes[:, :3] = np.einsum("nij,nj->ni", inverse, camera.position - world[:, :3, 3])
+            eyes[:, 3] = 1.0
+        return eyes
 
     def _note_computing(self, simulation: DeviceVertexSimulation) -> None:
         """Record a simulation that holds memory on the device, and release those that it replaces after
@@ -538,8 +589,9 @@ class SceneResources:
 
     @property
     def object_states(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.float64]]:
-        """The objects (n,) and their positions (n,) as the device has them, and the states (n,) of their vertices."""
-        return self._rows, self._object_positions, self._vertex_states
+        """The objects (n,) and their positions (n,) as the device has them, and how often (n,) their vertices were
+        written."""
+        return self._rows, self._object_positions, self._vertex_versions
 
     @property
     def lights(self) -> Lights:

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.compression import check_compression, choose_format, compress_image
-from renderer.scene import Scene
+from renderer.frame.streamed_images import ArrayKind, ImageStream, StreamedImage, list_kinds
+from renderer.frame.texture_needs import TextureNeeds
+from renderer.scene import Camera, Scene
 from renderer.scene.images import Compression, ImageBlocks, ImagePixels, has_high_range, read_values
 from renderer.scene.material_instances import collect_normal_images
 from renderer.shaders.structs import TextureUse
@@ -45,6 +47,7 @@ MAX_ARRAYS: Final = 8
 """The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own, and
 one more of an environment."""
 _BLOCK: Final = 4
+_MIB: Final = 1 << 20
 _MAX_BIAS: Final = 16.0
 """The most levels of a bias: there are no more levels."""
 
@@ -67,6 +70,9 @@ class TextureSettings:
             texels in each direction. Below 0 textures are sharper, and flicker.
         compression: the format in which images of 8 bits are compressed, where the device stores it as it is. It
             needs the package etcpak. Images that have blocks keep these.
+        memory: the most MiB (2²⁰ bytes) of images on the device; 0 for all levels of all images. Images then have the
+            levels that are read, as far as they fit (`streamed_images`). Images in texture tables have all.
+        memory_per_frame: the most MiB of images that a frame uploads then; 0 for what the frame reads.
     """
 
     filter: Filter = Filter.LINEAR
@@ -74,9 +80,14 @@ class TextureSettings:
     anisotropy: float = 1.0
     mip_bias: float = 0.0
     compression: Compression = Compression.NONE
+    memory: float = 0.0
+    memory_per_frame: float = 0.0
 
     def __post_init__(self) -> None:
         rules.check_types(self, rules.BAD_TEXTURES)
+        rules.check_non_negative(rules.BAD_TEXTURES, "TextureSettings(memory=...)", self.memory)
+        call = "TextureSettings(memory_per_frame=...)"
+        rules.check_non_negative(rules.BAD_TEXTURES, call, self.memory_per_frame)
         if not 1.0 <= self.anisotropy < inf:
             refuse(
                 rules.BAD_TEXTURES, "TextureSettings(anisotropy=...)", self.anisotropy, "1 or more, finite"
@@ -227,6 +238,7 @@ class SceneImages:
         gradient_scale: the factor of texture gradients, 2^`mip_bias`.
         has_bright_texels: whether any texel is above 1.
         has_two_channels: whether a normal map has two channels, and its third is that of a unit normal.
+        stream: the arrays of images within a budget; None if all levels are on the device.
         bytes: the memory of the arrays or tables.
         image_bytes: that of the images, each by itself.
     """
@@ -249,6 +261,7 @@ class SceneImages:
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
         self.tables: tuple[TextureTable | None, TextureTable | None] | None = None
+        self.stream: ImageStream | None = None
         formats: list[ImageFormat] = [
             image_format(scene.images[image], is_color=is_color) for image, is_color, _ in uses
         ]
@@ -263,6 +276,8 @@ class SceneImages:
                 self.has_two_channels = CompressedFormat.BC5 in formats
         if count_bindings(sizes, uses, formats) > MAX_ARRAYS - (scene.environment is not None):
             self._make_tables(device, scene, settings, uses, table)
+        elif settings.memory:
+            self._make_stream(device, scene, settings, sizes, uses, formats, table)
         else:
             self._make_arrays(device, scene, settings, sizes, uses, formats, table)
         self._rows = table
@@ -273,7 +288,8 @@ class SceneImages:
         table["u"], table["v"] = textures["transform"][:, 0], textures["transform"][:, 1]
         table["uv_set"] = textures["uv_set"]
         is_plain = (
-            len(self.arrays) == 1
+            self.stream is None
+            and len(self.arrays) == 1
             and (table["layer"] == np.arange(len(table))).all()
             and (textures["transform"] == np.eye(2, 3)).all()
             and not textures["uv_set"].any()
@@ -281,6 +297,18 @@ class SceneImages:
         self.table: StorageBuffer[TextureUse] | None = (
             None if is_plain else device.storage(TextureUse, table, label="textures")
         )
+
+    @property
+    def version(self) -> int:
+        """A number that changes whenever textures are in other arrays or layers."""
+        return 0 if self.stream is None else self.stream.version
+
+    def advance(self, cameras: Sequence[Camera], size: Size) -> None:
+        """Choose and upload the levels that images should have in a frame of this size through these cameras."""
+        if self.stream is not None and self.stream.advance(cameras, size):
+            self._bind_stream()
+            assert self.table is not None
+            self.table.write(self._rows)
 
     def arrays_and_layers(self, textures: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the arrays (k,) and the layers (k,) in which shaders find textures (k,)."""
@@ -330,6 +358,92 @@ class SceneImages:
             )
             table["array"][row] = bound.index((array, sampler)) - (0 if is_color else color_count)
             table["layer"][row] = planned[array].images.index(image)
+
+    def _make_stream(
+        self,
+        device: Device,
+        scene: Scene,
+        settings: TextureSettings,
+        sizes: Sequence[Size],
+        uses: Sequence[tuple[int, bool, int]],
+        formats: Sequence[ImageFormat],
+        table: NDArray[Any],
+    ) -> None:
+        """Make arrays that hold the levels of images that are read, within a budget."""
+        entries = list(dict.fromkeys((use[:2], format) for use, format in zip(uses, formats, strict=True)))
+        numbers = [entries.index((use[:2], format)) for use, format in zip(uses, formats, strict=True)]
+        room = MAX_ARRAYS - (scene.environment is not None)
+        most = max(max(sizes[use[0]]).bit_length() for use in uses)
+        while True:
+            kinds = [
+                list_kinds(
+                    sizes[image],
+                    format,
+                    self._count_levels(image, format) or count_levels(sizes[image]),
+                    is_color,
+                    most,
+                )
+                for (image, is_color), format in entries
+            ]
+            bound = {
+                (kind, use[2]) for use, number in zip(uses, numbers, strict=True) for kind in kinds[number]
+            }
+            if len(bound) <= room or most == 1:
+                break
+            most -= 1
+        slots = sorted(bound, key=lambda slot: (not slot[0].is_color, -slot[0].layer_bytes, slot[1]))
+        scales = np.zeros(len(uses))
+        for row, (image, _, sampler) in enumerate(uses):
+            descriptor = settings.adjust(scene.samplers[sampler], device.capabilities.max_anisotropy)
+            if descriptor.mip is not None:
+                matrix = np.diag(sizes[image]) @ scene.textures["transform"][row][:, :2]
+                least = np.linalg.svd(matrix, compute_uv=False)[-1]
+                scales[row] = least * self.gradient_scale / descriptor.max_anisotropy
+        images = [
+            _make_streamed_image(
+                device,
+                scene,
+                image,
+                sizes[image],
+                kinds[number],
+                nearest=all(
+                    scene.samplers[sampler].magnify is Filter.NEAREST
+                    for use, sampler in zip(numbers, [use[2] for use in uses], strict=True)
+                    if use == number
+                ),
+            )
+            if not isinstance(format, CompressedFormat)
+            else _make_streamed_blocks(scene, image, format, kinds[number])
+            for number, ((image, _), format) in enumerate(entries)
+        ]
+        frame_bytes = settings.memory_per_frame * _MIB or inf
+        needs = TextureNeeds(scene, np.array(numbers, np.int64), scales)
+        self.stream = ImageStream(device, images, needs, int(settings.memory * _MIB), frame_bytes)
+        most_anisotropy = device.capabilities.max_anisotropy
+        self.samplers = tuple(
+            settings.adjust(scene.samplers[sampler], most_anisotropy) for _, sampler in slots
+        )
+        self._slots, self._entries = slots, numbers
+        self._uses, self._rows = uses, table
+        self._bind_stream()
+
+    def _bind_stream(self) -> None:
+        """Note the arrays that shaders bind, and where each texture is."""
+        stream = self.stream
+        assert stream is not None
+        self.textures = tuple(dict.fromkeys(stream.get_texture(kind) for kind, _ in self._slots))
+        self.arrays = tuple(
+            stream.get_texture(kind).sampled(sampler)
+            for (kind, _), sampler in zip(self._slots, self.samplers, strict=True)
+        )
+        color_count = sum(kind.is_color for kind, _ in self._slots)
+        self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]
+        self.bytes = stream.bytes
+        slot_of = {slot: number for number, slot in enumerate(self._slots)}
+        for row, (number, (_, is_color, sampler)) in enumerate(zip(self._entries, self._uses, strict=True)):
+            slot = slot_of[stream.get_kind(number), sampler]
+            self._rows["array"][row] = slot - (0 if is_color else color_count)
+            self._rows["layer"][row] = stream.get_layer(number)
 
     def _make_tables(
         self,
@@ -464,14 +578,48 @@ class SceneImages:
         for texture_table in self.tables or ():
             if texture_table is not None:
                 texture_table.destroy()
-        for texture in self.textures:
-            texture.destroy()
+        if self.stream is not None:
+            self.stream.destroy()
+        else:
+            for texture in self.textures:
+                texture.destroy()
         if self.table is not None:
             self.table.destroy()
 
 
 def _is_nearest(scene: Scene, array: ImageArray) -> bool:
     return all(scene.samplers[sampler].magnify is Filter.NEAREST for sampler in array.samplers)
+
+
+def _make_streamed_image(
+    device: Device, scene: Scene, image: int, size: Size, kinds: tuple[ArrayKind, ...], *, nearest: bool
+) -> StreamedImage:
+    """An image whose levels are those that the device makes of it: to the bit those of a texture with all levels."""
+    texels, kind = _resize(scene.images[image], size, nearest=nearest), kinds[0]
+    assert isinstance(kind.format, Format)
+    with device.texture(texels, kind.format, levels=None, label="levels") as texture:
+        levels = [texels, *(texture.read(level) for level in range(1, len(kinds)))]
+        rest = [texture.read(level) for level in range(len(kinds), kind.levels)]
+    coarsest = [levels[-1], *rest]
+
+    def fill(target: Texture, layer: int) -> None:
+        for level, rows in enumerate(coarsest):
+            target.write(rows, level, layer)
+
+    return StreamedImage(kinds, tuple(levels[:-1]), fill)
+
+
+def _make_streamed_blocks(
+    scene: Scene, image: int, format: CompressedFormat, kinds: tuple[ArrayKind, ...]
+) -> StreamedImage:
+    """A compressed image, with the levels that it has."""
+    blocks = _read_blocks(scene, image, format).levels
+
+    def fill(target: Texture, layer: int) -> None:
+        for level, rows in enumerate(blocks[len(kinds) - 1 :]):
+            target.write(rows, level, layer)
+
+    return StreamedImage(kinds, tuple(blocks), fill)
 
 
 def _copy_levels(target: Texture, layer: int, source: Texture) -> None:

@@ -80,6 +80,10 @@ class Targets:
         """The texture of the resource `name`; None if the plan has no such resource."""
         return self._by_name.get(name)
 
+    def name(self, texture: Texture) -> str:
+        """The name of a resource that a texture of the frame holds."""
+        return next(name for name, other in self._by_name.items() if other is texture)
+
     def previous(self, name: str) -> Texture | None:
         """The texture of the resource `name` in the last frame; None if that had another plan, without a history of
         this resource."""

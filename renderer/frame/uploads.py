@@ -99,6 +99,8 @@ class SceneUploads:
         self._vertices, self._indices = vertices, indices
         self._mesh_ready: NDArray[np.bool_] = np.zeros(len(scene.meshes), bool)
         self._texture_ready: NDArray[np.bool_] = np.zeros(len(scene.textures), bool)
+        if images is not None and images.stream is not None:
+            self._texture_ready[:] = True  # the coarsest levels are there
         self._means: Floats = np.ones((len(scene.textures), 4))
         self._pending = [*self._list_meshes(), *(self._list_images(images) if images is not None else ())]
         self._total = sum(item.bytes for item in self._pending)

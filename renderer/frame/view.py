@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
+from renderer.frame.far_objects import FarObjects
 from renderer.frame.mirrors import MirroredValue, R, Releasable, S, Workspaces, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
@@ -31,6 +32,7 @@ class View:
         camera: the camera of this frame. A view must be aimed before it is used.
         buffer: the camera's constants for shaders.
         split_eye: the eye's position as pairs of floats.
+        far: what the view shares with another eye's; None if that is nothing.
     """
 
     around: Camera
@@ -43,6 +45,7 @@ class View:
     ) -> None:
         """`batch` is shared with another view, which destroys it."""
         self.name = name
+        self.far: FarObjects | None = None
         self.visibility = visibility
         self.batch = batch or FrameBatch(device)
         self.commands = BatchCommands(device)

@@ -21,6 +21,7 @@ import rhi.shading as sl
 from renderer.frame import Effect, Frame, SceneLayer
 from renderer.frame.drawing import NEARER
 from renderer.frame.fog import bind_fog
+from renderer.frame.mirrors import MirroredValue
 from renderer.frame.pixel_rays import bind_rays
 from renderer.scene.arrays import Floats, Indices
 from renderer.shaders import ViewConstants, tone_map
@@ -54,6 +55,13 @@ class Particle(sl.Struct):
     displacement: sl.vec3
 
 
+class ParticleConstants(sl.Struct):
+    """The radius of particles, and the way from this eye to the one that their positions are relative to."""
+
+    eye_offset: sl.vec3
+    radius: float
+
+
 class ParticleVarying(sl.Struct):
     """The varyings of `ParticleShader`; `quad_position` is -1 to 1 from edge to edge."""
 
@@ -68,11 +76,12 @@ class ParticleShader(ViewRayShader):
 
     view: sl.Uniform[ViewConstants]
     particles: sl.Storage[Particle]
-    radius: sl.Uniform[float]
+    constants: sl.Uniform[ParticleConstants]
 
     def vertex(self) -> ParticleVarying:
         number = sl.vertex_index()
         particle = self.particles[number // 6]
+        centre = particle.centre + self.constants.eye_offset
         turn = number % 6
         x = float((22 >> turn) & 1) * 2.0 - 1.0  # the corners of the two triangles: 00 10 11, 00 11 01
         y = float((52 >> turn) & 1) * 2.0 - 1.0
@@ -80,13 +89,17 @@ class ParticleShader(ViewRayShader):
         if sl.dot(along, along) < 1e-12:
             along = sl.vec3(0.0, 1e-6, 0.0)
         along = along / sl.length(along)
-        toward = self.direction_to_eye(particle.centre)
+        toward = self.direction_to_eye(centre)
         aside = sl.cross(toward, along)
         aside = aside / sl.max(sl.length(aside), 1e-6)
-        offset = along * (self.radius * x) + particle.displacement * (0.5 * x) + aside * (self.radius * y)
-        offset += toward * self.radius  # before the drop itself
+        offset = (
+            along * (self.constants.radius * x)
+            + particle.displacement * (0.5 * x)
+            + aside * (self.constants.radius * y)
+        )
+        offset += toward * self.constants.radius  # before the drop itself
         return ParticleVarying(
-            clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0),
+            clip=self.view.relative_view_projection @ sl.vec4(centre + offset, 1.0),
             quad_position=sl.vec2(x, y),
         )
 
@@ -110,7 +123,7 @@ class FogParticleShader(FogReader, ParticleShader):
 
     def vertex(self) -> FogParticleVarying:  # type: ignore[override]  # more varyings
         v = super().vertex()
-        centre = self.particles[sl.vertex_index() // 6].centre
+        centre = self.particles[sl.vertex_index() // 6].centre + self.constants.eye_offset
         path = self.path_from_eye(centre)
         transmittance = fog_transmittance(path, self.fog_at(centre - path))
         return FogParticleVarying(
@@ -126,7 +139,8 @@ class FogParticleShader(FogReader, ParticleShader):
 
 
 class Particles(SceneLayer):
-    """A layer that draws the particles of the simulated objects that were drawn.
+    """A layer that draws the particles of the simulated objects that were drawn. For two eyes they are collected and
+    uploaded once, relative to the left one.
 
     Attributes:
         count: the number of particles of the latest frame.
@@ -135,20 +149,21 @@ class Particles(SceneLayer):
     def __init__(self, device: Device) -> None:
         self._device = device
         self._mesh = device.mesh(_CORNERS * _CAPACITY, label="particles")
-        self._radius = device.uniform(_RADIUS)
+        constants = ParticleConstants(eye_offset=np.zeros(3), radius=_RADIUS)
+        self._constants = [MirroredValue(device, constants) for _ in range(2)]  # of both eyes
+        self._uploaded: Any = None  # the particles of this frame
         self.count = 0
 
     def render(self, device: Device, frame: Frame) -> None:
         """Draw the particles in one draw."""
-        parts = list(collect_particles(frame))
-        self.count = sum(map(len, parts))
+        if frame.first is None:
+            self._upload(device, frame)
         if not self.count:
             return
-        array = np.concatenate(parts).reshape(-1).view(Particle.dtype)
-        if _CORNERS * len(array) > self._mesh.count:
-            corners = _CORNERS << (len(array) - 1).bit_length()
-            old, self._mesh = self._mesh, device.mesh(corners, label="particles")
-            old.destroy()
+        eye = frame.camera.position
+        offset = np.zeros(3) if frame.first is None else frame.first.camera.position - eye
+        mirror = self._constants[frame.first is not None]
+        mirror.write(ParticleConstants(eye_offset=offset.tolist(), radius=_RADIUS))
         shader, bindings = _select_shader(frame)
         program: Any = self._device.program(shader)
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
@@ -159,17 +174,31 @@ class Particles(SceneLayer):
         ):
             device.draw(
                 program,
-                self._mesh.view(0, _CORNERS * len(array)),
+                self._mesh.view(0, _CORNERS * self.count),
                 view=frame.view.buffer,
-                particles=device.transient.storage(Particle, array),
-                radius=self._radius,
+                particles=self._uploaded,
+                constants=mirror.buffer,
                 **bindings,
             )
+
+    def _upload(self, device: Device, frame: Frame) -> None:
+        """Upload the particles of a frame, and make room for their corners."""
+        parts = list(collect_particles(frame))
+        self.count = sum(map(len, parts))
+        if not self.count:
+            return
+        array = np.concatenate(parts).reshape(-1).view(Particle.dtype)
+        if _CORNERS * len(array) > self._mesh.count:
+            corners = _CORNERS << (len(array) - 1).bit_length()
+            old, self._mesh = self._mesh, device.mesh(corners, label="particles")
+            old.destroy()
+        self._uploaded = device.transient.storage(Particle, array)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._mesh.destroy()
-        self._radius.destroy()
+        for constants in self._constants:
+            constants.destroy()
 
 
 def _select_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:

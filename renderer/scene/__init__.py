@@ -69,6 +69,7 @@ from renderer.scene.simplification import simplify as simplify
 from renderer.scene.simulation import AdvanceResult as AdvanceResult
 from renderer.scene.simulation import DeformedObjects as DeformedObjects
 from renderer.scene.simulation import DeviceVertexSimulation as DeviceVertexSimulation
+from renderer.scene.simulation import FacingSimulation as FacingSimulation
 from renderer.scene.simulation import FunctionOfTime as FunctionOfTime
 from renderer.scene.simulation import NodeSimulation as NodeSimulation
 from renderer.scene.simulation import ObjectSimulation as ObjectSimulation

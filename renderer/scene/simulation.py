@@ -110,6 +110,34 @@ class DeviceVertexSimulation(VertexSimulation, Protocol):
 
 
 @runtime_checkable
+class FacingSimulation(VertexSimulation, Protocol):
+    """A simulation whose vertices depend on the eye as well: they face it, or are in the order of their distances.
+
+    Attributes:
+        faces_eye: whether vertices face the eye.
+    """
+
+    @property
+    def faces_eye(self) -> bool:
+        """True if vertices face the eye; it never changes."""
+        ...
+
+    @property
+    def is_flat(self) -> bool:
+        """True if nothing of a member that is in order is behind another part of it and drawn later."""
+        ...
+
+    def look_from(self, members: Indices, eyes: Floats, is_sorted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Take the eye of a frame for `members` (j,); return which of them (j,) it may change.
+
+        Args:
+            eyes: (j, 4), the position in the space of each object and 1, or the direction to the eye and 0.
+            is_sorted: (j,), whether triangles must be in order, the farthest first.
+        """
+        ...
+
+
+@runtime_checkable
 class HeightSimulation(VertexSimulation, Protocol):
     """A simulation that moves the heights of surfaces over the x and z of their objects.
 

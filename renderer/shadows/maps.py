@@ -304,7 +304,7 @@ class ShadowMaps:
         assert self._needed is not None
         self.casters_drawn = 0
         self._frame += 1
-        self._tessellations = resources.tessellations
+        self._tessellations, self._facing_key = resources.tessellations, resources.get_facing_key()
         seen = [resources.select_in_view(camera, np.arange(len(scene.objects))) for camera in cameras]
         visible = np.unique(np.concatenate(seen))
         required = self._needed.plan_maps(resources, frame.effects, cameras, visible, frame.targets.size)
@@ -487,7 +487,9 @@ class ShadowMaps:
         work, late = MapUpdates(), list[tuple[int, RequiredMap, bytes]]()
         for required_map in required:
             shadow_map = self._maps[required_map.key]
-            dynamic = casters_state_key(scene, required_map.casters.dynamic, self._tessellations)
+            dynamic = casters_state_key(
+                scene, required_map.casters.dynamic, self._tessellations, self._facing_key
+            )
             is_far = required_map.size <= self.settings.far_size and required_map.key[0] != DIRECTIONAL
             if shadow_map.static == required_map.static and shadow_map.dynamic == dynamic:
                 self._report(required_map.key, "kept", "nothing in it has moved", required_map)
@@ -730,13 +732,15 @@ def shadow_passes(effects: FrameEffects, bind_programs: BindPrograms) -> list[Fr
     return [FramePass("shadow maps", update_maps, "; ".join(reasons), has_side_effects=True)]
 
 
-def casters_state_key(scene: Scene, rows: Indices, tessellations: int = 0) -> bytes:
+def casters_state_key(scene: Scene, rows: Indices, tessellations: int = 0, facing_key: bytes = b"") -> bytes:
     """Return bytes that change when one of the objects `rows` moves; those that are simulated always do.
-    Tessellated surfaces do if the triangles are chosen again: `tessellations` says how often they were."""
+    Tessellated surfaces do if the triangles are chosen again: `tessellations` says how often they were. Simulations
+    that face the eye do if it moves: `facing_key` says where it is."""
     if not len(rows):
         return b""
     objects = scene.objects
-    seconds = np.float64(scene.seconds).tobytes() if objects.simulated[rows].any() else b""
+    has_simulated = objects.simulated[rows].any()
+    seconds = np.float64(scene.seconds).tobytes() + facing_key if has_simulated else b""
     fields = list(scene.tessellated)
     triangle_choices = np.int64(tessellations).tobytes() if fields and np.isin(fields, rows).any() else b""
     look = np.stack([rows, objects.mesh[rows], objects.material[rows]])

@@ -11,6 +11,7 @@ from rhi.errors.choices import Choice
 
 MAX_SAMPLES: Final = 1024
 """The largest number of texels that `PCSS` searches, or compares."""
+MAX_CONTACT_RAYS: Final = 64
 MAX_CONTACT_STEPS: Final = 256
 """The largest number of samples of depth of a contact shadow's ray."""
 
@@ -55,6 +56,7 @@ class ShadowSettings:
         contact_length: how far in metres rays are followed in the depth buffer towards the first directional light
             that casts shadows; 0 follows none.
         contact_steps: samples of depth of each of these rays.
+        contact_rays: how many of them go to a light with an `angular_diameter`, all over its disc; 1 goes to others.
         contact_thickness: how deep in metres, along the view, what a ray passes behind is taken to be.
     """
 
@@ -74,6 +76,7 @@ class ShadowSettings:
     penumbra_samples: int = 32
     contact_length: float = 0.0
     contact_steps: int = 16
+    contact_rays: int = 8
     contact_thickness: float = 0.1
 
     def __post_init__(self) -> None:
@@ -107,6 +110,7 @@ class ShadowSettings:
             ("bias", 0.0 <= self.bias < float("inf"), "0 or more, finite"),
             ("contact_length", 0.0 <= self.contact_length < float("inf"), "0 or more, finite"),
             ("contact_steps", 1 <= self.contact_steps <= MAX_CONTACT_STEPS, f"1 to {MAX_CONTACT_STEPS}"),
+            ("contact_rays", 1 <= self.contact_rays <= MAX_CONTACT_RAYS, f"1 to {MAX_CONTACT_RAYS}"),
             ("contact_thickness", 0.0 < self.contact_thickness < float("inf"), "above 0, finite"),
         ):
             if not fine:

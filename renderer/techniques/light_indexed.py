@@ -12,17 +12,22 @@ RGBA32F, and blending multiplies what is there by 8 and adds the new bits. A flo
 pixel holds 8 lights. The ninth brings at least one channel to 2²⁴, because no number is 0, and so do lights
 beyond the 4,095 in view that have a number. Such a pixel says so (`count_overflowing`), and its fragments use
 the list of their object's lights instead: it costs more, and looks the same.
+
+With several samples per pixel, a surface may cover samples of a pixel, but not its centre: depth of one sample doesn't
+bound what is lit. So a pixel then has the numbers of all lights whose rectangle touches it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
+from renderer import rules
 from renderer.frame import LOCAL_LIGHTS, Frame, FrameEffects, FramePass, Target, Targets
 from renderer.frame.pixel_rays import bind_rays
 from renderer.light_kinds.bounds import LightBounds
@@ -94,6 +99,10 @@ class IndexVarying(sl.Struct):
 class PackIndices(sl.Shader):
     """Writes the numbers of the lights that reach the surface at each pixel, one instance per light."""
 
+    lean = True
+    are_surfaces_known = True
+    """Whether the surface at the pixel's depth is all that is lit."""
+
     volumes: sl.Storage[IndexedVolume]
     depth: sl.Texture2D
     rays: sl.Uniform[PixelRays]
@@ -107,17 +116,26 @@ class PackIndices(sl.Shader):
         return IndexVarying(clip=sl.vec4(sl.vec2(x, y), 0.5, 1.0), volume=volume)
 
     def fragment(self, v: IndexVarying) -> sl.vec4:
-        pixel = sl.fragment_coordinate().xy
-        nearness = depth_to_nearness(self.rays, self.depth.load(sl.ivec2(pixel)).x)
-        if nearness == 0.0:
-            sl.discard()
         light = self.volumes[v.volume]
-        away = pixel_position(self.rays, pixel, nearness_to_distance(self.rays, nearness)) - light.position
-        if sl.dot(away, away) >= light.range * light.range:
-            sl.discard()
-        if versine(safe_normalize(away), light.direction) >= light.outer_versine:
-            sl.discard()
+        if self.are_surfaces_known:
+            pixel = sl.fragment_coordinate().xy
+            nearness = depth_to_nearness(self.rays, self.depth.load(sl.ivec2(pixel)).x)
+            if nearness == 0.0:
+                sl.discard()
+            away = (
+                pixel_position(self.rays, pixel, nearness_to_distance(self.rays, nearness)) - light.position
+            )
+            if sl.dot(away, away) >= light.range * light.range:
+                sl.discard()
+            if versine(safe_normalize(away), light.direction) >= light.outer_versine:
+                sl.discard()
         return light.packed
+
+
+class PackTouched(PackIndices):
+    """Writes the numbers of the lights whose rectangle touches each pixel."""
+
+    are_surfaces_known = False
 
 
 @sl.function
@@ -191,27 +209,36 @@ class LightIndexed:
     name: Final = "light_indexed"
     shaders: Final[tuple[type[sl.Shader], ...]] = (
         PackIndices,
+        PackTouched,
         LitByIndices,
         *DEPTH_SHADERS,
         *FINISH_SHADERS,
     )
     """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
+    def __init__(self, samples: int = 1) -> None:
+        """`samples` is the number of samples per pixel, as for `Forward`."""
+        self.samples = rules.check_count(rules.BAD_TECHNIQUE, "LightIndexed(samples=...)", samples)
+
     def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
-        """The passes `depth`, `light indices` and `forward`, and those of transparent surfaces. Without
-        local lights, those of `Forward`."""
+        """The passes `depth`, `light indices` and `forward`, and those of transparent surfaces; with several samples
+        also `depth samples` and `resolve`. Without local lights, those of `Forward`."""
         if not local_light_effects(effects):
-            return forward_passes(effects)
+            return forward_passes(effects, samples=self.samples)
         reason = "draws the visible objects, lit by the lights of each pixel"
         indices = FramePass(
             "light indices",
-            _pack_indices,
+            partial(_pack_indices, are_surfaces_known=self.samples == 1),
             f"writes the numbers of each pixel's lights; {explain_local_lights(effects)}",
             reads=("depth",),
             writes=(Target(INDICES, Format.RGBA32F),),
         )
-        first = "finds the surface that lights reach at each pixel"
-        return draw_once(effects, LIT_BY_INDICES, reason, samples=1, depth_first=first, lists=(indices,))
+        first = (
+            "finds the surface that lights reach at each pixel" if self.samples == 1 else "finds what is seen"
+        )
+        return draw_once(
+            effects, LIT_BY_INDICES, reason, samples=self.samples, depth_first=first, lists=(indices,)
+        )
 
 
 def count_overflowing(targets: Targets) -> int | None:
@@ -221,20 +248,27 @@ def count_overflowing(targets: Targets) -> int | None:
     return None if indices is None else int((indices.read() >= OVERFLOW_VALUE).any(-1).sum())
 
 
-def _pack_indices(frame: Frame) -> None:
+def _pack_indices(frame: Frame, *, are_surfaces_known: bool) -> None:
     device = frame.device
     volumes = list_volumes(frame)
+    program: Any = device.program(PackIndices if are_surfaces_known else PackTouched)
+    bindings: dict[str, Any] = {}
+    if are_surfaces_known:
+        bindings = {"depth": frame.targets["depth"], "rays": bind_rays(frame)}
+    else:  # samples beside a pixel's centre are up to half a pixel from it
+        rectangles, size = volumes["rectangle"], np.array(frame.targets.size, np.float32)
+        rectangles[:, :2] -= 1.0 / size
+        rectangles[:, 2:] += 1.0 / size
     with (
         device.render_pass(frame.targets[INDICES], clear=(0.0, 0.0, 0.0, 0.0)),
         device.states(*_PACKED),
     ):
         device.draw(
-            device.program(PackIndices),
+            program,
             frame.resources.workspace(_make_rectangle),
             len(volumes),
             volumes=device.transient.storage(IndexedVolume, volumes),
-            depth=frame.targets["depth"],
-            rays=bind_rays(frame),
+            **bindings,
         )
 
 

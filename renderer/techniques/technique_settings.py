@@ -28,7 +28,7 @@ class TechniqueSettings:
 
     Attributes:
         name: of `TECHNIQUES`, or `auto`.
-        samples: samples per pixel, of `forward`, `forward_plus`, `clustered`, `tiled_deferred`,
+        samples: samples per pixel, of `forward`, `light_indexed`, `forward_plus`, `clustered`, `tiled_deferred`,
             `clustered_deferred` and `deferred_plus`; more than one is refused for others. `auto` is then
             `forward`.
         fxaa: whether the edges of the image are smoothed.

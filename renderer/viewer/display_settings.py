@@ -210,7 +210,7 @@ class Configurator:
         renderer, settings = self._renderer, display.settings
         made_for: dict[str, object] = {
             "technique": (display.show, settings.technique),
-            "stereo": (display.stereo, settings.reprojects),
+            "stereo": (display.stereo, settings.reprojects, settings.far_error),
             "visibility": (settings.algorithm, settings.visibility),
         }
         changed = {name for name, value in made_for.items() if value != self._applied.get(name)}
@@ -228,7 +228,12 @@ class Configurator:
             if display.stereo is not None:
                 fitted = settings.adapt_camera(camera.with_aspect(renderer.size[0] / renderer.size[1]))
                 rig = compute_rig(renderer.scene, fitted)
-                stereo = Stereo(rig, display.stereo, is_reprojected=settings.reprojects)
+                stereo = Stereo(
+                    rig,
+                    display.stereo,
+                    is_reprojected=settings.reprojects,
+                    far_error=settings.far_error,
+                )
         with ExitStack() as undo:
             if "visibility" in changed:
                 check_algorithm(settings.algorithm, renderer.device, "visibility")

@@ -199,9 +199,10 @@ class ViewerSession:
 
     @property
     def is_uploading(self) -> bool:
-        """True until all of the scene is on the device."""
-        uploads = self.renderer.uploads
-        return uploads is not None and not uploads.is_done
+        """True until all of the scene is on the device, or all levels of images that the last frame reads."""
+        uploads, images = self.renderer.uploads, self.renderer.images
+        is_streaming = images is not None and images.stream is not None and not images.stream.is_done
+        return is_streaming or (uploads is not None and not uploads.is_done)
 
     # -- display settings ------------------------------------------------------------------------------------
 

@@ -364,7 +364,10 @@ class Viewer:
         uploads = self.session.renderer.uploads
         if self.is_loading:
             return self.file_reloader.loading.describe()
-        return f"uploading {uploads.progress.fraction:.0%}" if uploads and self.session.is_uploading else ""
+        if uploads is not None and not uploads.is_done:
+            return f"uploading {uploads.progress.fraction:.0%}"
+        images = self.session.renderer.images
+        return "" if images is None or images.stream is None else images.stream.report.describe()
 
     def _describe(self) -> InterfaceState:
         session = self.session

@@ -141,6 +141,7 @@ STEPS: Final = (
         (
             "operation · interplay",
             "operation · command buffers",
+            "operation · repeated submissions",
             "validation · refusals",
             "validation · capabilities",
             "validation · threads",

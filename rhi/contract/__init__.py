@@ -16,6 +16,7 @@ from rhi.contract.backend import SupportsIssueTimes as SupportsIssueTimes
 from rhi.contract.backend import SupportsPreparedDraws as SupportsPreparedDraws
 from rhi.contract.backend import SupportsPreparedKernels as SupportsPreparedKernels
 from rhi.contract.backend import SupportsPreparedQueries as SupportsPreparedQueries
+from rhi.contract.backend import SupportsRecordedDraws as SupportsRecordedDraws
 from rhi.contract.backend import SupportsTextureSharing as SupportsTextureSharing
 from rhi.contract.blocks import CompressedFormat as CompressedFormat
 from rhi.contract.blocks import decode_blocks as decode_blocks

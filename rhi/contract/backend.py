@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,6 +240,24 @@ class SupportsOrderedWrites(Protocol):
     def prepare_uniform_write(self, buffer: Id) -> Callable[[int, int, bytes], object]:
         """Return a function of (slot, offset, data) that is equivalent to `Backend.write_buffer` of this STREAM
         buffer and `Backend.bind_uniform` of what was written. It is called only while a program is bound."""
+
+
+class SupportsRecordedDraws(Protocol):
+    """Optional part of the contract, for platforms that execute draws together which were recorded once."""
+
+    def prepare_recorded_draws(
+        self, commands: Sequence[tuple[str, tuple[Any, ...]]]
+    ) -> Sequence[tuple[int, int, Callable[[], bool]]]:
+        """Return the parts of recorded commands that can be executed together: start, end, and a function.
+
+        The function either executes the commands from start to end and returns True, or it does nothing and
+        returns False; then the caller executes them one by one. It is called in the place of the first of them,
+        after all commands before it. When it is called again, these have left the same states and bindings.
+
+        Args:
+            commands: methods of `Backend` and their arguments. They are executed in this order several times,
+                as long as what they use exists. Those with an empty name aren't known yet.
+        """
 
 
 class SupportsCurrentContext(Protocol):

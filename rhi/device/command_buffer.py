@@ -16,14 +16,17 @@
 - It is notified of each of its resources that is destroyed (`Timeline.watch`). Then a submission is refused,
   with the lines that used and destroyed the resource.
 - At the first execution, its commands become a list of calls with their arguments, with draws and bindings as
-  the backend prepares them. Later executions only iterate over that list.
+  the backend prepares them. Later executions only iterate over that list, or execute parts of it together
+  (`SupportsRecordedDraws`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import chain, islice
 from operator import length_hint
 from threading import get_ident
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -31,7 +34,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands.ops import END_OPS, WIDTHS, Op
+from rhi.commands.ops import END_OPS, METHODS, WIDTHS, Op
 from rhi.commands.recorder import CommandWriter, Recorder, RepeatableCommand
 from rhi.commands.stream import CommandStream, call_site_at
 from rhi.contract.descriptors import BufferDescriptor, Id, Region
@@ -81,6 +84,7 @@ class CommandBuffer(Encoder):
         self._state = _EMPTY
         self._programs: dict[Program[...], RecordedProgram] = {}
         self._calls: list[RepeatableCommand] | None = None
+        self._together: Sequence[tuple[int, int, Callable[[], bool]]] = ()
         self._first_change: int | None = (
             None  # index of the first command that sets states, if no draw comes before it
         )
@@ -324,8 +328,7 @@ class CommandBuffer(Encoder):
             if isinstance(backend := device.backend, Recorder):
                 backend.repeat(calls)
             else:
-                for _, call, arguments in calls:
-                    call(*arguments)
+                self._execute_calls(calls)
             if self._first_change is not None or self._draws_with_defaults:
                 device.adopt_states(core.states.hardware.values)
         except BaseException as error:
@@ -340,6 +343,20 @@ class CommandBuffer(Encoder):
             fence = device.signal()
             for mark_submitted in core.queries.values():
                 mark_submitted(fence)
+
+    def _execute_calls(self, calls: Iterator[RepeatableCommand]) -> None:
+        """Execute the calls, and those together that the backend can."""
+        position = 0
+        for start, end, execute in self._together:
+            _call_all(islice(calls, start - position))
+            first = next(calls)  # its failure is that of the part's first command
+            rest = islice(calls, end - start - 1)
+            if execute():
+                deque(rest, maxlen=0)
+            else:
+                _call_all(chain((first,), rest))
+            position = end
+        _call_all(calls)
 
     def _create_resources(self) -> None:
         """Create the arena's buffer and the vertex arrays, for which recording had no backend.
@@ -374,6 +391,7 @@ class CommandBuffer(Encoder):
         hardware's states at execution and leads to the recorded ones."""
         device, stream = self._recorder.device, self.stream
         calls = self._prepare_commands()
+        self._together = self._prepare_draws()
         self._later_changes = self._recorder.states.hardware_changes
         first = self._first_change
         if first is not None:
@@ -382,6 +400,18 @@ class CommandBuffer(Encoder):
             vector = StateVector(tuple(stream.context(first + 1).states.values()))
             calls[first] = None, device.send_states, (vector,)
         return calls
+
+    def _prepare_draws(self) -> Sequence[tuple[int, int, Callable[[], bool]]]:
+        """Return the parts of the commands that the backend executes together. It doesn't know the first change of
+        states, which differs from submission to submission."""
+        device, stream = self._recorder.device, self.stream
+        if isinstance(device.backend, Recorder):
+            return ()
+        entries = map(stream.entry, range(len(stream)))
+        commands = [(METHODS[op], tuple(values)) for op, values, *_ in entries]
+        if self._first_change is not None:
+            commands[self._first_change] = "", ()
+        return device.prepare_recorded_draws(commands)
 
     def _prepare_commands(self) -> list[RepeatableCommand]:
         """Return the commands as calls of the backend."""
@@ -445,6 +475,11 @@ class CommandBuffer(Encoder):
             device.adopt_states(tuple(stream.context(done).states.values()))
         if interrupted:
             device.states.lose_hardware()
+
+
+def _call_all(calls: Iterable[RepeatableCommand]) -> None:
+    for _, call, arguments in calls:
+        call(*arguments)
 
 
 class RecordedQuery(QueryScope):

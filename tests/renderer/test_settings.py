@@ -44,6 +44,7 @@ OTHERS = RenderSettings(
     animation_lag=2.0,
     simulates_hidden=True,
     reprojects=True,
+    far_error=0.25,
     scale=0.5,
 )
 

@@ -210,11 +210,13 @@ FAR_SHADOWS: Final = replace(
 SORTED_BLENDING: Final = replace(RAY_TRACED, changes={"blending": Blending.SORTED})
 WIDE_BLOOM: Final = Reference("all scattered light, spread over 8 levels", {"bloom": BloomSettings(levels=8)})
 UNCOMPRESSED: Final = Reference("uncompressed images", {"textures.compression": Compression.NONE})
+ALL_LEVELS: Final = Reference("all levels of all images", {"textures.memory": 0.0})
 FULL_MESHES: Final = Reference("full meshes", {"detail_error": 0.0})
 FINEST_TESSELLATION: Final = replace(RAY_TRACED, changes={"tessellation.edge_pixels": 0.01})
 EVERY_FRAME_ANIMATED: Final = Reference("motion in each frame", {"animation_step": 0.0, "animation_lag": 0.0})
 DISTANCES: Final = Reference("the distances in float64")
 RENDERED_SECOND_EYE: Final = replace(PIXEL_CENTRE_RAY, changes={"reprojects": False})
+ALL_FOR_EACH_EYE: Final = Reference("all drawn for each eye", {"reprojects": False, "far_error": 0.0})
 VECTORS: Final = Reference("the vectors in float64")
 ALL_SIMULATED: Final = Reference("everything simulated in each frame", {"simulates_hidden": True})
 LAST_VALUE: Final = Reference("the scene with the last value")
@@ -397,6 +399,15 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             requirement=Requirement.IMAGES,
         ),
         _image_quality(
+            "texture_memory",
+            "MiB of images, 0 for all levels of all",
+            "textures.memory",
+            _same(0.015625, 0.0625, 0.25, 1.0, 4.0, 0.0),
+            "it limits memory: what a view reads is there if it fits",
+            reference=ALL_LEVELS,
+            requirement=Requirement.IMAGES,
+        ),
+        _image_quality(
             "edge_pixels",
             "length of the edges of a ground's triangles in pixels",
             "tessellation.edge_pixels",
@@ -472,6 +483,16 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "more of them change less than what the image doesn't show",
             reference=PIXEL_CENTRE_RAY,
             base_settings={**_FORWARD, "shadows.contact_length": 0.5},
+        ),
+        _shadows(
+            "contact_rays",
+            "rays that are followed towards a sun with a size, from each pixel",
+            "shadows.contact_rays",
+            _same(1, 4, 8, 16, 32),
+            "a penumbra on the screen is a few pixels wide, and so are eight steps",
+            reference=PENUMBRAS,
+            base_settings={**_FORWARD, "shadows.filter": ShadowFilter.PCSS, "shadows.contact_length": 0.5},
+            requirement=Requirement.PENUMBRAS,
         ),
         _shadows(
             "shadow_bias",
@@ -761,6 +782,16 @@ QUALITY_SETTINGS: Final[dict[str, QualitySetting]] = {
             "holes show beside everything that is near",
             reference=RENDERED_SECOND_EYE,
             requirement=Requirement.STEREO,
+        ),
+        _image_quality(
+            "far_objects",
+            "largest error in pixels of the parallax of objects that are drawn once for both eyes",
+            "far_error",
+            {"1": 1.0, "0.5": 0.5, "0.25": 0.25, "0.125": 0.125, "none": 0.0},
+            "each eye's image is that of its camera, to the bit",
+            reference=ALL_FOR_EACH_EYE,
+            requirement=Requirement.STEREO,
+            non_monotonic_reason="all parallax changes by half a pixel at most, whatever the error is",
         ),
         _lists(
             "tile",

@@ -22,6 +22,10 @@ MONO: Final = "mono"
 """The row that others are compared with: one eye."""
 REPROJECTED: Final = "_reprojected"
 """The suffix of outputs whose right eye's image is reprojected from the left one's."""
+FAR_ONCE: Final = "_far_once"
+"""The suffix of outputs whose far objects are drawn once for both eyes."""
+FAR_ERROR: Final = 0.25
+"""The largest error of their parallax, in pixels."""
 COLUMNS: Final[dict[str, Column]] = {
     "milliseconds": time(),
     "ratio": ratio(),
@@ -36,8 +40,10 @@ _WARM_UP_FRAMES: Final = 3  # frames that aren't counted
 
 
 def list_stereos() -> list[str]:
-    """The names of all rows but `MONO`: each output, drawn, and reprojected where a frame shows both eyes."""
-    return [*OUTPUTS, *(f"{name}{REPROJECTED}" for name in OUTPUTS if name != SHUTTER)]
+    """The names of all rows but `MONO`: each output, drawn, and reprojected or with far objects drawn once
+    where a frame shows both eyes."""
+    both = [name for name in OUTPUTS if name != SHUTTER]
+    return [*OUTPUTS, *(f"{name}{suffix}" for suffix in (REPROJECTED, FAR_ONCE) for name in both)]
 
 
 def make_stereo(name: str, rig: StereoRig) -> Stereo | None:
@@ -46,7 +52,9 @@ def make_stereo(name: str, rig: StereoRig) -> Stereo | None:
         return None
     if name not in list_stereos():
         rules.refuse_name(rules.UNKNOWN_STEREO, f"make_stereo({name!r})", name, [MONO, *list_stereos()])
-    return Stereo(rig, name.removesuffix(REPROJECTED), is_reprojected=name.endswith(REPROJECTED))
+    output = name.removesuffix(REPROJECTED).removesuffix(FAR_ONCE)
+    far_error = FAR_ERROR if name.endswith(FAR_ONCE) else 0.0
+    return Stereo(rig, output, is_reprojected=name.endswith(REPROJECTED), far_error=far_error)
 
 
 def compare_stereo(

@@ -39,6 +39,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.scene.cloth import ClothSimulation, Gust, Wind, make_cloth_grid
+from renderer.scene.particles import Emitter, EmitterSimulation, make_quad
 from renderer.shadows import ShadowFilter
 from renderer.stereo import Stereo
 from renderer.techniques import Forward, FxaaTechnique
@@ -227,6 +228,23 @@ def _add_fountain(builder: SceneBuilder) -> int:
     mesh = builder.add_mesh(make_drops(), "spray", BOUNDS)
     node = builder.add_node(translation((2.0, 0.0, 0.6)))
     builder.simulate(builder.add_objects(node, mesh, material), FountainSimulation(1, 5))
+    return material
+
+
+def _add_leaves(builder: SceneBuilder) -> int:
+    material = builder.add_material(base_color=(0.65, 0.4, 0.12), double_sided=True)
+    emitter = Emitter(
+        particles=40,
+        box=(1.0, 0.0, 1.0),
+        velocity=(0.0, -0.6, 0.0),
+        spread=0.1,
+        acceleration=(0.0, 0.0, 0.0),
+        spin=3.0,
+    )
+    simulation = EmitterSimulation(1, emitter, make_quad(0.09, 0.06))
+    mesh = builder.add_mesh(simulation.make_mesh(), "leaves", simulation.bounds)
+    node = builder.add_node(translation((0.6, 1.4, -1.2)))
+    builder.simulate(builder.add_objects(node, mesh, material), simulation)
     return material
 
 
@@ -534,6 +552,13 @@ EFFECT_STEPS: Final = (
         modules=("renderer.layers.particles",),
     ),
     EffectStep(
+        "leaves",
+        "particles with a material",
+        EffectPattern("leaves", programs=("WriteCopies",), resources=("mesh of particles",)),
+        _add_leaves,
+        modules=("renderer.scene.particles",),
+    ),
+    EffectStep(
         "cloth",
         "a flag in the wind",
         EffectPattern("cloth", programs=("StepCloths",), resources=("cloth *",)),
@@ -576,9 +601,14 @@ EFFECT_STEPS: Final = (
     EffectStep(
         "overlay",
         "the debug overlay",
-        EffectPattern("overlay", programs=("Canvas*",), events=("overlay",)),
+        EffectPattern(
+            "overlay",
+            programs=("Canvas*", "InterfaceShader"),
+            resources=("interface", "InterfaceConstants"),
+            events=("overlay",),
+        ),
         switch=partial(_switch_layer, Overlay),
-        modules=("renderer.layers.overlay", "renderer.layers.canvas"),
+        modules=("renderer.layers.overlay", "renderer.layers.canvas", "renderer.stereo.screen_layers"),
     ),
 )
 """The steps, each with all that those before it have."""

@@ -18,6 +18,7 @@ from renderer.lab.exam import (
     detail_cases,
     encoding_cases,
     environment_cases,
+    far_object_cases,
     far_position_cases,
     focus_cases,
     image_cases,
@@ -28,12 +29,14 @@ from renderer.lab.exam import (
     limit_cases,
     meshlet_cases,
     occlusion_cases,
+    particle_cases,
     penumbra_cases,
     plan_cases,
     proxy_cases,
     ray_traced_cases,
     shadow_cases,
     stereo_cases,
+    streaming_cases,
     temporal_cases,
     tessellated_mesh_cases,
 )
@@ -70,6 +73,9 @@ _CASE_MODULES: Final = (
     light_map_cases,
     contact_cases,
     tessellated_mesh_cases,
+    far_object_cases,
+    streaming_cases,
+    particle_cases,
 )
 MEASURES: Final = {
     number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()

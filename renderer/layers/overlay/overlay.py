@@ -12,7 +12,8 @@ from __future__ import annotations
 from time import perf_counter
 from typing import Final
 
-from renderer.frame import Frame
+from renderer.frame import Frame, ScreenLayer
+from renderer.frame.layer import ClearColor
 from renderer.layers.canvas import Canvas, Font
 from renderer.layers.overlay.history import History
 from renderer.layers.overlay.panels import (
@@ -31,7 +32,7 @@ from renderer.layers.overlay.panels import (
 from renderer.scene import Scene
 from renderer.scene.arrays import Floats
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, compute_traversal
-from rhi import Device, Statistics
+from rhi import Device, Statistics, Texture
 
 _FRAMES: Final = 144  # of the graph
 _BAR: Final = 2  # width of a frame there
@@ -52,7 +53,7 @@ _COUNTERS: Final = (
 )
 
 
-class Overlay:
+class Overlay(ScreenLayer):
     """A layer that shows what frames cost. It turns on the device's timing where there are timestamps.
 
     Attributes:
@@ -85,23 +86,19 @@ class Overlay:
         if is_timed and device.capabilities.timestamps:
             device.timing = True
 
-    def render(self, device: Device, frame: Frame) -> None:
-        """Draw the overlay to the frame's image. The right eye is shown what the left one sees, as far as the
-        screen is away."""
+    def draw(self, device: Device, frame: Frame, image: Texture, clear: ClearColor | None = None) -> None:
+        """Draw the overlay of a frame. With two eyes, it is about the left one's."""
         began = perf_counter()
-        if frame.first is None:
-            self._begin_frame(began, device.statistics)
-        source_frame = frame.first or frame
+        self._begin_frame(began, device.statistics)
         with device.event("overlay"):
-            image = frame.targets.image
             is_small = any(side <= self._scale * most for side, most in zip(image.size, _SMALL, strict=True))
-            self._add_left(device, source_frame, self._counted, is_small)
-            if source_frame.statistics is not None and not is_small:
-                self._add_right(source_frame)
-            with device.render_pass(image):
-                self.draws += self._canvas.draw(image.size)
+            self._add_left(device, frame, is_small)
+            if frame.statistics is not None and not is_small:
+                self._add_right(frame, image.size[0])
+            with device.render_pass(image, clear=clear):
+                self.draws = self._canvas.draw(image.size)
         self._after = device.statistics
-        self.milliseconds += 1e3 * (perf_counter() - began)
+        self.milliseconds = 1e3 * (perf_counter() - began)
 
     def _begin_frame(self, began: float, counted: Statistics) -> None:
         """Record the last frame's time, and the counters as they stand before this frame."""
@@ -109,7 +106,6 @@ class Overlay:
             self._frames.add(1e3 * (began - self._began))
             self._own.add(self.milliseconds)
         self._began, self._before, self._counted = began, self._after, counted
-        self.draws, self.milliseconds = 0, 0.0
 
     def destroy(self) -> None:
         """Destroy the resources on the device, and stop its timing if the overlay has begun it."""
@@ -117,10 +113,10 @@ class Overlay:
         if not self._was_timing and self._device.timing:
             self._device.timing = False
 
-    def _add_left(self, device: Device, frame: Frame, counted: Statistics, is_small: bool) -> None:
+    def _add_left(self, device: Device, frame: Frame, is_small: bool) -> None:
         """Add the panel of times and counters; if it isn't small, with the graph and the timers."""
         canvas, scale = self._canvas, self._scale
-        counters = {name: getattr(counted, name) - getattr(self._before, name) for name in _COUNTERS}
+        counters = {name: getattr(self._counted, name) - getattr(self._before, name) for name in _COUNTERS}
         rows = _list_counters(frame, counters if self._is_timed else None)
         is_small = is_small or not self._is_timed
         if not is_small:
@@ -165,15 +161,15 @@ class Overlay:
         latest, middle, worst = (f"{time:.1f}" if time < 100.0 else f"{time:.0f}" for time in milliseconds)
         return f"frame {latest} ms   median {middle}   worst {worst}"
 
-    def _add_right(self, frame: Frame) -> None:
-        """Add the panel of the culling."""
+    def _add_right(self, frame: Frame, width: int) -> None:
+        """Add the panel of the culling, to an image of this width."""
         canvas, scale = self._canvas, self._scale
         scene, camera = frame.resources.scene, frame.camera
         draw_result = frame.draw_result.object_indices if frame.draw_result.is_on_cpu else None
         traversal = compute_traversal(frame.visibility, scene, camera, draw_result)
         pad, line = _PAD * scale, canvas.font.line_height * scale
         side = _MAP * scale
-        x = frame.targets.image.size[0] - side - 3 * pad
+        x = width - side - 3 * pad
         rows = len(set(traversal.outcome.tolist()))
         outside = Rectangle(x, pad, side + 2 * pad, line * (1 + rows) + side + 3 * pad)
         canvas.rects([outside], PANEL)

@@ -54,6 +54,7 @@ def depth_pass(reason: str, *, samples: int = 1, has_meshlets: bool = True) -> F
         reason,
         reads=reads,
         writes=(depth,),
+        draws_objects=True,
     )
 
 

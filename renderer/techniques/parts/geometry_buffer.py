@@ -378,7 +378,7 @@ def geometry_pass(
     )
     reason = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
     reads = ("depth",) if samples > 1 else ()
-    return FramePass("geometry", draw, reason, reads=reads, writes=(*targets, target))
+    return FramePass("geometry", draw, reason, reads=reads, writes=(*targets, target), draws_objects=True)
 
 
 def geometry_buffer_names(effects: FrameEffects) -> tuple[str, ...]:

@@ -316,6 +316,7 @@ def lit_pass(
             *effects.shading_reads,
         ),
         writes=(image,) if after_depth else (image, depth),
+        draws_objects=True,
     )
 
 

@@ -18,8 +18,9 @@ from pyodide.ffi import JsException, can_run_sync, run_sync, to_js
 from rhi.backends.web import pass_commands
 from rhi.backends.web.javascript import FUNCTIONS
 from rhi.backends.web.js_objects import OBJECTS, TABLE, WebObject
-from rhi.backends.web.pass_commands import REPLAY, BundleCache, PassCommands
+from rhi.backends.web.pass_commands import REPLAY, PassCommands
 from rhi.backends.webgpu.implementation import (
+    BundleFunctions,
     ColorTarget,
     DepthTarget,
     GpuError,
@@ -200,6 +201,37 @@ def _refuse_absent(*arguments: object) -> None:
     raise NotImplementedError
 
 
+class WebBundles:
+    """The functions of bundles; `rhi.backends.webgpu.implementation.BundleFunctions`.
+
+    A bundle is the words of its draws, which are added to those of a pass. Words that come again become the page's
+    bundles.
+    """
+
+    def __init__(self) -> None:
+        commands: Any = pass_commands
+        self.set_pipeline = commands.set_pipeline
+        self.set_bind_group = commands.set_bind_group
+        self.set_vertex_buffer = commands.set_vertex_buffer
+        self.set_index_buffer = commands.set_index_buffer
+        self.draw = commands.draw
+        self.draw_indexed = commands.draw_indexed
+
+    def begin(
+        self, device: GpuObject, colors: Sequence[str], depth: str | None, samples: int
+    ) -> PassCommands:
+        """Begin a bundle."""
+        return PassCommands(TABLE)
+
+    def finish(self, encoder: PassCommands) -> bytes:
+        """Return the words of the bundle."""
+        return bytes(encoder)
+
+    def execute(self, render: PassCommands, bundle: bytes) -> None:
+        """Add the words to those of a pass."""
+        render += bundle
+
+
 class WebPage:
     """The functions of a page; `rhi.backends.webgpu.implementation.Implementation`."""
 
@@ -221,9 +253,8 @@ class WebPage:
         self.state: Any = None
         self.version = str(getattr(getattr(js, "navigator", None), "userAgent", "") or "a page")
         self.device: Any = None
-        self._passes = run_js(REPLAY)
-        self._replay = self._passes.replay
-        self._bundles = BundleCache(self._make_bundle)
+        self._replay = run_js(REPLAY)
+        self.bundles: BundleFunctions | None = WebBundles()
         commands: Any = pass_commands
         self.set_pipeline = commands.set_pipeline
         self.set_bind_group = commands.set_bind_group
@@ -260,11 +291,7 @@ class WebPage:
     def _end_render_pass(self, render: PassCommands) -> None:
         """Begin a pass of the page, make its calls, and end it."""
         with DeferredInterrupts():
-            bundle = self._bundles.get(render)
-            self._replay(render.encoder, render.description, render, OBJECTS, bundle)
-
-    def _make_bundle(self, render: PassCommands) -> Any:
-        return self._passes.bundle(self.device, render.description, render, OBJECTS)
+            self._replay(self.device, render.encoder, render.description, render, OBJECTS)
 
     def pack_draw(self, indexed: bool, count: int, first: int, base_vertex: int, base_instance: int) -> bytes:
         """Return the record of a draw of one instance."""

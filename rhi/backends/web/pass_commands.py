@@ -6,8 +6,9 @@ of WebGPU from them when the pass ends. Nothing is copied: JavaScript reads the 
 
 - A record is the number of its command, then its arguments. Objects of WebGPU have numbers in an `ObjectTable`,
   none of which is used twice. So equal words are the same commands, in whichever pass.
-- A pass that is drawn a second time with the same words becomes a `GPURenderBundle` (`BundleCache`): one call of WebGPU
-  in place of two or three for each draw. Viewports and the like come before its draws, else it has none.
+- Runs of draws that come a second time become bundles (`GPURenderBundle`): one call of WebGPU in place of two or three
+  for each draw. The words of a draw say whether a run ends after it. So where a draw more or less moves the others,
+  later runs are those of earlier frames again.
 - Offsets and sizes of buffers are in words of 4 bytes, so that 4 GiB fit.
 - The page's pass begins with the replay too, so that an interrupt never leaves the page's encoder locked.
 """
@@ -17,66 +18,50 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from struct import Struct
-from typing import Any, Final
+from typing import Final
 
 from rhi.backends.webgpu.implementation import Handle
 
 REPLAY: Final = """(() => {
+const FIRST_STATE = 8;  // commands from here on aren't in bundles: viewports, other states of a pass, queries
+const LEAST = 16, MOST = 256, MAX_RUNS = 1024;  // draws of a run that becomes a bundle; runs that are remembered
 const formats = ["uint16", "uint32"];
 const lengths = [1, 0, 4, 5, 4, 4, 3, 3, 6, 4, 1, 4, 1, 0];  // of the arguments; bind groups say their own
-const nothing = Object.fromEntries(["setPipeline", "setBindGroup", "setVertexBuffer", "setIndexBuffer", "draw",
-  "drawIndexed", "drawIndirect", "drawIndexedIndirect", "setViewport", "setScissorRect", "setStencilReference",
-  "setBlendConstant", "beginOcclusionQuery", "endOcclusionQuery"].map((name) => [name, () => {}]));
-const use = (data, call) => {
-  const bytes = data.getBuffer("u8");
-  try {
-    const {buffer, byteOffset, byteLength} = bytes.data;
-    return call(...[Uint32Array, Int32Array, Float32Array].map((type) => new type(buffer, byteOffset, byteLength / 4)));
-  } finally { bytes.release(); }
-};
-const isBundled = (words) => {  // a bundle sets no viewport and the like, and counts no samples
-  let drawn = false;
-  for (let i = 0; i < words.length;) {
-    const command = words[i];
-    if (command >= 12 || (command >= 8 && drawn)) return false;
-    drawn ||= command === 2 || command === 3 || command === 6 || command === 7;
-    i += command === 1 ? 4 + words[i + 3] : 1 + lengths[command];
-  }
-  return true;
-};
-const encode = (draws, pass, objects, words, integers, floats) => {
+const runs = new Map();  // by a hash of their words: the words, and the bundle if they came a second time
+
+const encode = (pass, objects, words, integers, floats, i, end) => {
   const color = [0, 0, 0, 0];
-  for (let i = 0; i < words.length;) {
+  while (i < end) {
     switch (words[i++]) {
-      case 0: draws.setPipeline(objects.get(words[i++])); break;
+      case 0: pass.setPipeline(objects.get(words[i++])); break;
       case 1: {
-        const count = words[i + 2], end = i + 3 + count;
-        if (count) draws.setBindGroup(words[i], objects.get(words[i + 1]), words, i + 3, count);
-        else draws.setBindGroup(words[i], objects.get(words[i + 1]));
-        i = end;
+        const count = words[i + 2], next = i + 3 + count;
+        if (count) pass.setBindGroup(words[i], objects.get(words[i + 1]), words, i + 3, count);
+        else pass.setBindGroup(words[i], objects.get(words[i + 1]));
+        i = next;
         break;
       }
-      case 2: draws.draw(words[i], words[i + 1], words[i + 2], words[i + 3]); i += 4; break;
+      case 2: pass.draw(words[i], words[i + 1], words[i + 2], words[i + 3]); i += 4; break;
       case 3:
-        draws.drawIndexed(words[i], words[i + 1], words[i + 2], integers[i + 3], words[i + 4]);
+        pass.drawIndexed(words[i], words[i + 1], words[i + 2], integers[i + 3], words[i + 4]);
         i += 5;
         break;
       case 4:
-        draws.setVertexBuffer(words[i], objects.get(words[i + 1]), 4 * words[i + 2], 4 * words[i + 3]);
+        pass.setVertexBuffer(words[i], objects.get(words[i + 1]), 4 * words[i + 2], 4 * words[i + 3]);
         i += 4;
         break;
       case 5:
-        draws.setIndexBuffer(objects.get(words[i]), formats[words[i + 1]], 4 * words[i + 2], 4 * words[i + 3]);
+        pass.setIndexBuffer(objects.get(words[i]), formats[words[i + 1]], 4 * words[i + 2], 4 * words[i + 3]);
         i += 4;
         break;
       case 6:
         for (let draw = 0; draw < words[i + 2]; draw++)
-          draws.drawIndirect(objects.get(words[i]), 4 * words[i + 1] + 16 * draw);
+          pass.drawIndirect(objects.get(words[i]), 4 * words[i + 1] + 16 * draw);
         i += 3;
         break;
       case 7:
         for (let draw = 0; draw < words[i + 2]; draw++)
-          draws.drawIndexedIndirect(objects.get(words[i]), 4 * words[i + 1] + 20 * draw);
+          pass.drawIndexedIndirect(objects.get(words[i]), 4 * words[i + 1] + 20 * draw);
         i += 3;
         break;
       case 8:
@@ -95,20 +80,97 @@ const encode = (draws, pass, objects, words, integers, floats) => {
     }
   }
 };
-return {
-  replay: (encoder, description, data, objects, bundle) => {
-    const pass = encoder.beginRenderPass(description);
-    try {
-      use(data, (...words) => encode(bundle ? nothing : pass, pass, objects, ...words));
-      if (bundle) pass.executeBundles([bundle]);
-    } finally { pass.end(); }
-  },
-  bundle: (device, description, data, objects) => use(data, (words, ...others) => {
-    if (!isBundled(words)) return undefined;
-    const bundle = device.createRenderBundleEncoder(description.formats);
-    encode(bundle, nothing, objects, words, ...others);
-    return bundle.finish();
-  }),
+
+const measure = (words, i) => words[i] === 1 ? 4 + words[i + 3] : 1 + lengths[words[i]];
+const isDraw = (command) => command === 2 || command === 3 || command === 6 || command === 7;
+const mix = (hash, words, i, end) => {
+  for (; i < end; i++) hash = Math.imul(hash ^ words[i], 0x01000193);
+  return hash ^ hash >>> 15;
+};
+// Of bindings that a draw needs, by number: 0 the pipeline, 1 to 4 groups, 5 indices, then vertices.
+const slot = (words, i) => [0, 1 + words[i + 1], , , 6 + words[i + 1], 5][words[i]];
+
+// A run is draws that follow on each other, with their bindings. It ends where the hash of a draw says, so that a run
+// comes again although others before it differ; `needs` are the bindings from before that it uses.
+const findRun = (words, start, bound) => {
+  const set = new Set();
+  let i = start, draws = 0, hash = 0, needs = null, latest = 0x811c9dc5;
+  while (i < words.length && words[i] < FIRST_STATE && draws < MOST) {
+    const next = i + measure(words, i), command = words[i];
+    latest = mix(latest, words, i, next);
+    if (isDraw(command)) {
+      needs ??= [...bound].filter(([number]) => !set.has(number)).map(([, position]) => position);
+      draws += 1;
+      hash = Math.imul(hash, 31) + latest | 0;
+      if (draws >= LEAST && (latest & 63) === 0) { i = next; break; }
+      latest = 0x811c9dc5;
+    } else if (needs === null) set.add(slot(words, i));
+    i = next;
+  }
+  for (const position of needs ?? []) hash = mix(hash, words, position, position + measure(words, position));
+  return {end: i, draws, hash, needs: needs ?? []};
+};
+const collect = (words, start, {end, needs}) => {
+  const parts = [...needs.map((i) => words.subarray(i, i + measure(words, i))), words.subarray(start, end)];
+  const all = new Uint32Array(parts.reduce((size, part) => size + part.length, 0));
+  let size = 0;
+  for (const part of parts) { all.set(part, size); size += part.length; }
+  return all;
+};
+const isSame = (stored, words, start, {end, needs}) => {
+  let at = 0;
+  for (const i of needs)
+    for (let j = i, stop = i + measure(words, i); j < stop; j++) if (stored[at++] !== words[j]) return false;
+  if (stored.length !== at + end - start) return false;
+  for (let i = start; i < end; i++) if (stored[at++] !== words[i]) return false;
+  return true;
+};
+const getBundle = (device, description, objects, words, start, run) => {
+  const known = runs.get(run.hash);
+  const entry = known && isSame(known.words, words, start, run) ? known : null;
+  runs.delete(run.hash);
+  if (!entry) {
+    if (runs.size >= MAX_RUNS) runs.delete(runs.keys().next().value);
+    runs.set(run.hash, {words: collect(words, start, run), bundle: null});
+    return null;
+  }
+  runs.set(run.hash, entry);  // the latest is the last
+  if (!entry.bundle) {
+    const encoder = device.createRenderBundleEncoder(description.formats), {buffer, length} = entry.words;
+    encode(encoder, objects, entry.words, new Int32Array(buffer), null, 0, length);
+    entry.bundle = encoder.finish();
+  }
+  return entry.bundle;
+};
+const encodeRuns = (device, description, pass, objects, words, integers, floats) => {
+  const bound = new Map();  // where the words bind what is bound now, by its slot
+  let bundles = [], isLost = false;
+  for (let start = 0; start < words.length;) {
+    const isRun = words[start] < FIRST_STATE;
+    const run = isRun ? findRun(words, start, bound) : {end: start + measure(words, start), draws: 0};
+    const bundle = run.draws >= LEAST ? getBundle(device, description, objects, words, start, run) : null;
+    if (bundle) bundles.push(bundle);
+    else {
+      if (bundles.length) { pass.executeBundles(bundles); bundles = []; isLost = true; }
+      if (isLost && run.draws) {  // a bundle leaves nothing bound
+        for (const i of bound.values()) encode(pass, objects, words, integers, floats, i, i + measure(words, i));
+        isLost = false;
+      }
+      encode(pass, objects, words, integers, floats, start, run.end);
+    }
+    for (let i = start; i < run.end; i += measure(words, i))
+      if (words[i] < FIRST_STATE && !isDraw(words[i])) bound.set(slot(words, i), i);
+    start = run.end;
+  }
+  if (bundles.length) pass.executeBundles(bundles);
+};
+return (device, encoder, description, data, objects) => {
+  const pass = encoder.beginRenderPass(description);
+  try {
+    const bytes = data.getBuffer("u8"), {buffer, byteOffset, byteLength} = bytes.data;
+    const views = [Uint32Array, Int32Array, Float32Array].map((type) => new type(buffer, byteOffset, byteLength / 4));
+    try { encodeRuns(device, description, pass, objects, ...views); } finally { bytes.release(); }
+  } finally { pass.end(); }
 };
 })()"""
 
@@ -172,54 +234,23 @@ class PassCommands(bytearray):
 
     __slots__ = ("description", "encoder", "numbers", "table")
 
-    def __init__(self, table: ObjectTable, encoder: Handle, description: Handle) -> None:
-        table.begin_pass()
+    def __init__(self, table: ObjectTable, encoder: Handle = None, description: Handle = None) -> None:
+        """Without an encoder, they are a part of a pass to come."""
+        if encoder is not None:
+            table.begin_pass()
         self.table = table
         self.encoder = encoder
         self.description = description
         self.numbers = table.numbers
 
+    @property
+    def _internal(self) -> PassCommands:
+        return self
+
     def number(self, handle: Handle) -> int:
         """Return the number of an object."""
         number = self.numbers.get(id(handle))
         return self.table.number(handle) if number is None else number
-
-
-LEAST_BUNDLED: Final = 1 << 10
-"""Bytes of a pass that may become a bundle: 20 draws or so, below which looking it up costs as much as its calls."""
-MAX_BUNDLES: Final = 64
-"""The number of passes whose words are kept."""
-
-
-class BundleCache:
-    """Bundles of the passes that were drawn last, by their words.
-
-    A pass is seen once before it becomes a bundle, so what differs in each frame costs a look-up only.
-    """
-
-    def __init__(self, make: Callable[[PassCommands], Any]) -> None:
-        """`make` returns a bundle of a pass, or None if WebGPU can't have it."""
-        self._make = make
-        self._bundles: dict[bytes, Any] = {}
-
-    def get(self, render: PassCommands) -> Any:
-        """Return the bundle of a pass, or None if its calls are to be made."""
-        if len(render) < LEAST_BUNDLED:
-            return None
-        words = bytes(render)
-        bundle = self._bundles.pop(words, _UNSEEN)
-        if bundle is _SEEN:
-            bundle = self._make(render)
-        elif bundle is _UNSEEN:
-            if len(self._bundles) == MAX_BUNDLES:
-                del self._bundles[next(iter(self._bundles))]
-            bundle = _SEEN
-        self._bundles[words] = bundle  # the latest is the last
-        return None if bundle is _SEEN else bundle
-
-
-_UNSEEN: Final = object()
-_SEEN: Final = object()
 
 
 def set_pipeline(render: PassCommands, pipeline: Handle) -> None:

@@ -15,6 +15,7 @@ from hashlib import sha256
 from typing import Any, Final
 
 from rhi.backends.webgpu.implementation import (
+    BundleFunctions,
     ColorTarget,
     DepthTarget,
     GpuError,
@@ -162,6 +163,7 @@ class CallRecorder:
     index_formats: Mapping[IndexFormat, Any] = {IndexFormat.UINT16: "uint16", IndexFormat.UINT32: "uint32"}
     no_offsets = None
     maps_early = False
+    bundles: BundleFunctions | None = None
     pack_group: Callable[[Handle, int, Handle, int], Callable[..., bytes]] | None = None
 
     def __init__(self) -> None:

@@ -59,6 +59,7 @@ class Stream:
         pass_: the pass of the contract that is open, or None.
         before_submit, after_submit: called around submissions; the latter with the submission's number.
         on_begin, on_end: called when a segment begins and before it ends.
+        retained: while a bundle is recorded, the objects that its draws use.
     """
 
     def __init__(self, implementation: Implementation, device: GpuObject, fence: Fence) -> None:
@@ -74,6 +75,7 @@ class Stream:
         self.on_begin: list[Callable[[], None]] = []
         self.on_end: list[Callable[[], None]] = []
         self.query_set: Callable[[], Handle]
+        self.retained: list[GpuObject] | None = None
         self.segments = 0
         self._labels: list[str] = []
         self._encoder: GpuObject | None = None

@@ -154,7 +154,31 @@ class FormatUses(Protocol):
         """True if images of a format allow this access (`GPUStorageTextureAccess`)."""
 
 
-class Implementation(Protocol):
+class DrawFunctions(Protocol):
+    """The functions of draws, of a pass or a bundle. They take its handle first."""
+
+    set_pipeline: Callable[[Handle, Handle], object]
+    set_bind_group: Callable[[Handle, int, Handle, int, Any], object]
+    set_vertex_buffer: Callable[[Handle, int, Handle, int, int], object]
+    set_index_buffer: Callable[[Handle, Handle, Any, int, int], object]
+    draw: Callable[[Handle, int, int, int, int], object]
+    draw_indexed: Callable[[Handle, int, int, int, int, int], object]
+
+
+class BundleFunctions(DrawFunctions, Protocol):
+    """The functions of bundles: draws that are recorded once, and executed by one call in each pass."""
+
+    def begin(self, device: GpuObject, colors: Sequence[str], depth: str | None, samples: int) -> GpuObject:
+        """Begin a bundle for passes with targets of these formats; return an object with the bundle's handle."""
+
+    def finish(self, encoder: GpuObject) -> GpuObject:
+        """Return the bundle. Its user keeps the objects alive that its draws use."""
+
+    def execute(self, render: Handle, bundle: GpuObject) -> None:
+        """Execute a bundle in a pass, of which nothing that draws need is set afterwards."""
+
+
+class Implementation(DrawFunctions, Protocol):
     """The functions of an implementation. Those of passes take the pass's handle first.
 
     Attributes:
@@ -164,6 +188,7 @@ class Implementation(Protocol):
         no_offsets: the offsets of a bind group without dynamic ones.
         maps_early: whether READBACK buffers are mapped when they are written, since their reader may not be
             able to wait.
+        bundles: the functions of bundles; None if there are none.
     """
 
     name: str
@@ -171,13 +196,8 @@ class Implementation(Protocol):
     index_formats: Mapping[IndexFormat, Any]
     no_offsets: Any
     maps_early: bool
+    bundles: BundleFunctions | None
 
-    set_pipeline: Callable[[Handle, Handle], object]
-    set_bind_group: Callable[[Handle, int, Handle, int, Any], object]
-    set_vertex_buffer: Callable[[Handle, int, Handle, int, int], object]
-    set_index_buffer: Callable[[Handle, Handle, Any, int, int], object]
-    draw: Callable[[Handle, int, int, int, int], object]
-    draw_indexed: Callable[[Handle, int, int, int, int, int], object]
     multi_draw_indirect: Callable[[Handle, Handle, int, int], object]
     multi_draw_indexed_indirect: Callable[[Handle, Handle, int, int], object]
     multi_draw_indexed_indirect_count: Callable[[Handle, Handle, int, Handle, int, int], object]

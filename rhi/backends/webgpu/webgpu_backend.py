@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from time import monotonic
-from typing import Final
+from typing import Any, Final
 
 from rhi.backends.webgpu.command_encoder import Stream
 from rhi.backends.webgpu.implementation import FormatUses, GpuObject, Host, Implementation
@@ -25,6 +25,7 @@ from rhi.backends.webgpu.webgpu_errors import translate_errors
 from rhi.backends.webgpu.webgpu_pipelines import Pipelines, States
 from rhi.backends.webgpu.webgpu_programs import GpuProgram
 from rhi.backends.webgpu.webgpu_queries import Queries
+from rhi.backends.webgpu.webgpu_recorded_draws import RecordedDraws
 from rhi.backends.webgpu.webgpu_samplers import Samplers
 from rhi.backends.webgpu.webgpu_textures import Textures
 from rhi.contract import descriptors
@@ -81,6 +82,9 @@ class WebGpuBackend:
         )
         self._queries = Queries(
             device, self._stream, mappings, "timestamp-query-inside-passes" in host.features
+        )
+        self._recorded = RecordedDraws(
+            device, self._stream, self._buffers, self._bindings, self._states, self._draws
         )
         self._has_pads = is_fourth_uniform_faulty(host.info["device"])
         self._programs: dict[Id, GpuProgram] = {}
@@ -196,6 +200,12 @@ class WebGpuBackend:
         return self._draws.prepare(
             self._programs[program], vertex_array, primitive, first, count, base_vertex, base_instance
         )
+
+    def prepare_recorded_draws(
+        self, commands: Sequence[tuple[str, tuple[Any, ...]]]
+    ) -> list[tuple[int, int, Callable[[], bool]]]:
+        """See `rhi.contract.backend.SupportsRecordedDraws`."""
+        return self._recorded.prepare(commands, self._programs, self)
 
     @property
     def is_building(self) -> bool:

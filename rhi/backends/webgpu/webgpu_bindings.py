@@ -13,12 +13,12 @@ from typing import Any, Final
 
 from rhi.backends.webgpu.command_encoder import Stream
 from rhi.backends.webgpu.implementation import GpuObject, Handle
-from rhi.backends.webgpu.webgpu_buffers import GAP, Buffers
+from rhi.backends.webgpu.webgpu_buffers import GAP, Buffers, GpuBuffer
 from rhi.backends.webgpu.webgpu_errors import translate_errors
 from rhi.backends.webgpu.webgpu_formats import DIMENSIONS
 from rhi.backends.webgpu.webgpu_programs import GpuProgram, PipelineLayout
 from rhi.backends.webgpu.webgpu_samplers import Samplers
-from rhi.backends.webgpu.webgpu_textures import Textures
+from rhi.backends.webgpu.webgpu_textures import GpuTexture, Textures
 from rhi.contract.descriptors import Id, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT
@@ -186,6 +186,31 @@ class BoundResources:
         for slot in program.images:
             textures[self.images[slot][0]].serial = serial
 
+    def list_used(self, program: GpuProgram) -> list[GpuBuffer | GpuTexture]:
+        """Return the buffers and textures that are bound for a program; `mark` notes them."""
+        buffers, textures = self._buffers.objects, self._textures.objects
+        return [
+            *(buffers[self.uniforms[slot][0]] for slot in program.uniforms),
+            *(buffers[self.storages[slot][0]] for slot in program.storages),
+            *(textures[self.sampled[slot][0]] for slot in program.textures),
+            *(textures[self.images[slot][0]] for slot in program.images),
+        ]
+
+    def copy_slots(self) -> tuple[dict[int, Any], ...]:
+        """Return copies of what is bound to all slots."""
+        return tuple(dict(slots) for slots in self._list_slots())
+
+    def restore_slots(self, copies: tuple[dict[int, Any], ...]) -> None:
+        """Bind what `copy_slots` has returned."""
+        for slots, copy in zip(self._list_slots(), copies, strict=True):
+            slots.clear()
+            slots.update(copy)
+        self.invalidate()
+        self.retextured = True
+
+    def _list_slots(self) -> tuple[dict[int, Any], ...]:
+        return self.uniforms, self.offsets, self.storages, self.sampled, self.images
+
     def apply(self, program: GpuProgram, layout: PipelineLayout, bind: BindGroup, encoder: Handle) -> None:
         """Bind the groups of a program that have changed."""
         self.mark(program)
@@ -250,6 +275,8 @@ class BoundResources:
                 self._users.setdefault(part[0], set()).add(key)
                 if index == 2:
                     self._users.setdefault(part[1], set()).add(key)
+        if self._stream.retained is not None:
+            self._stream.retained.append(group)
         return group
 
     def sampling_copies(

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.webgpu.command_encoder import Stream
-from rhi.backends.webgpu.implementation import GpuObject, Handle
+from rhi.backends.webgpu.implementation import DrawFunctions, GpuObject, Handle
 from rhi.backends.webgpu.tools import EXPAND_QUADS, LIST_DRAWS, RESTART_QUADS, Tools, expand_fan
 from rhi.backends.webgpu.webgpu_bindings import BoundResources
 from rhi.backends.webgpu.webgpu_buffers import RESTART_BITS, Buffers, GpuBuffer
@@ -109,12 +109,7 @@ class Draws:
         self._pipelines = pipelines
         self._tools = tools
         implementation = self._implementation = stream.implementation
-        self._set_pipeline = implementation.set_pipeline
-        self._set_group = implementation.set_bind_group
-        self._set_vertices = implementation.set_vertex_buffer
-        self._set_indices = implementation.set_index_buffer
-        self._draw_vertices = implementation.draw
-        self._draw_indices = implementation.draw_indexed
+        self.use_functions(implementation)
         self._index_formats = implementation.index_formats
         self._counts_draws = "multi-draw-indirect-count" in features
         self._has_base_instances = "indirect-first-instance" in features
@@ -130,6 +125,15 @@ class Draws:
         self._alone = False  # the last draw wrote memory, so the next one begins a segment
         self._shared_indices: dict[Primitive, tuple[int, GpuObject]] = {}
         stream.on_begin.append(self._lose)
+
+    def use_functions(self, functions: DrawFunctions) -> None:
+        """Make the calls of later draws by these functions: those of passes, or those of bundles."""
+        self._set_pipeline = functions.set_pipeline
+        self._set_group = functions.set_bind_group
+        self._set_vertices = functions.set_vertex_buffer
+        self._set_indices = functions.set_index_buffer
+        self._draw_vertices = functions.draw
+        self._draw_indices = functions.draw_indexed
 
     # -- what is bound -----------------------------------------------------------------------------------
 
@@ -154,9 +158,32 @@ class Draws:
 
     def _lose(self) -> None:
         """Note that a segment begins, without any state set."""
+        self.lose_bindings()
+        self._states.moved = True
+
+    def lose_bindings(self) -> None:
+        """Note that no pipeline, group and buffer is set, as when a segment or a bundle begins."""
         self._current = self._alike = None
         self._bindings.invalidate()
-        self._states.moved = True
+
+    def open_segment(self) -> Handle:
+        """Return the handle of the open segment; begin one if there is none, or if the last draw wrote memory."""
+        stream = self._stream
+        if self._alone:
+            if stream.render is not None:
+                stream.end_segment()
+            self._alone = False
+        if stream.render is None:
+            stream.begin_segment()
+        if self._states.moved:
+            self._states.apply(stream.render, stream.pass_.size)  # type: ignore[union-attr]
+        return stream.render
+
+    def can_bundle(self, program: GpuProgram, vertex_array: Id, primitive: Primitive) -> bool:
+        """True if a draw is a call of WebGPU, and needs nothing outside of its pass."""
+        copies = program.written_images and program.textures
+        expands = self.arrays[vertex_array].indexed and primitive in _CONVERTED
+        return not (program.descriptor.writes_memory or copies or expands)
 
     def _select_layout(self, program: GpuProgram) -> PipelineLayout:
         if self._bindings.retextured or self._layout is None:
@@ -194,6 +221,8 @@ class Draws:
                 program, layout, array.descriptor, array.key, primitive, states, self.targets
             )
             self._set_pipeline(render, pipeline._internal)
+            if stream.retained is not None:
+                stream.retained.append(pipeline)
             self._alike = alike
             self._current = None
         if states.moved:
@@ -212,11 +241,11 @@ class Draws:
             )
             bindings.dirty[2] = bindings.changed = True
         if self._current is None or self._current[0] != vertex_array:
-            self._bind_array(render, array)
+            self._bind_array(render, vertex_array, array)
         self._current = (vertex_array, primitive)
         return render
 
-    def _bind_array(self, render: Handle, array: GpuVertexArray) -> None:
+    def _bind_array(self, render: Handle, vertex_array: Id, array: GpuVertexArray) -> None:
         descriptor, buffers, serial = array.descriptor, self._buffers.objects, self._stream.serial
         if array.packed:
             for buffer in array.buffers:
@@ -240,9 +269,16 @@ class Draws:
             )
             array.may_restart = buffer.restarts & array.restart_bit
         if packs:
-            used = [stream.buffer for stream in descriptor.streams]
-            array.buffers = [buffers[each] for each in (*used, *[descriptor.index_buffer] * array.indexed)]
+            array.buffers = self.list_buffers(vertex_array)
             array.packed = bytes(render[start:])
+
+    def list_buffers(self, vertex_array: Id) -> list[GpuBuffer]:
+        """Return the buffers of a vertex array; that of indices is the last."""
+        descriptor = self.arrays[vertex_array].descriptor
+        used = [stream.buffer for stream in descriptor.streams]
+        if descriptor.index_buffer:
+            used.append(descriptor.index_buffer)
+        return [self._buffers.objects[buffer] for buffer in used]
 
     # -- draws -------------------------------------------------------------------------------------------
 
@@ -315,7 +351,7 @@ class Draws:
                 render = ready(vertex_array, primitive)
             elif self._current is not key and self._current != key:
                 if self._alike == alike and not bindings.retextured:
-                    bind_array(render, array)
+                    bind_array(render, vertex_array, array)
                     self._current = key
                 else:
                     render = ready(vertex_array, primitive)
@@ -401,6 +437,8 @@ class Draws:
         render = self.ready(vertex_array, primitive)
         if clip is not None:
             self._clip(render, clip)
+        if self._stream.retained is not None:
+            self._stream.retained.append(indices)
         self._set_indices(render, indices._internal, self._index_formats[IndexFormat.UINT32], 0, 4 * corners)
         self._draw_indices(render, corners, instances, 0, base, base_instance)
         self._current = None

@@ -67,9 +67,10 @@ TargetFormats = tuple[tuple[Format, ...], Format | None, int]
 MAX_PIPELINES: Final = 512
 """Largest number of pipelines of a device: on llvmpipe each allocates .8 MiB, and writes to .2 of it at first."""
 _MAX_BIAS: Final = (1 << 31) - 1
-_DYNAMIC: Final = frozenset({Viewport, Scissor, BlendColor, StencilReference})
+DYNAMIC: Final = frozenset({Viewport, Scissor, BlendColor, StencilReference})
+"""The states that are set in a pass, and not a part of pipelines."""
 _ALPHA: Final = frozenset({AlphaTest, AlphaFunction, AlphaReference})
-_BAKED: Final = tuple(state for state in DEFAULTS if state not in _DYNAMIC | _ALPHA)
+_BAKED: Final = tuple(state for state in DEFAULTS if state not in DYNAMIC | _ALPHA)
 _TRIANGLES: Final = frozenset(
     {Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN, Primitive.QUADS}
 )
@@ -99,7 +100,7 @@ class States:
         """Change states."""
         for state, value in changes:
             self.values[state] = value
-            if state in _DYNAMIC:
+            if state in DYNAMIC:
                 self.moved = True
                 if state is Viewport:
                     reversed_ = self.values[Viewport].near > self.values[Viewport].far

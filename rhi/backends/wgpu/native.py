@@ -22,6 +22,7 @@ from wgpu.backends.wgpu_native._api import libf
 from wgpu.backends.wgpu_native._ffi import ffi, lib
 
 from rhi.backends.webgpu.implementation import (
+    BundleFunctions,
     ColorTarget,
     DepthTarget,
     GpuError,
@@ -307,6 +308,32 @@ def _read_messages(log: str) -> Iterator[tuple[str, int]]:
     yield re.sub(r"^Shader '[^']*' ", "", message) or log.strip(), int(location[1]) if location else 0
 
 
+class NativeBundles:
+    """The functions of bundles; `rhi.backends.webgpu.implementation.BundleFunctions`."""
+
+    def __init__(self) -> None:
+        self.set_pipeline = lib.wgpuRenderBundleEncoderSetPipeline
+        self.set_bind_group = lib.wgpuRenderBundleEncoderSetBindGroup
+        self.set_vertex_buffer = lib.wgpuRenderBundleEncoderSetVertexBuffer
+        self.set_index_buffer = lib.wgpuRenderBundleEncoderSetIndexBuffer
+        self.draw = lib.wgpuRenderBundleEncoderDraw
+        self.draw_indexed = lib.wgpuRenderBundleEncoderDrawIndexed
+
+    def begin(self, device: GpuObject, colors: Sequence[str], depth: str | None, samples: int) -> GpuObject:
+        """Begin a bundle for passes with targets of these formats."""
+        return device.create_render_bundle_encoder(
+            color_formats=colors, depth_stencil_format=depth, sample_count=samples
+        )
+
+    def finish(self, encoder: GpuObject) -> GpuObject:
+        """Return the bundle."""
+        return encoder.finish()
+
+    def execute(self, render: Handle, bundle: GpuObject) -> None:
+        """Execute a bundle in a pass."""
+        lib.wgpuRenderPassEncoderExecuteBundles(render, 1, ffi.new("WGPURenderBundle *", bundle._internal))
+
+
 class WgpuNative:
     """The functions of wgpu-native; `rhi.backends.webgpu.implementation.Implementation`.
 
@@ -324,6 +351,7 @@ class WgpuNative:
     pack_group: Callable[[Handle, int, Handle, int], Callable[..., bytes]] | None = None
 
     def __init__(self) -> None:
+        self.bundles: BundleFunctions | None = NativeBundles()
         self.set_pipeline = lib.wgpuRenderPassEncoderSetPipeline
         self.set_bind_group = lib.wgpuRenderPassEncoderSetBindGroup
         self.set_vertex_buffer = lib.wgpuRenderPassEncoderSetVertexBuffer

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from threading import get_ident
 from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
@@ -24,6 +24,7 @@ from rhi.contract.backend import (
     SupportsCurrentContext,
     SupportsOrderedWrites,
     SupportsPreparedDraws,
+    SupportsRecordedDraws,
     SupportsTextureSharing,
 )
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
@@ -440,6 +441,14 @@ class Core(DeviceObject):
         if owner in self.locked:
             self.unlock()
         return owner in self.locked
+
+    def prepare_recorded_draws(
+        self, commands: Sequence[tuple[str, tuple[Any, ...]]]
+    ) -> Sequence[tuple[int, int, Callable[[], bool]]]:
+        """Return the parts of recorded commands that the backend executes together; see `SupportsRecordedDraws`."""
+        if not hasattr(self.backend, "prepare_recorded_draws"):
+            return ()
+        return cast("SupportsRecordedDraws", self.backend).prepare_recorded_draws(commands)
 
     def forget_program(self) -> None:
         """Invalidate the current program: its bindings are no longer in place."""

@@ -529,6 +529,7 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "shadows.penumbra_samples": (1, 1024),
     "shadows.contact_length": (0.0, 0.2, 1.0),
     "shadows.contact_steps": (1, 16, 64),
+    "shadows.contact_rays": (1, 8, 64),
     "shadows.contact_thickness": (0.01, 0.1, 1.0),
     "shadows.far_size": (16, 512),
     "shadows.bias": (0.0, 10.0),
@@ -538,6 +539,8 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "textures.anisotropy": (16.0,),
     "textures.mip_bias": (-2.0, 2.0),
     "textures.compression": tuple(Compression),
+    "textures.memory": (0.5, 100.0),
+    "textures.memory_per_frame": (0.5,),
     "tessellation.edge_pixels": (1.0, 100.0),
     "tessellation.out_of_view_scale": (1.0, 100.0),
     "blending": tuple(Blending),
@@ -563,6 +566,7 @@ UNNEEDED_SETTINGS: dict[str, tuple[Any, ...]] = {
     "detail_error": (0.0, 100.0),
     "simulates_hidden": (True,),
     "reprojects": (True,),
+    "far_error": (1e-3, 100.0),
 }
 """Settings that change nothing in a scene of one box with `forward` and `frustum`: values at and beside their
 bounds."""

@@ -7,7 +7,12 @@ import pytest
 
 from renderer.content import load_scene
 from renderer.content.fountains import DROPS
-from renderer.layers.particles import FogParticleShader, Particle, Particles, collect_particles
+from renderer.layers.particles import (
+    FogParticleShader,
+    Particle,
+    Particles,
+    collect_particles,
+)
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques.parts.scene_shader import ForwardShader

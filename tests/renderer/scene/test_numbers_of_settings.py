@@ -58,7 +58,15 @@ SETTINGS: tuple[type[Any], ...] = (
     TextureSettings,
     VisibilitySettings,
 )
-SAMPLED = ("Forward", "ForwardPlus", "Clustered", "DeferredPlus", "TiledDeferred", "ClusteredDeferred")
+SAMPLED = (
+    "Forward",
+    "LightIndexed",
+    "ForwardPlus",
+    "Clustered",
+    "DeferredPlus",
+    "TiledDeferred",
+    "ClusteredDeferred",
+)
 """The techniques that take a number of samples."""
 ROUTE = np.array([(0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (5.0, 0.0, 5.0)])
 HEIGHTS = np.arange(12.0).reshape(3, 4)

@@ -224,6 +224,38 @@ def test_longer_rays_block_more(gl: rhi.Device) -> None:
     assert 0 < counts[0] < counts[1] < counts[2]
 
 
+@pytest.mark.parametrize("camera", [ABOVE, EYE], ids=["from above", "from the side"])
+def test_penumbras_are_the_mean_of_rays_to_all_of_the_disc(gl: rhi.Device, camera: Camera) -> None:
+    """The mean of frames with suns without a size, whose directions are points of the disc in float64."""
+    diameter, rays = 0.2, 4
+    settings = replace(CONTACTS, contact_rays=rays, contact_thickness=0.3)
+    scene = make_boxes()
+    scene.lights.directional["angular_diameter"] = diameter
+    soft = measure_shares(gl, scene, camera, settings=settings)
+    to_sun = -SUN
+    across = np.cross(to_sun, np.eye(3)[np.abs(to_sun).argmin()])
+    across /= np.linalg.norm(across)
+    turns = np.arange(rays) * np.pi * (3.0 - np.sqrt(5.0))
+    radii = np.tan(diameter / 2.0) * np.sqrt((np.arange(rays) + 0.5) / rays)
+    hard = []
+    for turn, radius in zip(turns, radii, strict=True):
+        aside = radius * (np.cos(turn) * across + np.sin(turn) * np.cross(to_sun, across))
+        other = make_boxes()
+        other.lights.directional["direction"] = -(to_sun + aside) / np.linalg.norm(to_sun + aside)
+        hard.append(measure_shares(gl, other, camera, settings=settings))
+    faces = np.abs(soft - 1.0) > 0.0
+    off = np.abs(soft - np.mean(hard, axis=0))[faces]
+    assert faces.mean() > 0.01
+    assert (off > 0.02).mean() < 0.04  # of surfaces that only a part of the disc faces, and of rounding
+    assert ((soft > 0.1) & (soft < 0.9)).mean() > 2.0 * ((hard[0] > 0.1) & (hard[0] < 0.9)).mean()
+
+
+@pytest.mark.parametrize("technique", ["forward", "deferred"])
+def test_the_number_of_rays_costs_nothing_where_the_sun_has_no_size(technique: str) -> None:
+    few, many = (record(make_boxes(), replace(CONTACTS, contact_rays=rays), technique) for rays in (1, 64))
+    assert few == many
+
+
 def test_things_that_are_deeper_than_the_thickness_let_rays_through(gl: rhi.Device) -> None:
     thin, thick = (
         measure_shares(gl, make_boxes(), settings=replace(CONTACTS, contact_thickness=depth))
@@ -376,6 +408,8 @@ def test_the_plan_says_why(null: rhi.Device) -> None:
         {"contact_length": float("inf")},
         {"contact_steps": 0},
         {"contact_steps": 257},
+        {"contact_rays": 0},
+        {"contact_rays": 65},
         {"contact_thickness": 0.0},
         {"contact_thickness": float("nan")},
         {"contact_steps": 1.5},

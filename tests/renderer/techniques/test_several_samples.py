@@ -24,6 +24,7 @@ from renderer.techniques import (
     DeferredPlus,
     Forward,
     ForwardPlus,
+    LightIndexed,
     Technique,
     TechniqueSettings,
     TiledDeferred,
@@ -35,7 +36,8 @@ from renderer.techniques.parts.scene_shader import ForwardShader
 
 SIZE = (96, 64)
 DEFERRED: tuple[Callable[[int], Technique], ...] = (TiledDeferred, ClusteredDeferred, DeferredPlus)
-LISTED = (ForwardPlus, Clustered, partial(Clustered, depth_first=True), *DEFERRED)
+CELLS = (ForwardPlus, Clustered, partial(Clustered, depth_first=True), *DEFERRED)
+LISTED = (*CELLS, LightIndexed)
 
 
 @pytest.mark.nightly_cases("cl-2", "cl-4", reason=FEWER_CASES)
@@ -44,11 +46,11 @@ def test_the_lists_of_cells_lack_no_light_of_any_sample(drawing_device: rhi.Devi
     if samples not in drawing_device.capabilities.sample_counts:
         pytest.skip(f"sample_counts is {drawing_device.capabilities.sample_counts}")
     scene = load_scene("hall:lights=64,columns=6,flags=2")
-    techniques = Forward(), Forward(samples, all_lights=True), *(make(samples) for make in LISTED)
+    techniques = Forward(), Forward(samples, all_lights=True), *(make(samples) for make in CELLS)
     camera = scene.paths["ground"].camera(100)
     one_sample, expected, *drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
     assert (np.abs(expected - one_sample).max(-1) > 8).sum() > 100  # at edges
-    assert [max_difference(image, expected) <= 1 for image in drawn] == [True] * len(LISTED)
+    assert [max_difference(image, expected) <= 1 for image in drawn] == [True] * len(CELLS)
 
 
 @pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
@@ -95,11 +97,31 @@ def test_geometry_is_drawn_once_for_culling_and_as_often_as_the_technique_says_w
     assert len(list_passes(null, scene, make(1))) < len(listed)
 
 
+@pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
+def test_indices_of_lights_hold_for_all_samples_of_a_pixel(drawing_device: rhi.Device) -> None:
+    """Pixels with more than 8 lights have the lists of their objects, as in forward shading."""
+    scene = load_scene("hall:lights=64,columns=6,flags=2")
+    camera = scene.paths["ground"].camera(100)
+    techniques = Forward(), Forward(4), LightIndexed(4)
+    one_sample, expected, drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
+    assert (np.abs(expected - one_sample).max(-1) > 8).sum() > 100  # at edges
+    assert max_difference(drawn, expected) <= 1
+
+
+def test_indices_of_lights_take_one_draw_beside_those_of_the_scene(null: rhi.Device) -> None:
+    scene, dark = make_lit_boxes(points=2), make_lit_boxes()
+    passes = ["depth", "light indices", "depth samples", "forward", "resolve"]
+    assert list_passes(null, scene, LightIndexed(4)) == passes
+    assert count_draws(null, scene, LightIndexed(4)) == (4, 4)
+    assert list_passes(null, dark, LightIndexed(4)) == ["depth", "forward", "resolve"]
+
+
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_settings_refuse_samples_that_a_technique_lacks(null: rhi.Device, name: str) -> None:
     assert TechniqueSettings(name).samples == 1
     if name in (
         "forward",
+        "light_indexed",
         "forward_plus",
         "clustered",
         "tiled_deferred",

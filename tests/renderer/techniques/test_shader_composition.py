@@ -45,6 +45,7 @@ SIZE = (16, 16)
 OPTIONS: dict[str, list[dict[str, Any]]] = {
     "forward": [{}, {"samples": 4}, {"all_lights": True}],
     "forward_multipass": [{}, {"lights_per_draw": 4}, {"light_volumes": True}],
+    "light_indexed": [{}, {"samples": 4}],
     "light_pre_pass": [{}, {"specular_channels": 1}],
     "forward_plus": [{}, {"tiled_transparency": True}],
     "clustered": [{}, {"depth_first": True}],

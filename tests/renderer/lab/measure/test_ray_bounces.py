@@ -52,7 +52,7 @@ def trace_light(
 
 
 def make_mirror(roughness: float = 0.0) -> SceneBuilder:
-    """A mirror of metal in the plane z = 0, and a lamp to the right in front of it, which the eye doesn't see."""
+    """A mirror of metal in the plane z = 0, and a bright box to the right in front of it, which the eye doesn't see."""
     builder = begin_scene()
     add_box(
         builder, (0, 0, -0.5), (20, 20, 1), base_color=(0.9, 0.6, 0.3, 1.0), metallic=1.0, roughness=roughness
@@ -75,7 +75,7 @@ def test_a_mirror_shows_nothing_of_other_objects_without_bounces() -> None:
     assert trace_light(make_mirror().build(), (-4, 0, 4), (0, 0, 0)).max() < 1e-6
 
 
-def test_what_lies_beside_the_mirrored_ray_is_not_seen() -> None:
+def test_an_object_beside_the_mirrored_ray_is_not_seen() -> None:
     assert trace_light(make_mirror().build(), (-4, 0, 4), (-1, 0, 0), bounces=1).max() < 1e-3
 
 
@@ -123,7 +123,7 @@ def test_a_mirror_of_the_specular_model_returns_its_specular_color() -> None:
     ],
     ids=repr,
 )
-def test_many_rays_to_an_environment_bring_what_its_integral_does(material: dict[str, object]) -> None:
+def test_many_rays_to_an_environment_bring_its_integral(material: dict[str, object]) -> None:
     row, column = np.mgrid[:32, :64]
     waves = [0.6 + 0.4 * np.sin(row / 4.0 + phase) * np.cos(column * np.pi / 8.0) for phase in range(3)]
     image = np.stack(waves, axis=2).astype(np.float32)
@@ -186,7 +186,7 @@ def cover_by_glass(light: float) -> float:
     return float(inverse_tone_map((1.0 - ALPHA) * tone_map(np.array([light])))[0])
 
 
-def test_a_slab_of_glass_shifts_what_is_behind_it() -> None:
+def test_a_slab_of_glass_shifts_objects_behind_it() -> None:
     slope = 0.5 / np.sqrt(0.75)  # 30° before and behind the slab
     inside = np.tan(np.arcsin(0.5 / 1.5))
     offset = 2.0 * inside + 4.0 * slope
