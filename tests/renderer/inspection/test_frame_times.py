@@ -62,7 +62,7 @@ def test_capture_writes_a_table_and_a_chart(tmp_path: Path, capsys: pytest.Captu
 def test_more_samples_than_a_technique_draws_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     common = ["plan", "grid:count=4", "--samples", "4"]
     with pytest.raises(SystemExit) as ended:
-        main([*common, "--technique", "light_indexed"])
+        main([*common, "--technique", "inferred"])
     assert ended.value.code == 2
     assert "technique-one-sample" in capsys.readouterr().err
     assert main(common) == 0
