@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from renderer.content import BUILT_IN
-from renderer.lab.exam.case import CaseImage, CaseResult, Measures, largest_error
+from renderer.lab.exam.case import CaseImage, CaseResult, Measures, check_early, largest_error
 from renderer.lab.exam.scenes import shows_something
 from renderer.lab.measure.ray_tracer import RayTracer
 from renderer.renderer import Renderer
@@ -25,6 +25,8 @@ from rhi import Device
 _SIZE: Final = (192, 128)
 _ASPECT: Final = _SIZE[0] / _SIZE[1]
 _MAPS: Final = ShadowSettings(cascades=1, cascade_size=128, distance=20.0)
+_FARTHEST_OF_MAPS: Final = 4.0
+"""Levels that images of maps alone are off, with a sun of a size; a worse image would make any other look good."""
 _EYE: Final = Camera.look_at((0.0, 1.3, 1.6), (0.0, 0.0, 0.0), projection=Perspective(0.9, _ASPECT))
 
 
@@ -129,6 +131,8 @@ def measure_contact_penumbras(diameter: float, device: Device) -> CaseResult:
         numbers[f"{title}: levels off with maps alone, a ray and 16 rays"] = figures
         error = largest_error(error, 100.0 * off[2] / off[0])
         holds[f"{title}: 16 rays are nearer than a ray"] = off[2] < off[1]
+        holds[f"{title}: maps alone are within {_FARTHEST_OF_MAPS} levels"] = off[0] <= _FARTHEST_OF_MAPS
+        check_early(holds)
         for description, is_true in shows_something([frames[2].astype(np.uint8)]).items():
             holds[f"{title}: {description}"] = is_true
         images |= {title: frames[2].astype(np.uint8), f"{title}, by rays": expected.astype(np.uint8)}

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from renderer.content.shapes import plane
 from renderer.lab.exam.case import CaseImage, CaseResult, Measures
+from renderer.lab.exam.scenes import shows_something
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, StereoRig
 from renderer.scene.arrays import Floats, Indices
@@ -116,7 +117,10 @@ def measure_far_objects(device: Device) -> CaseResult:
             ) as renderer:
                 renderer.stereo = Stereo(RIG, "color", far_error=error)
                 result = renderer.render(camera)
-                pair = [eye.read()[..., :3].astype(int) for eye in result.eye_images]
+                frames = [eye.read() for eye in result.eye_images]
+            for description, is_true in shows_something(frames).items():
+                holds[f"{title}: {description}"] = is_true
+            pair = [frame[..., :3].astype(int) for frame in frames]
             counts = _count_wrong(panels, pair, rig, distance, shift, error)
             numbers |= {f"{title}: {name}": count for name, count in counts.items()}
             wrong += counts["left"] + counts["right"]
