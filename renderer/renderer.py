@@ -519,7 +519,7 @@ class Renderer:
 
     def _place_cameras(self, camera: Camera) -> Sequence[Camera]:
         """The cameras of all eyes, where a frame's camera is this one."""
-        return [camera] if self._pair is None else self._pair.stereo.rig.place_eyes(camera)
+        return [camera] if self._pair is None else self._pair.fit_rig(camera).place_eyes(camera)
 
     @property
     def is_trying(self) -> bool:
