@@ -243,9 +243,9 @@ def describe_run(
 def _describe_streaming(renderer: Renderer) -> dict[str, Any]:
     """The images and levels for which there is no memory; empty if there are none."""
     images = renderer.images
-    if images is None or images.stream is None or not images.stream.report.reduced:
+    report = None if images is None or images.stream is None else images.stream.report
+    if report is None or not report.reduced:
         return {}
-    report = images.stream.report
     return {"reduced_images": report.reduced, "lost_levels": report.lost_levels}
 
 

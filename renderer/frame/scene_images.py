@@ -413,7 +413,7 @@ class SceneImages:
                 ),
             )
             if not isinstance(format, CompressedFormat)
-            else _make_streamed_blocks(scene, image, format, kinds[number])
+            else StreamedImage(kinds[number], tuple(_read_blocks(scene, image, format).levels))
             for number, ((image, _), format) in enumerate(entries)
         ]
         frame_bytes = settings.memory_per_frame * _MIB or inf
@@ -598,28 +598,7 @@ def _make_streamed_image(
     texels, kind = _resize(scene.images[image], size, nearest=nearest), kinds[0]
     assert isinstance(kind.format, Format)
     with device.texture(texels, kind.format, levels=None, label="levels") as texture:
-        levels = [texels, *(texture.read(level) for level in range(1, len(kinds)))]
-        rest = [texture.read(level) for level in range(len(kinds), kind.levels)]
-    coarsest = [levels[-1], *rest]
-
-    def fill(target: Texture, layer: int) -> None:
-        for level, rows in enumerate(coarsest):
-            target.write(rows, level, layer)
-
-    return StreamedImage(kinds, tuple(levels[:-1]), fill)
-
-
-def _make_streamed_blocks(
-    scene: Scene, image: int, format: CompressedFormat, kinds: tuple[ArrayKind, ...]
-) -> StreamedImage:
-    """A compressed image, with the levels that it has."""
-    blocks = _read_blocks(scene, image, format).levels
-
-    def fill(target: Texture, layer: int) -> None:
-        for level, rows in enumerate(blocks[len(kinds) - 1 :]):
-            target.write(rows, level, layer)
-
-    return StreamedImage(kinds, tuple(blocks), fill)
+        return StreamedImage(kinds, (texels, *(texture.read(level) for level in range(1, kind.levels))))
 
 
 def _copy_levels(target: Texture, layer: int, source: Texture) -> None:

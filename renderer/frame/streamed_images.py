@@ -20,7 +20,7 @@ within the bytes of a frame, what is large on the screen first, and shaders read
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any, Final
@@ -66,13 +66,16 @@ class StreamedImage:
 
     Attributes:
         kinds: the kinds of arrays that may hold it, from all of its levels to the coarsest.
-        levels: the texels or blocks of its levels; of texels only those that the coarsest array lacks.
-        fill: writes all levels of the coarsest array, given that and the layer.
+        levels: the texels or blocks of all of its levels.
     """
 
     kinds: tuple[ArrayKind, ...]
     levels: tuple[NDArray[Any], ...]
-    fill: Callable[[Texture, int], None]
+
+    def fill(self, coarsest: Texture, layer: int) -> None:
+        """Write the levels that the coarsest array has."""
+        for level, rows in enumerate(self.levels[len(self.kinds) - 1 :]):
+            coarsest.write(rows, level, layer)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from renderer.scene.arrays import Floats, Indices, list_ranges
 from renderer.scene.deformation.deformable_mesh import DeformableMesh, any_mirrors
 from renderer.scene.deformation.deformation_kernels import (
     LANES,
+    MAX_GROUPS,
     ActiveTarget,
     DeformationGroup,
     DeformationLayout,
@@ -31,7 +32,6 @@ from rhi import Device, StorageBuffer
 from rhi.math.indexing import reduce_runs, repeat_each
 from rhi.shading import vec4
 
-_GROUPS: Final = 65_535  # of a dispatch
 _LARGEST_SUM: Final = 32.0
 """The most that active targets may add, times their number, in half extents of the mesh: float32 sums are then
 within 2^-19 of it."""
@@ -180,8 +180,8 @@ class DeformationBuffers:
             "members": transient.storage(DeformedMember, table),
             "vertices": vertices,
         }
-        for first in range(0, len(groups), _GROUPS):
-            part = groups[first : first + _GROUPS]
+        for first in range(0, len(groups), MAX_GROUPS):
+            part = groups[first : first + MAX_GROUPS]
             self.device.dispatch(
                 program,
                 len(part),

@@ -14,6 +14,8 @@ import rhi.shading as sl
 from renderer.scene.deformation.deformable_mesh import MIRROR_TOLERANCE
 
 LANES: Final = 64
+MAX_GROUPS: Final = 65_535
+"""The most work-groups of a dispatch."""
 _SHORTEST: Final = 1e-20
 _FLOATS: Final = 3  # of an offset's position, and of its normal and tangent
 
@@ -83,7 +85,19 @@ class DeformationLayout(sl.Struct):
     tangent: int
 
 
-class DeformVertices(sl.Shader):
+class VertexWriter(sl.Shader):
+    """Base of shaders that write vertices which are drawn."""
+
+    vertices: sl.StorageRW[float]
+
+    def write(self, at: int, value: sl.vec3) -> None:
+        """Write three floats of a vertex."""
+        self.vertices[at] = value.x
+        self.vertices[at + 1] = value.y
+        self.vertices[at + 2] = value.z
+
+
+class DeformVertices(VertexWriter):
     """Writes positions, normals and tangents of the members that are due."""
 
     work_group = (LANES,)
@@ -95,7 +109,6 @@ class DeformVertices(sl.Shader):
     matrices: sl.Storage[sl.vec4]
     members: sl.Storage[DeformedMember]
     groups: sl.Storage[DeformationGroup]
-    vertices: sl.StorageRW[float]
 
     def compute(self) -> None:
         group = self.groups[sl.group_id().x]
@@ -161,12 +174,6 @@ class DeformVertices(sl.Shader):
         spread = sl.abs(b).yzx * sl.abs(c).zxy + sl.abs(b).zxy * sl.abs(c).yzx
         is_mirrored = sl.dot(a, across) < -MIRROR_TOLERANCE * sl.dot(sl.abs(a), spread)
         return -turned if is_mirrored else turned
-
-    def write(self, at: int, value: sl.vec3) -> None:
-        """Write three floats of a vertex."""
-        self.vertices[at] = value.x
-        self.vertices[at + 1] = value.y
-        self.vertices[at + 2] = value.z
 
     def offset_at(self, at: int) -> sl.vec3:
         """Return three floats of an offset."""

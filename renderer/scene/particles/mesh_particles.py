@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Indices
 from renderer.scene.catch_up import CatchUp
+from renderer.scene.deformation.deformation_kernels import LANES, MAX_GROUPS
 from renderer.scene.meshes import MeshGeometry, make_geometry
-from renderer.scene.particles.particle_kernels import LANES, MAX_GROUPS, ParticleBuffers, PosedParticle
+from renderer.scene.particles.particle_kernels import ParticleBuffers, PosedParticle
 from renderer.scene.tangents import add_tangents
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse

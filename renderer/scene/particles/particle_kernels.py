@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
 from renderer.scene.arrays import Indices
-from renderer.scene.deformation.deformation_kernels import RestVertex
+from renderer.scene.deformation.deformation_kernels import LANES, MAX_GROUPS, RestVertex, VertexWriter
 from renderer.scene.meshes import MeshGeometry
 from rhi import Device, StorageBuffer
-
-LANES: Final = 64
-MAX_GROUPS: Final = 65_535
-"""The most work-groups of a dispatch."""
 
 
 class PosedParticle(sl.Struct):
@@ -38,7 +34,7 @@ class ParticleLayout(sl.Struct):
     tangent: int
 
 
-class WriteCopies(sl.Shader):
+class WriteCopies(VertexWriter):
     """Writes positions, normals and tangents of all copies of the members that are due, a lane for each vertex."""
 
     work_group = (LANES,)
@@ -46,7 +42,6 @@ class WriteCopies(sl.Shader):
     rest: sl.Storage[RestVertex]
     poses: sl.Storage[PosedParticle]
     begins: sl.Storage[int]
-    vertices: sl.StorageRW[float]
 
     def compute(self) -> None:
         group = int(sl.group_id().x)
@@ -69,12 +64,6 @@ class WriteCopies(sl.Shader):
     def turn(self, rotation: sl.vec4, vector: sl.vec3) -> sl.vec3:
         """Return a vector turned by a unit quaternion."""
         return vector + 2.0 * sl.cross(rotation.xyz, sl.cross(rotation.xyz, vector) + rotation.w * vector)
-
-    def write(self, at: int, value: sl.vec3) -> None:
-        """Write three floats of a vertex."""
-        self.vertices[at] = value.x
-        self.vertices[at + 1] = value.y
-        self.vertices[at + 2] = value.z
 
 
 class ParticleBuffers:

@@ -201,12 +201,8 @@ def _refuse_absent(*arguments: object) -> None:
     raise NotImplementedError
 
 
-class WebBundles:
-    """The functions of bundles; `rhi.backends.webgpu.implementation.BundleFunctions`.
-
-    A bundle is the words of its draws, which are added to those of a pass. Words that come again become the page's
-    bundles.
-    """
+class DrawWords:
+    """The functions of draws, which add words to those of a pass."""
 
     def __init__(self) -> None:
         commands: Any = pass_commands
@@ -216,6 +212,14 @@ class WebBundles:
         self.set_index_buffer = commands.set_index_buffer
         self.draw = commands.draw
         self.draw_indexed = commands.draw_indexed
+
+
+class WebBundles(DrawWords):
+    """The functions of bundles; `rhi.backends.webgpu.implementation.BundleFunctions`.
+
+    A bundle is the words of its draws, which are added to those of a pass. Words that come again become the page's
+    bundles.
+    """
 
     def begin(
         self, device: GpuObject, colors: Sequence[str], depth: str | None, samples: int
@@ -232,7 +236,7 @@ class WebBundles:
         render += bundle
 
 
-class WebPage:
+class WebPage(DrawWords):
     """The functions of a page; `rhi.backends.webgpu.implementation.Implementation`."""
 
     name = "web"
@@ -249,6 +253,7 @@ class WebPage:
     write_pass_timestamp: Callable[[Handle, Handle, int], object]
 
     def __init__(self) -> None:
+        super().__init__()
         functions = self.functions = get_functions()
         self.state: Any = None
         self.version = str(getattr(getattr(js, "navigator", None), "userAgent", "") or "a page")
@@ -256,12 +261,6 @@ class WebPage:
         self._replay = run_js(REPLAY)
         self.bundles: BundleFunctions | None = WebBundles()
         commands: Any = pass_commands
-        self.set_pipeline = commands.set_pipeline
-        self.set_bind_group = commands.set_bind_group
-        self.set_vertex_buffer = commands.set_vertex_buffer
-        self.set_index_buffer = commands.set_index_buffer
-        self.draw = commands.draw
-        self.draw_indexed = commands.draw_indexed
         self.multi_draw_indirect = commands.multi_draw_indirect
         self.multi_draw_indexed_indirect = commands.multi_draw_indexed_indirect
         self.set_viewport = commands.set_viewport

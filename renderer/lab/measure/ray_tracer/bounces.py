@@ -14,18 +14,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.measure.ray_tracer.surfaces import Surfaces, normalize
+from renderer.lab.measure.ray_tracer.shading import SMOOTHEST, select_shading_model
+from renderer.lab.measure.ray_tracer.surfaces import Surfaces, dot, make_axes, normalize
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats
-from renderer.scene import ShadingModel
 
-_SMOOTHEST: Final = 0.1
-"""The roughness below which the metallic-roughness model uses this value."""
 _COSINE_STEPS: Final = 64
 
 
 def are_blurred(surfaces: Surfaces) -> NDArray[np.bool_]:
     """Return which surfaces mirror a ray to random directions (k,)."""
-    return np.asarray(_lobe_widths(surfaces) > _SMOOTHEST**4)
+    return np.asarray(_lobe_widths(surfaces) > SMOOTHEST**4)
 
 
 def mirror_rays(surfaces: Surfaces, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -39,31 +37,30 @@ def mirror_rays(surfaces: Surfaces, rng: np.random.Generator) -> tuple[Floats, F
         direction leads into the surface.
     """
     normal, to_eye, material = surfaces.normal, surfaces.to_eye, surfaces.material
-    is_metal = np.asarray(material["model"] == ShadingModel.METALLIC_ROUGHNESS)
-    square, across = _lobe_widths(surfaces), _dot(normal, to_eye)
+    is_metal, _, base, _ = select_shading_model(surfaces)
+    square, across = _lobe_widths(surfaces), dot(normal, to_eye)
     mirrored = 2.0 * across[:, None] * normal - to_eye
     half = _spread_half_vectors(np.where(is_metal[:, None], normal, mirrored), square, rng)
     seen_from = np.where(is_metal[:, None], to_eye, mirrored)
-    viewed = _dot(seen_from, half)
+    viewed = dot(seen_from, half)
     direction = 2.0 * viewed[:, None] * half - seen_from
-    lit = _dot(normal, direction)
+    lit = dot(normal, direction)
     # The share is F V 4 (v·h) (n·l) / (n·h): the model divided by how densely such directions lie.
     masks = [
         cosine + np.sqrt(square + (1.0 - square) * cosine**2)
         for cosine in (np.maximum(lit, 0.0), np.abs(across))
     ]
-    towards = np.maximum(_dot(normal, half), 1e-9)
+    towards = np.maximum(dot(normal, half), 1e-9)
     weight = 4.0 * np.maximum(viewed, 0.0) * lit / (towards * np.maximum(masks[0] * masks[1], 1e-12))
-    base = 0.04 + surfaces.metallic[:, None] * (surfaces.base - 0.04)
     fresnel = base + (1.0 - base) * ((1.0 - np.clip(viewed, 0.0, 1.0)) ** 5)[:, None]
     rim = material["rim_strength"] * (1.0 - np.clip(np.abs(across), 0.0, 1.0)) ** material[
         "rim_power"
     ].astype(float)
     specular = (material["specular_color"] + rim[:, None]) * (
-        np.maximum(_dot(mirrored, direction), 0.0) / _mean_cosines(square)
+        np.maximum(dot(mirrored, direction), 0.0) / _mean_cosines(square)
     )[:, None]
     share = np.where(is_metal[:, None], fresnel * weight[:, None], specular)
-    leaves = (_dot(surfaces.geometric_normal, direction) > 0.0) & (~is_metal | (lit > 0.0))
+    leaves = (dot(surfaces.geometric_normal, direction) > 0.0) & (~is_metal | (lit > 0.0))
     return direction, np.where(leaves[:, None], share, 0.0)
 
 
@@ -83,7 +80,7 @@ def bend_rays(
         nothing leaves the body.
     """
     ratio = np.where(is_leaving, refraction_index, 1.0 / refraction_index)
-    cosine = -_dot(directions, normals)
+    cosine = -dot(directions, normals)
     square = 1.0 - ratio**2 * (1.0 - cosine**2)  # of the cosine on the other side
     beyond = np.sqrt(np.maximum(square, 0.0))
     bent = ratio[:, None] * directions + (ratio * cosine - beyond)[:, None] * normals
@@ -96,9 +93,9 @@ def bend_rays(
 
 def _lobe_widths(surfaces: Surfaces) -> Floats:
     """The squares (k,) of GGX's α."""
-    is_metal = surfaces.material["model"] == ShadingModel.METALLIC_ROUGHNESS
+    is_metal, _, _, roughness = select_shading_model(surfaces)
     shininess = surfaces.material["shininess"].astype(np.float64)
-    return np.where(is_metal, np.maximum(surfaces.roughness, _SMOOTHEST) ** 4, 2.0 / (shininess + 2.0))
+    return np.where(is_metal, roughness**4, 2.0 / (shininess + 2.0))
 
 
 def _mean_cosines(square: Floats) -> Floats:
@@ -108,16 +105,11 @@ def _mean_cosines(square: Floats) -> Floats:
     return np.asarray(np.maximum(2.0 * squared_cosine - 1.0, 0.0).mean(axis=0))
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("ij,ij->i", a, b))
-
-
 def _spread_half_vectors(normal: Floats, square: Floats, rng: np.random.Generator) -> Floats:
     """Half vectors (k, 3), spread as densely as GGX of α² = `square` (k,) times the cosine to the normal."""
     share, angle = rng.uniform(size=len(normal)), 2.0 * np.pi * rng.uniform(size=len(normal))
     cosine = np.sqrt((1.0 - share) / (1.0 + (square - 1.0) * share))
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
-    aside = normalize(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
-    up = np.cross(normal, aside)
+    aside, up = make_axes(normal)
     across = aside * (sine * np.cos(angle))[:, None] + up * (sine * np.sin(angle))[:, None]
     return np.asarray(across + normal * cosine[:, None])

@@ -10,15 +10,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, normalize
+from renderer.lab.measure.ray_tracer.surfaces import (
+    Geometry,
+    Surfaces,
+    dot,
+    make_axes,
+    measure_gap,
+    normalize,
+)
 from renderer.lab.measure.ray_tracer.surroundings import Surroundings
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Fog, Scene, ShadingModel
 
-DISTANCE_FROM_SURFACE: Final = 1e-6
-"""Metres from a surface at which a ray to a light begins; also relative to the position's distance from the
-origin, by which float64 rounds."""
-_SMOOTHEST: Final = 0.1
+SMOOTHEST: Final = 0.1
 """The roughness below which the metallic-roughness model uses this value."""
 _RINGS: Final = 24
 """Rings of directions to a sphere light, each with twice as many directions."""
@@ -99,8 +103,8 @@ class LitSurfaces:
             away = np.tile(light["position"] + position, (len(lit), 1)) - repeated.position
             distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
             direction = away / distance[:, None]
-            emitted = np.maximum(-_dot(direction, np.tile(normal, (len(lit), 1))), 0.0) / distance**2
-            facing = np.maximum(_dot(repeated.normal, direction), 0.0)
+            emitted = np.maximum(-dot(direction, np.tile(normal, (len(lit), 1))), 0.0) / distance**2
+            facing = np.maximum(dot(repeated.normal, direction), 0.0)
             reflected = reflect(repeated, direction) * (share * emitted * facing)[:, None]
             color[lit] += reflected.reshape(len(lit), _PARTS, 3).sum(axis=1)
         arriving = light["color"].astype(np.float64) * float(light["intensity"])
@@ -113,7 +117,7 @@ class LitSurfaces:
         penumbras, shadows of a source are those of its centre."""
         radius = float(light["source_radius"]) if "source_radius" in light.dtype.names else 0.0
         sine = np.minimum(radius / np.broadcast_to(np.maximum(distance, 1e-9), strength.shape), 1.0)
-        lit = np.flatnonzero((_dot(seen.normal, to_light) > -sine) & (strength > 0.0))
+        lit = np.flatnonzero((dot(seen.normal, to_light) > -sine) & (strength > 0.0))
         color = np.zeros(seen.normal.shape)
         if len(lit) and light["casts_shadow"] and self._has_shadows:
             far = np.broadcast_to(distance, strength.shape)[lit]
@@ -125,7 +129,7 @@ class LitSurfaces:
             lit_surfaces = take_surfaces(seen, lit)
             arriving = light["color"].astype(np.float64) * strength[lit, None]
             for direction, share in _list_directions(to_light[lit], sine[lit]):
-                facing = np.maximum(_dot(lit_surfaces.normal, direction), 0.0)
+                facing = np.maximum(dot(lit_surfaces.normal, direction), 0.0)
                 color[lit] += reflect(lit_surfaces, direction) * arriving * (share * facing)[:, None]
         return color
 
@@ -175,7 +179,7 @@ class LitSurfaces:
     def _are_dark(
         self, position: Floats, geometric_normal: Floats, to_light: Floats, distance: Floats
     ) -> NDArray[np.bool_]:
-        start = DISTANCE_FROM_SURFACE + 1e-13 * np.abs(position).max(axis=1)
+        start = measure_gap(position)
         origins = position + geometric_normal * start[:, None]
         return self._tree.are_occluded(
             origins, to_light, distance - start, lambda hits: self._geometry.block_light(hits, to_light)
@@ -202,9 +206,9 @@ class LitSurfaces:
             return np.asarray(self._scatter_surroundings(seen) * left + mirrored_light)
         if self._environment is not None:
             return self._reflect_environment(seen, self._environment)
-        material, along = seen.material, _dot(seen.normal, seen.to_eye)
+        material, along = seen.material, dot(seen.normal, seen.to_eye)
         beyond = 2.0 * along[:, None] * seen.normal - seen.to_eye
-        is_metal, diffuse, mirror, rough = _select_shading_model(seen)
+        is_metal, diffuse, mirror, rough = select_shading_model(seen)
         clipped = np.clip(along, 0.0, 1.0)
         rim = material["rim_strength"] * (1.0 - clipped) ** material["rim_power"].astype(np.float64)
         mirrored = material["specular_color"] + rim[:, None]
@@ -227,15 +231,15 @@ class LitSurfaces:
             arriving = self._environment.scatter(seen.normal)
         else:
             arriving = self.look_at_surroundings(seen.normal)
-        diffuse = _select_shading_model(seen)[1]
+        diffuse = select_shading_model(seen)[1]
         return np.asarray(diffuse * np.where(np.isnan(seen.irradiance), arriving, seen.irradiance))
 
     def _reflect_environment(self, seen: Surfaces, environment: Surroundings) -> Floats:
         """The light of an environment that surfaces reflect. The specular model mirrors a lobe of GGX as wide as
         its highlight, seen along the mirrored direction."""
-        is_metal, _, _, rough = _select_shading_model(seen)
+        is_metal, _, _, rough = select_shading_model(seen)
         light = self._scatter_surroundings(seen)
-        material, along = seen.material, _dot(seen.normal, seen.to_eye)
+        material, along = seen.material, dot(seen.normal, seen.to_eye)
         if is_metal.any():
             metals = take_surfaces(seen, np.flatnonzero(is_metal))
 
@@ -268,12 +272,8 @@ class LitSurfaces:
         if ambient_occlusion is None:
             return np.ones(len(normal))
         is_baked = ~np.isnan(seen.irradiance[:, 0])
-        aside = normalize(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
-        up = np.cross(normal, aside)
-        origins = (
-            seen.position
-            + normal * (DISTANCE_FROM_SURFACE + 1e-13 * np.abs(seen.position).max(axis=1))[:, None]
-        )
+        aside, up = make_axes(normal)
+        origins = seen.position + normal * measure_gap(seen.position)[:, None]
         open_rays = np.zeros(len(normal))
         for number in range(_OCCLUSION_RAYS):
             sine = np.sqrt((number + 0.5) / _OCCLUSION_RAYS)
@@ -310,8 +310,7 @@ def _list_directions(to_light: Floats, sine: Floats, rings: int = _RINGS) -> Ite
         yield to_light, 1.0
         return
     cosine = np.sqrt(1.0 - sine**2)
-    aside = normalize(np.cross(to_light, np.eye(3)[np.abs(to_light).argmin(axis=1)]))
-    up = np.cross(to_light, aside)
+    aside, up = make_axes(to_light)
     for i, turn in np.ndindex(rings, 2 * rings):
         along = (1.0 - (1.0 - cosine) * (i + 0.5) / rings)[:, None]
         angle = np.pi * (turn + 0.5) / rings
@@ -330,8 +329,7 @@ def _list_parts(light: Any) -> Iterator[tuple[Floats, Floats, float]]:
             yield steps[:, None] * right + y * up, np.tile(normal, (_PARTS, 1)), 1.0 / _PARTS**2
         return
     axis = right / np.linalg.norm(right)
-    first = normalize(np.cross(axis, np.eye(3)[np.abs(axis).argmin()])[None])[0]
-    second = np.cross(axis, first)
+    first, second = make_axes(axis[None])
     angles = np.pi * steps[:, None]
     normals = np.cos(angles) * first + np.sin(angles) * second
     for x in steps:
@@ -343,8 +341,8 @@ def reflect(surfaces: Surfaces, to_light: Floats, *, is_mirror: bool = False) ->
     with an energy-conserving highlight, or that of glTF 2.0, appendix B. With `is_mirror` it is what surfaces of
     the latter mirror."""
     half = normalize(to_light + surfaces.to_eye)
-    towards = _dot(surfaces.normal, half)
-    is_metal, _, mirror, rough = _select_shading_model(surfaces)
+    towards = dot(surfaces.normal, half)
+    is_metal, _, mirror, rough = select_shading_model(surfaces)
     shininess = surfaces.material["shininess"].astype(np.float64)
     with np.errstate(under="ignore"):
         lobe = np.clip(towards, 0.0, 1.0) ** shininess * (shininess + 8.0) / 8.0
@@ -354,11 +352,11 @@ def reflect(surfaces: Surfaces, to_light: Floats, *, is_mirror: bool = False) ->
     sine = np.linalg.norm(np.cross(surfaces.normal, half), axis=1)
     spread = square / np.maximum(sine**2 + square * towards**2, square) ** 2
     lit, viewed = (
-        np.clip(_dot(surfaces.normal, to_light), 0.0, 1.0),
-        np.abs(_dot(surfaces.normal, surfaces.to_eye)),
+        np.clip(dot(surfaces.normal, to_light), 0.0, 1.0),
+        np.abs(dot(surfaces.normal, surfaces.to_eye)),
     )
     masks = [cosine + np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (lit, viewed)]
-    fresnel = mirror + (1.0 - mirror) * ((1.0 - np.clip(_dot(surfaces.to_eye, half), 0.0, 1.0)) ** 5)[:, None]
+    fresnel = mirror + (1.0 - mirror) * ((1.0 - np.clip(dot(surfaces.to_eye, half), 0.0, 1.0)) ** 5)[:, None]
     if is_mirror:
         return np.asarray(fresnel * (spread / (masks[0] * masks[1]))[:, None])
     scattered = surfaces.base * (1.0 - surfaces.metallic)[:, None] * (1.0 - fresnel)
@@ -366,7 +364,7 @@ def reflect(surfaces: Surfaces, to_light: Floats, *, is_mirror: bool = False) ->
     return np.where(is_metal[:, None], metal, specular)
 
 
-def _select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
+def select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
     """The mask of surfaces with the metallic-roughness model, the diffuse colour of all, and the specular colour at
     normal incidence and the roughness of those of that model."""
     is_metal = np.asarray(seen.material["model"] == ShadingModel.METALLIC_ROUGHNESS)
@@ -374,7 +372,7 @@ def _select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Fl
     diffuse = np.where(
         is_metal[:, None], seen.base * (1.0 - seen.metallic)[:, None] * (1.0 - mirror), seen.base
     )
-    return is_metal, diffuse, mirror, np.maximum(seen.roughness, _SMOOTHEST)
+    return is_metal, diffuse, mirror, np.maximum(seen.roughness, SMOOTHEST)
 
 
 def optical_depth(fog: Fog, eye: Floats, height: Floats, length: Floats) -> Floats:
@@ -393,7 +391,3 @@ def optical_depth(fog: Fog, eye: Floats, height: Floats, length: Floats) -> Floa
 def take_surfaces(seen: Surfaces, rows: NDArray[Any]) -> Surfaces:
     """The surfaces at some indices."""
     return Surfaces(*(getattr(seen, name)[rows] for name in seen.__slots__))
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("ij,ij->i", a, b))

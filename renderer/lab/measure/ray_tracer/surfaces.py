@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, Indices
 from renderer.scene import AlphaMode, ImagePixels, Scene, ShadingModel
 
+_GAP: Final = 1e-6
+"""Metres from a surface at which a ray begins; it grows with the position's distance from the origin, by which float64
+rounds."""
 _ROUNDING: Final = 2.0**-16
 """How far an alpha may be below a mask's cutoff and still pass."""
 
@@ -266,6 +269,22 @@ def normalize(vectors: Floats) -> Floats:
     """Vectors (k, 3) scaled to a length of 1; those of length 0 stay."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    """The products (k,) of vectors (k, 3)."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+def make_axes(vectors: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors (k, 3) at right angles to unit vectors (k, 3), and others at right angles to both."""
+    aside = normalize(np.cross(vectors, np.eye(3)[np.abs(vectors).argmin(axis=1)]))
+    return aside, np.cross(vectors, aside)
+
+
+def measure_gap(position: Floats) -> Floats:
+    """Metres (k,) from surfaces at positions (k, 3) at which rays begin, so that they don't meet the surface again."""
+    return np.asarray(_GAP + 1e-13 * np.abs(position).max(axis=1, initial=0.0))
 
 
 def decode_srgb(color: Floats) -> Floats:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from renderer.lab.measure.ray_tracer.surfaces import normalize
+from renderer.lab.measure.ray_tracer.surfaces import make_axes, normalize
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats
 from renderer.scene import Environment
 
@@ -119,8 +119,7 @@ def _spread_by_lobe(normal: Floats, eye: Floats, square: Floats) -> Floats:
     share, angle = (number + 0.5) / _LOBE_POINTS, np.pi * (3.0 - np.sqrt(5.0)) * number
     cosine = np.sqrt((1.0 - share) / (1.0 + (square - 1.0) * share))
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
-    aside = normalize(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
-    up = np.cross(normal, aside)
+    aside, up = make_axes(normal)
     across = aside[:, None] * np.cos(angle)[:, None] + up[:, None] * np.sin(angle)[:, None]
     half = across * sine[..., None] + normal[:, None] * cosine[..., None]
     return np.asarray(2.0 * np.einsum("jnc,jc->jn", half, eye)[..., None] * half - eye[:, None])

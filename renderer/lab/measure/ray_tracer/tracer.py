@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from renderer.lab.measure.ray_tracer.bounces import are_blurred, bend_rays, mirror_rays
 from renderer.lab.measure.ray_tracer.shading import (
-    DISTANCE_FROM_SURFACE,
     LitSurfaces,
     optical_depth,
     take_surfaces,
 )
-from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, encode_srgb, normalize
-from renderer.lab.measure.ray_tracer.surroundings import Surroundings
+from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, encode_srgb, measure_gap, normalize
 from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
 from renderer.scene import Camera, Scene
 
@@ -299,12 +297,10 @@ class RayTracer:
 
     def _draw_background(self, origins: Floats, directions: Floats, kind: RayKind) -> Floats:
         """The background's colours, or light, seen through all of the fog."""
-        if kind.is_mirrored:
-            light = self._lighting.look_at_surroundings(normalize(directions))
-            return self._pass_endless_fog(light, origins, directions)
         environment = self._scene.environment
-        if environment is not None and environment.is_visible:
-            light = self._pass_endless_fog(Surroundings(environment).look(directions), origins, directions)
+        if kind.is_mirrored or (environment is not None and environment.is_visible):
+            light = self._lighting.look_at_surroundings(normalize(directions))
+            light = self._pass_endless_fog(light, origins, directions)
             return light if kind.brings_light else tone_map(light)
         color = np.asarray(self._scene.background, np.float64)
         fog = self._scene.fog
@@ -331,8 +327,7 @@ class RayTracer:
 
 def _move_off(position: Floats, normal: Floats) -> Floats:
     """Positions a little off a surface, on the side of `normal`, so that rays from there don't meet it again."""
-    distance = DISTANCE_FROM_SURFACE + 1e-13 * np.abs(position).max(axis=1, initial=0.0)
-    return np.asarray(position + normal * distance[:, None])
+    return np.asarray(position + normal * measure_gap(position)[:, None])
 
 
 def aim(
